@@ -1,0 +1,117 @@
+"""A splat scene in memory: six arrays and what its file said about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+SH_COEFFICIENTS = (1, 4, 9, 16)
+"""Coefficients a colour channel has at SH degree 0, 1, 2, 3."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Gaussians:
+    """N Gaussians, stored as training stores them: nothing is activated or normalised.
+
+    Arrays are never written to after construction; editing makes new ones. Values are kept as
+    the file had them, NaN included: culling is the renderers' business (see `image_model`).
+
+    Raises:
+        ValueError: an array has the wrong shape or dtype; the message names it.
+    """
+
+    means: np.ndarray
+    """(N, 3) float32, or float64 where the file is (geo-referenced scenes). World units."""
+    quats: np.ndarray
+    """(N, 4) float32, wxyz, raw: normalised on use."""
+    log_scales: np.ndarray
+    """(N, 3) float32, natural logarithm of the standard deviations in world units."""
+    opacity_logits: np.ndarray
+    """(N,) float32, opacity = sigmoid(logit)."""
+    sh: np.ndarray
+    """(N, K, 3) float32, K in {1, 4, 9, 16}; coefficient 0 is the constant band."""
+    comments: tuple[str, ...] = ()
+    """The file's header comments, in order, without the word ``comment``."""
+    extras: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Per-splat properties (N,) of the file that we do not interpret, by name; written back on save."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means) if self.means.ndim else 0
+        self._check("means", (n, 3), (np.float32, np.float64))
+        self._check("quats", (n, 4))
+        self._check("log_scales", (n, 3))
+        self._check("opacity_logits", (n,))
+        if self.sh.ndim != 3 or self.sh.shape[1] not in SH_COEFFICIENTS:
+            raise ValueError(f"sh must be (N, K, 3) with K in {SH_COEFFICIENTS}, got {self.sh.shape}")
+        self._check("sh", (n, self.sh.shape[1], 3))
+        for name, values in self.extras.items():
+            if values.shape != (n,):
+                raise ValueError(f"extras[{name!r}] must be ({n},), got {values.shape}")
+
+    def _check(self, name: str, shape: tuple[int, ...], dtypes: tuple[type, ...] = (np.float32,)) -> None:
+        array = getattr(self, name)
+        if array.shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+        if array.dtype.type not in dtypes:
+            wanted = " or ".join(np.dtype(dtype).name for dtype in dtypes)
+            raise ValueError(f"{name} must be {wanted}, got {array.dtype}")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """The highest SH degree stored, 0 to 3."""
+        return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays, extras included."""
+        arrays = (
+            self.means,
+            self.quats,
+            self.log_scales,
+            self.opacity_logits,
+            self.sh,
+            *self.extras.values(),
+        )
+        return sum(array.nbytes for array in arrays)
+
+    def take(self, indices: np.ndarray) -> Gaussians:
+        """The splats at `indices` (integer or boolean array), in that order, with comments and extras."""
+        return replace(
+            self,
+            means=self.means[indices],
+            quats=self.quats[indices],
+            log_scales=self.log_scales[indices],
+            opacity_logits=self.opacity_logits[indices],
+            sh=self.sh[indices],
+            extras={name: values[indices] for name, values in self.extras.items()},
+        )
+
+
+def concatenate(parts: list[Gaussians]) -> Gaussians:
+    """One scene of all `parts` (at least one), in order.
+
+    SH is padded with zeros to the highest degree; means become float64 if any part's are; comments
+    are kept once each; extras survive only where every part has them.
+    """
+    coefficients = max(part.sh.shape[1] for part in parts)
+    shared = set.intersection(*(set(part.extras) for part in parts))
+    return Gaussians(
+        means=np.concatenate([part.means for part in parts]),
+        quats=np.concatenate([part.quats for part in parts]),
+        log_scales=np.concatenate([part.log_scales for part in parts]),
+        opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
+        sh=np.concatenate(
+            [np.pad(part.sh, ((0, 0), (0, coefficients - part.sh.shape[1]), (0, 0))) for part in parts]
+        ),
+        comments=tuple(dict.fromkeys(comment for part in parts for comment in part.comments)),
+        extras={
+            name: np.concatenate([part.extras[name] for part in parts])
+            for name in parts[0].extras
+            if name in shared
+        },
+    )
