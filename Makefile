@@ -1,0 +1,56 @@
+# make run    install into .venv and open the viewer on the bundled demo (no display: a preview PNG)
+# make test   install, then format, lint, types and tests
+# make check  format, lint and types only
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: run test test-all check format system-run system-test tables clean
+
+run: $(VENV)/.run-installed | system-run
+	@$(BIN)/splatview $(SCENE)
+
+test: check | system-test
+	@$(BIN)/python -m pytest -q
+
+test-all: check | system-test
+	@$(BIN)/python -m pytest -q -m ""
+
+check: $(VENV)/.dev-installed
+	@$(BIN)/ruff format --check --quiet .
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/pyright --warnings
+
+format: $(VENV)/.dev-installed
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+# The tables in README.md, from the JSON in assets/benchmarks.
+tables: $(VENV)/.dev-installed
+	@$(BIN)/python -m splatview.measure.tables README.md
+
+system-run:
+	@sh scripts/system-packages.sh run
+
+system-test:
+	@sh scripts/system-packages.sh test
+
+$(BIN)/pip:
+	@echo "setting up $(VENV): the first time takes a few minutes"
+	@$(PYTHON) scripts/python_version.py
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.run-installed: pyproject.toml constraints.txt | $(BIN)/pip
+	@$(INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.dev-installed: pyproject.toml constraints.txt | $(BIN)/pip
+	@$(INSTALL) --editable ".[dev]"
+	@# pyright cannot follow an editable install; it finds "splatview" through this link.
+	@mkdir -p $(VENV)/typing && ln -sfn ../.. $(VENV)/typing/splatview
+	@touch $@ $(VENV)/.run-installed
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache .hypothesis
