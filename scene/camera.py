@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,7 +90,7 @@ class Camera:
         )
 
 
-def look_at_matrix(eye: Sequence[float], target: Sequence[float], up: Sequence[float]) -> np.ndarray:
+def look_at_matrix(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> np.ndarray:
     """World-to-camera matrix (4, 4) float64 of an eye that looks at `target` with `up` upwards in the image.
 
     Where `up` is parallel to the viewing direction the least aligned world axis takes its place.
@@ -118,10 +118,10 @@ def look_at_matrix(eye: Sequence[float], target: Sequence[float], up: Sequence[f
 
 
 def look_at(
-    eye: Sequence[float],
-    target: Sequence[float],
+    eye: ArrayLike,
+    target: ArrayLike,
     *,
-    up: Sequence[float] = (0.0, 1.0, 0.0),
+    up: ArrayLike = (0.0, 1.0, 0.0),
     fov_y: float = 50.0,
     width: int = 1280,
     height: int = 720,
