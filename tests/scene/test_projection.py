@@ -30,7 +30,7 @@ def test_footprint_worked_answer(flat_gaussians, identity_camera):
     radii = np.sqrt(np.linalg.eigvalsh([[xx, xy], [xy, yy]]))
     np.testing.assert_allclose(radii[::-1], (38.2, 8.3), atol=0.05)
     major = np.linalg.eigh([[xx, xy], [xy, yy]])[1][:, 1]
-    # Measured with y up, as people read angles off a picture... the image's y points down, as here.
+    # In image axes: x right, y down.
     assert math.degrees(math.atan2(major[1], major[0])) % 180 == pytest.approx(136.0, abs=0.05)
 
 
