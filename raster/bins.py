@@ -1,0 +1,113 @@
+"""Which splats each 16x16 tile has to look at: lists in depth order, by counting, without a second sort.
+
+A splat belongs to a tile when its ellipse, the set where its alpha is at least the cut, meets the box
+of the tile's pixel centres. For a row of tiles the ellipse leaves an interval of x: convex sets meet so,
+which makes the test of the whole row two square roots, and exact. The ellipse is drawn a hair larger
+(MARGIN) than it is, as the pixels' alphas are computed in float32.
+
+The depth order is cut into pieces. Each piece counts its pairs per tile; the sums of the counts over
+earlier tiles and earlier pieces are where it writes. So lists come out in depth order whatever the
+number of pieces.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .compiling import inline, kernel
+from .project import LOG2_OPACITY, RY, A, B, C, X, Y
+from .view import TILE
+
+MARGIN = 2e-3
+"""By how much, in powers of two of alpha and relative to it, the ellipse is enlarged."""
+
+
+@inline
+def tile_rows(record, tiles_y):
+    """First and last row of tiles that a splat's box meets; first > last where none."""
+    y, ry = np.float64(record[Y]), np.float64(record[RY]) * (1 + MARGIN) + MARGIN
+    first = max(math.ceil((y - ry - (TILE - 0.5)) / TILE), 0.0)
+    last = min(math.floor((y + ry - 0.5) / TILE), tiles_y - 1.0)
+    return np.int64(first), np.int64(last)
+
+
+@inline
+def ellipse(record, log2_cut):
+    """What `tile_span` needs of a splat, float64: x, y, then a, b, c, the reach of (a·dx + b·dy)² + (c·dy)²,
+    the half extent in y and the dy at which the ellipse is farthest right."""
+    a, b, c = np.float64(record[A]), np.float64(record[B]), np.float64(record[C])
+    reach = (np.float64(record[LOG2_OPACITY]) - log2_cut) * (1 + MARGIN) + MARGIN
+    root = math.sqrt(reach)
+    slope = b / c
+    return (
+        np.float64(record[X]),
+        np.float64(record[Y]),
+        a,
+        b,
+        c,
+        reach,
+        root / c,
+        -slope * root / (math.sqrt(1 + slope * slope) * c),
+    )
+
+
+@inline
+def tile_span(shape, row, tiles_x):
+    """First and last tile of a row that the ellipse meets; first > last where none."""
+    x, y, a, b, c, reach, ry, dy_right = shape
+    low = max(row * TILE + 0.5 - y, -ry)
+    high = min(row * TILE + (TILE - 0.5) - y, ry)
+    # Farthest right and left within the rows low..high, at the ellipse's own extreme where that is inside.
+    at_right, at_left = min(max(dy_right, low), high), min(max(-dy_right, low), high)
+    right = x + (math.sqrt(max(reach - c * c * at_right * at_right, 0.0)) - b * at_right) / a
+    left = x - (math.sqrt(max(reach - c * c * at_left * at_left, 0.0)) + b * at_left) / a
+    first = max(math.ceil((left - (TILE - 0.5) - MARGIN) / TILE), 0.0)
+    last = min(math.floor((right - 0.5 + MARGIN) / TILE), tiles_x - 1.0)
+    return np.int64(first), np.int64(last)
+
+
+@kernel
+def count_pairs(start, stop, order, records, view, counts):
+    """Counts the pairs of order[start:stop] by tile: counts (tiles,) int64 is overwritten."""
+    counts[:] = 0
+    for k in range(start, stop):
+        record = records[order[k]]
+        first_row, last_row = tile_rows(record, view.tiles_y)
+        shape = ellipse(record, view.log2_cut)
+        for row in range(first_row, last_row + 1):
+            first, last = tile_span(shape, row, view.tiles_x)
+            for tile in range(row * view.tiles_x + first, row * view.tiles_x + last + 1):
+                counts[tile] += 1
+
+
+@kernel
+def place_lists(counts, offsets):
+    """Turns counts (pieces, tiles) int64 into where each piece's part of each tile's list begins, and
+    writes where the lists begin and end: offsets (tiles + 1,) int64. Returns the number of pairs."""
+    total = 0
+    for tile in range(counts.shape[1]):
+        offsets[tile] = total
+        for piece in range(counts.shape[0]):
+            count = counts[piece, tile]
+            counts[piece, tile] = total
+            total += count
+    offsets[counts.shape[1]] = total
+    return total
+
+
+@kernel
+def write_pairs(start, stop, order, records, view, positions, lists):
+    """Writes the splats order[start:stop] into the tiles' lists (pairs,) int32; positions (tiles,) int64
+    says where, and ends up behind what was written."""
+    for k in range(start, stop):
+        splat = order[k]
+        record = records[splat]
+        first_row, last_row = tile_rows(record, view.tiles_y)
+        shape = ellipse(record, view.log2_cut)
+        for row in range(first_row, last_row + 1):
+            first, last = tile_span(shape, row, view.tiles_x)
+            for tile in range(row * view.tiles_x + first, row * view.tiles_x + last + 1):
+                lists[positions[tile]] = splat
+                positions[tile] += 1

@@ -1,0 +1,211 @@
+"""Tiles to pixels, front to back: steps 4 and 7 of the image model.
+
+A tile is worked on by two strips of 8 columns, a row of a strip being one vector of `simd`. Its list is
+taken in chunks: the records of a chunk are gathered into columns of numbers relative to the tile, the
+rows that each ellipse can touch in each strip are computed eight splats at a time, and then only these
+rows are blended. After each chunk, rows whose pixels are all opaque drop out at both ends of a strip;
+a tile ends when no row is left.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bins import MARGIN
+from .compiling import inline, kernel
+from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
+from .simd import (
+    LANES,
+    any_above,
+    ceil,
+    divide,
+    exp2,
+    fill,
+    floor,
+    fma,
+    keep_if_at_least,
+    lane_centres,
+    load,
+    maximum,
+    minimum,
+    negate,
+    spread,
+    sqrt,
+    store,
+    store_int,
+)
+from .view import TILE
+
+STRIPS = TILE // LANES
+
+CHUNK = 64
+"""Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
+
+# Columns of `gathered`, CHUNK numbers each.
+G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE = range(9)
+GATHERED = 9
+
+EARLY_STOP = 1e-5
+"""A pixel ends when less light than this comes through: what is left out is at most this times the
+brightest colour behind."""
+
+
+@inline
+def gather(lists, start, count, records, left, top, gathered):
+    """Copies the records of lists[start:start + count] to `gathered` (GATHERED·CHUNK,), means relative to
+    the tile's corner; fills up to a whole vector with copies of the last."""
+    number = gathered.dtype.type
+    for j in range((count + LANES - 1) // LANES * LANES):
+        record = records[lists[start + min(j, count - 1)]]
+        # The corner is subtracted first: exact near the tile, and only then is there room for the rest.
+        gathered[G_X * CHUNK + j] = (record[X] - number(left)) + record[X_REST]
+        gathered[G_Y * CHUNK + j] = (record[Y] - number(top)) + record[Y_REST]
+        gathered[G_A * CHUNK + j] = record[A]
+        gathered[G_B * CHUNK + j] = record[B]
+        gathered[G_C * CHUNK + j] = record[C]
+        gathered[G_LOG2_OPACITY * CHUNK + j] = record[LOG2_OPACITY]
+        gathered[G_RED * CHUNK + j] = record[RED]
+        gathered[G_GREEN * CHUNK + j] = record[GREEN]
+        gathered[G_BLUE * CHUNK + j] = record[BLUE]
+
+
+@inline
+def touched_rows(gathered, count, log2_cut, rows):
+    """First and last row that each gathered ellipse meets in each strip: rows (STRIPS·2·CHUNK,) int32,
+    for a strip CHUNK firsts, then CHUNK lasts. First > last where it meets none; all rows where the
+    arithmetic overflows.
+
+    Within the columns of a strip an ellipse reaches farthest down at the column nearest to its own lowest
+    point; there the quadratic form, solved for dy, gives dy = -ab/(b² + c²)·dx + sqrt(...).
+    """
+    for j in range(0, count, LANES):
+        x, y = load(gathered, G_X * CHUNK + j), load(gathered, G_Y * CHUNK + j)
+        a, b, c = (
+            load(gathered, G_A * CHUNK + j),
+            load(gathered, G_B * CHUNK + j),
+            load(gathered, G_C * CHUNK + j),
+        )
+        reach = load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut)
+        reach = fma(reach, fill(x, 1 + MARGIN), fill(x, MARGIN))
+        zero, half, margin = fill(x, 0.0), fill(x, 0.5), fill(x, MARGIN)
+        inverse = divide(fill(x, 1.0), fma(b, b, c * c))
+        slope = negate(a * b) * inverse
+        fall = a * a * c * c * inverse  # reach - fall·dx² is what dx leaves for dy
+        rx = sqrt(divide(reach, fall))
+        dx_bottom = negate(divide(b * sqrt(reach), a * c))
+        for strip in range(STRIPS):
+            left = maximum(fill(x, strip * LANES + 0.5) - x, negate(rx))
+            right = minimum(fill(x, strip * LANES + (LANES - 0.5)) - x, rx)
+            bottom = minimum(maximum(dx_bottom, left), right)
+            top = minimum(maximum(negate(dx_bottom), left), right)
+            below = sqrt(maximum(reach - fall * bottom * bottom, zero) * inverse) + slope * bottom
+            above = sqrt(maximum(reach - fall * top * top, zero) * inverse) - slope * top
+            # maximum and minimum return their second argument for NaN: then all rows are touched.
+            first = maximum(ceil(y - above - half - margin), zero)
+            last = minimum(floor(y + below - half + margin), fill(x, TILE - 1.0))
+            # A strip wholly beside the ellipse has left > right; one row less than none.
+            missed = keep_if_at_least(fill(x, TILE + 1.0), left, right + margin)
+            store_int(rows, (2 * strip) * CHUNK + j, minimum(first, fill(x, TILE + 0.0)) + missed)
+            store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, fill(x, -1.0)))
+
+
+@inline
+def start_pixels(pixels, left, top, view):
+    """Transmittance 1 and colour 0 in `pixels`; transmittance 0 beyond the image's border, where nothing
+    is left to do. `pixels` is (STRIPS·TILE·4·LANES,): by strip and row, a vector each of transmittance,
+    red, green and blue."""
+    pixels[:] = 0
+    for strip in range(STRIPS):
+        for y in range(min(TILE, view.height - top)):
+            base = (strip * TILE + y) * 4 * LANES
+            for lane in range(min(LANES, view.width - left - strip * LANES)):
+                pixels[base + lane] = 1
+
+
+@inline
+def shrink_rows(pixels, stop_below, alive):
+    """Narrows alive (2·STRIPS,) int64, first and last row by strip, to rows with light left. Returns
+    whether there is one."""
+    some = False
+    for strip in range(STRIPS):
+        first, last = alive[2 * strip], alive[2 * strip + 1]
+        while first <= last and not any_above(load(pixels, (strip * TILE + first) * 4 * LANES), stop_below):
+            first += 1
+        while first <= last and not any_above(load(pixels, (strip * TILE + last) * 4 * LANES), stop_below):
+            last -= 1
+        alive[2 * strip], alive[2 * strip + 1] = first, last
+        some = some or first <= last
+    return some
+
+
+@inline
+def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
+    """Blends gathered splats over the pixels of a tile, in their order."""
+    number = gathered.dtype.type
+    half = number(0.5)
+    for j in range(count):
+        y_mean = gathered[G_Y * CHUNK + j]
+        b, c = gathered[G_B * CHUNK + j], gathered[G_C * CHUNK + j]
+        log2_opacity = gathered[G_LOG2_OPACITY * CHUNK + j]
+        red = spread(gathered[G_RED * CHUNK + j])
+        green = spread(gathered[G_GREEN * CHUNK + j])
+        blue = spread(gathered[G_BLUE * CHUNK + j])
+        cut, cap = fill(red, log2_cut), fill(red, max_alpha)
+        for strip in range(STRIPS):
+            first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
+            last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
+            x_mean = gathered[G_X * CHUNK + j] - number(strip * LANES)
+            adx = spread(gathered[G_A * CHUNK + j]) * (lane_centres(red) - spread(x_mean))
+            for y in range(first, last + 1):
+                dy = number(y) + half - y_mean
+                v = c * dy
+                u = adx + spread(b * dy)
+                power = fma(negate(u), u, spread(log2_opacity - v * v))
+                alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
+                base = (strip * TILE + y) * 4 * LANES
+                light = load(pixels, base)
+                weight = alpha * light
+                store(pixels, base, light - weight)
+                store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
+                store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
+                store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
+
+
+@inline
+def write_pixels(pixels, left, top, background, image):
+    """Writes the tile's part of image (H, W, 4): colour over the background, alpha."""
+    for y in range(min(TILE, image.shape[0] - top)):
+        for x in range(min(TILE, image.shape[1] - left)):
+            base = (x // LANES * TILE + y) * 4 * LANES + x % LANES
+            light = pixels[base]
+            pixel = image[top + y, left + x]
+            pixel[0] = pixels[base + LANES] + light * background[0]
+            pixel[1] = pixels[base + 2 * LANES] + light * background[1]
+            pixel[2] = pixels[base + 3 * LANES] + light * background[2]
+            pixel[3] = 1 - light
+
+
+@kernel
+def draw_tiles(start, stop, offsets, lists, records, view, background, stop_below, image):
+    """Draws tiles [start, stop), numbered by rows, into image (H, W, 4).
+
+    offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them; records (N, RECORD),
+    background (3,), stop_below (a number) and image share one dtype.
+    """
+    gathered = np.empty(GATHERED * CHUNK, image.dtype)
+    rows = np.empty(STRIPS * 2 * CHUNK, np.int32)
+    pixels = np.empty(STRIPS * TILE * 4 * LANES, image.dtype)
+    alive = np.empty(2 * STRIPS, np.int64)
+    for tile in range(start, stop):
+        top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
+        start_pixels(pixels, left, top, view)
+        for strip in range(STRIPS):
+            alive[2 * strip], alive[2 * strip + 1] = 0, TILE - 1
+        position = offsets[tile]
+        while position < offsets[tile + 1] and shrink_rows(pixels, stop_below, alive):
+            count = min(offsets[tile + 1] - position, CHUNK)
+            gather(lists, position, count, records, left, top, gathered)
+            touched_rows(gathered, count, view.log2_cut, rows)
+            blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
+            position += count
+        write_pixels(pixels, left, top, background, image)

@@ -1,0 +1,78 @@
+"""Runs kernels on as many threads as the caller allows.
+
+One executor serves the whole program: a viewer and a trainer that ask for one thread each get one
+each. The calling thread always works too, so a call makes progress however busy the executor is.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+TASKS_PER_THREAD = 4
+"""Pieces a stage is cut into for each thread: enough that threads end together, few enough to be cheap."""
+
+
+def available_threads() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+@cache
+def _executor() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(available_threads(), 2), thread_name_prefix="raster")
+
+
+def run(kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], threads: int) -> list[Any]:
+    """Calls `kernel(*task)` for every task on `threads` threads, the caller's included.
+
+    Which thread takes which task is left to chance; results come in the order of the tasks. The first
+    exception of a task is raised here, after the tasks already begun have ended.
+    """
+    tasks = list(tasks)
+    helpers = min(threads, len(tasks)) - 1
+    if helpers < 1:
+        return [kernel(*task) for task in tasks]
+    results: list[Any] = [None] * len(tasks)
+    pending = iter(range(len(tasks)))
+    lock = threading.Lock()
+
+    def work() -> None:
+        while True:
+            with lock:
+                index = next(pending, None)
+            if index is None:
+                return
+            try:
+                results[index] = kernel(*tasks[index])
+            except BaseException:
+                with lock:
+                    for _ in pending:  # nobody begins another task
+                        pass
+                raise
+
+    futures = [_executor().submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        begun = [future for future in futures if not future.cancel()]
+        errors = [future.exception() for future in begun]
+    for error in errors:
+        if error is not None:
+            raise error
+    return results
+
+
+def even_ranges(count: int, pieces: int, *, at_least: int = 1) -> list[tuple[int, int]]:
+    """[0, count) cut into at most `pieces` even runs (start, stop), none shorter than `at_least`."""
+    pieces = max(1, min(pieces, count // at_least))
+    edges = [count * piece // pieces for piece in range(pieces + 1)]
+    return list(pairwise(edges))

@@ -1,0 +1,253 @@
+"""Gaussians to image footprints: steps 1 to 3 and 6 of the image model, one splat at a time.
+
+The numbers in between are float64 in both variants: scalar code runs as fast in it, and so the float32
+records below hold the footprints of needles and of far-away scenes to their last digit. Determinant and
+conic have the forms of `scene.projection`.
+
+A record is one row of RECORD numbers, a cache line in float32, in the dtype of the pictures:
+
+    X, Y            px, the mean in the image, rounded
+    X_REST, Y_REST  px, what rounding X and Y left over
+    A, B, C         with p = LOG2_OPACITY - (A·dx + B·dy)² - (C·dy)², alpha = 2^p
+    LOG2_OPACITY    after the antialiasing factor
+    RED, GREEN, BLUE
+    RX, RY          px, half extents: beyond mean ± this, alpha is below the cut
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..scene.image_model import MIN_QUAT_COMPONENT
+from ..scene.projection import FLOAT32_MAX
+from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
+from .compiling import inline, kernel
+
+X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY = range(13)
+RECORD = 16
+"""Numbers in a record; the last three are padding to a cache line."""
+
+HALF_LOG2_E = 0.5 * math.log2(math.e)
+"""exp(-q/2) = 2^(-q·HALF_LOG2_E)."""
+
+CONIC_SCALE = math.sqrt(HALF_LOG2_E)
+
+
+@inline
+def camera_point(view, x, y, z):
+    """World offset from the eye -> camera axes."""
+    r = view.rotation
+    return (
+        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+    )
+
+
+@inline
+def is_finite(value):
+    """Finite in float32; false for NaN."""
+    return abs(value) <= FLOAT32_MAX
+
+
+@inline
+def usable_quat(w, x, y, z):
+    largest = max(abs(w), abs(x), abs(y), abs(z))
+    finite = is_finite(w) and is_finite(x) and is_finite(y) and is_finite(z)
+    return finite and largest >= MIN_QUAT_COMPONENT
+
+
+@inline
+def rotation_matrix(w, x, y, z):
+    """Unit quaternion -> nine entries, row by row."""
+    return (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@inline
+def sigmoid(logit):
+    decay = math.exp(-abs(logit))
+    return (1.0 if logit >= 0 else decay) / (1.0 + decay)
+
+
+@inline
+def image_axes(view, tx, ty, tz):
+    """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
+    r = view.rotation
+    u = min(max(tx / tz, view.min_u), view.max_u)
+    v = min(max(ty / tz, view.min_v), view.max_v)
+    fx, fy = view.fx / tz, view.fy / tz
+    return (
+        fx * (r[0, 0] - u * r[2, 0]),
+        fx * (r[0, 1] - u * r[2, 1]),
+        fx * (r[0, 2] - u * r[2, 2]),
+        fy * (r[1, 0] - v * r[2, 0]),
+        fy * (r[1, 1] - v * r[2, 1]),
+        fy * (r[1, 2] - v * r[2, 2]),
+    )
+
+
+@inline
+def splat_axes(p, r, sx, sy, sz):
+    """M = P·R·diag(s): (2, 3), row by row."""
+    return (
+        (p[0] * r[0] + p[1] * r[3] + p[2] * r[6]) * sx,
+        (p[0] * r[1] + p[1] * r[4] + p[2] * r[7]) * sy,
+        (p[0] * r[2] + p[1] * r[5] + p[2] * r[8]) * sz,
+        (p[3] * r[0] + p[4] * r[3] + p[5] * r[6]) * sx,
+        (p[3] * r[1] + p[4] * r[4] + p[5] * r[7]) * sy,
+        (p[3] * r[2] + p[4] * r[5] + p[5] * r[8]) * sz,
+    )
+
+
+@inline
+def covariance(m, blur):
+    """S'xx, S'xy, S'yy, det S', det of S' without blur; determinants as sums of positive terms."""
+    xx = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    xy = m[0] * m[3] + m[1] * m[4] + m[2] * m[5]
+    yy = m[3] * m[3] + m[4] * m[4] + m[5] * m[5]
+    nx, ny, nz = m[1] * m[5] - m[2] * m[4], m[2] * m[3] - m[0] * m[5], m[0] * m[4] - m[1] * m[3]
+    unblurred = nx * nx + ny * ny + nz * nz
+    return xx + blur, xy, yy + blur, unblurred + blur * (xx + yy) + blur * blur, unblurred
+
+
+@inline
+def sh_basis(x, y, z, degree, basis):
+    """Writes (degree + 1)² basis functions at a unit direction to `basis` (16,); see `scene.sh`."""
+    basis[0] = SH_C0
+    if degree >= 1:
+        basis[1] = -SH_C1 * y
+        basis[2] = SH_C1 * z
+        basis[3] = -SH_C1 * x
+    if degree >= 2:
+        xx, yy, zz = x * x, y * y, z * z
+        basis[4] = SH_C2[0] * x * y
+        basis[5] = SH_C2[1] * y * z
+        basis[6] = SH_C2[2] * (2 * zz - xx - yy)
+        basis[7] = SH_C2[3] * x * z
+        basis[8] = SH_C2[4] * (xx - yy)
+        if degree >= 3:
+            basis[9] = SH_C3[0] * y * (3 * xx - yy)
+            basis[10] = SH_C3[1] * x * y * z
+            basis[11] = SH_C3[2] * y * (4 * zz - xx - yy)
+            basis[12] = SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
+            basis[13] = SH_C3[4] * x * (4 * zz - xx - yy)
+            basis[14] = SH_C3[5] * z * (xx - yy)
+            basis[15] = SH_C3[6] * x * (xx - 3 * yy)
+
+
+@inline
+def sh_sum(sh, splat, basis, count):
+    """0.5 + SH of a splat: three float64 numbers, not yet cut at 0. Not finite where a coefficient is not."""
+    red = green = blue = 0.5
+    for k in range(count):
+        red += basis[k] * sh[splat, k, 0]
+        green += basis[k] * sh[splat, k, 1]
+        blue += basis[k] * sh[splat, k, 2]
+    return red, green, blue
+
+
+@kernel
+def project(
+    start, stop, means, quats, log_scales, opacity_logits, sh, degree, view, records, depths, visible, bounds
+):
+    """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
+    `visible` from `start` on.
+
+    means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
+    float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written
+    for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written.
+    """
+    basis = np.empty(16, np.float64)
+    coefficients = (degree + 1) * (degree + 1)
+    number = records.dtype.type
+    least, greatest = np.inf, -np.inf
+    count = 0
+    for i in range(start, stop):
+        ox = np.float64(means[i, 0]) - view.eye[0]
+        oy = np.float64(means[i, 1]) - view.eye[1]
+        oz = np.float64(means[i, 2]) - view.eye[2]
+        tx, ty, tz = camera_point(view, ox, oy, oz)
+        if not (tz >= view.near and is_finite(tx) and is_finite(ty) and is_finite(tz)):
+            continue
+        if not (is_finite(ox) and is_finite(oy) and is_finite(oz)):
+            continue
+        opacity = sigmoid(np.float64(opacity_logits[i]))
+        if not (opacity > 0 and opacity >= view.alpha_cut):
+            continue
+        qw, qx, qy, qz = (
+            np.float64(quats[i, 0]),
+            np.float64(quats[i, 1]),
+            np.float64(quats[i, 2]),
+            np.float64(quats[i, 3]),
+        )
+        if not usable_quat(qw, qx, qy, qz):
+            continue
+        sx = math.exp(np.float64(log_scales[i, 0]))
+        sy = math.exp(np.float64(log_scales[i, 1]))
+        sz = math.exp(np.float64(log_scales[i, 2]))
+        if not (is_finite(sx) and is_finite(sy) and is_finite(sz)):
+            continue
+
+        shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
+        axes = splat_axes(image_axes(view, tx, ty, tz), rotation, sx, sy, sz)
+        xx, xy, yy, det, unblurred = covariance(axes, view.blur)
+        if not (det > 0 and is_finite(xx) and is_finite(xy) and is_finite(yy)):
+            continue
+        if view.antialiased:
+            opacity *= math.sqrt(unblurred / det)
+            if not (opacity > 0 and opacity >= view.alpha_cut):
+                continue
+        a = math.sqrt(yy / det)
+        b = -xy / yy * a
+        c = 1 / math.sqrt(yy)
+        x, y = view.fx * tx / tz + view.cx, view.fy * ty / tz + view.cy
+        if not (is_finite(a) and is_finite(b) and is_finite(c) and is_finite(x) and is_finite(y)):
+            continue
+        log2_opacity = math.log2(opacity)
+        # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
+        reach = (log2_opacity - view.log2_cut) / HALF_LOG2_E
+        rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
+        if not (
+            x + rx >= 0.5 and x - rx <= view.width - 0.5 and y + ry >= 0.5 and y - ry <= view.height - 0.5
+        ):
+            continue
+
+        away = 1 / math.sqrt(ox * ox + oy * oy + oz * oz)
+        sh_basis(ox * away, oy * away, oz * away, degree, basis)
+        red, green, blue = sh_sum(sh, i, basis, coefficients)
+        if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
+            continue
+        red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+        if not (is_finite(red) and is_finite(green) and is_finite(blue)):
+            continue
+
+        record = records[i]
+        record[X], record[Y] = number(x), number(y)
+        record[X_REST], record[Y_REST] = number(x - record[X]), number(y - record[Y])
+        record[A], record[B], record[C] = (
+            number(a * CONIC_SCALE),
+            number(b * CONIC_SCALE),
+            number(c * CONIC_SCALE),
+        )
+        record[LOG2_OPACITY] = number(log2_opacity)
+        record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
+        record[RX], record[RY] = number(rx), number(ry)
+        depths[i] = tz
+        least, greatest = min(least, tz), max(greatest, tz)
+        visible[start + count] = i
+        count += 1
+    bounds[0], bounds[1] = least, greatest
+    return count
