@@ -1,10 +1,10 @@
 """Tiles to pixels, front to back: steps 4 and 7 of the image model.
 
-A tile is worked on by two strips of 8 columns, a row of a strip being one vector of `simd`. Its list is
-taken in chunks: the records of a chunk are gathered into columns of numbers relative to the tile, the
-rows that each ellipse can touch in each strip are computed eight splats at a time, and then only these
-rows are blended. After each chunk, rows whose pixels are all opaque drop out at both ends of a strip;
-a tile ends when no row is left.
+A tile is two strips of 8 columns; a strip is eight blocks of 8x2 pixels, each a vector of `simd`. The
+tile's list is taken in chunks: the records of a chunk are gathered into columns of numbers relative to
+the tile, the rows that each ellipse can touch in each strip are computed 16 splats at a time, and then
+only the blocks of these rows are blended. After each chunk, blocks whose pixels are all opaque drop out
+at both ends of a strip; a tile ends when no block is left.
 """
 
 from __future__ import annotations
@@ -15,20 +15,25 @@ from .bins import MARGIN
 from .compiling import inline, kernel
 from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .simd import (
+    BLOCK_HEIGHT,
+    BLOCK_WIDTH,
     LANES,
     any_above,
     ceil,
+    column_centres,
     divide,
     exp2,
     fill,
     floor,
     fma,
     keep_if_at_least,
-    lane_centres,
+    keep_if_below,
     load,
     maximum,
     minimum,
     negate,
+    prefetch,
+    row_centres,
     spread,
     sqrt,
     store,
@@ -36,7 +41,12 @@ from .simd import (
 )
 from .view import TILE
 
-STRIPS = TILE // LANES
+STRIPS = TILE // BLOCK_WIDTH
+BLOCKS = TILE // BLOCK_HEIGHT
+"""In a strip."""
+
+PIXELS = STRIPS * BLOCKS * 4 * LANES
+"""Numbers that a tile in work is: by strip and block, a vector each of transmittance, red, green, blue."""
 
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
@@ -51,10 +61,13 @@ brightest colour behind."""
 
 
 @inline
-def gather(lists, start, count, records, left, top, gathered):
+def gather(lists, start, count, end, records, left, top, gathered):
     """Copies the records of lists[start:start + count] to `gathered` (GATHERED·CHUNK,), means relative to
-    the tile's corner; fills up to a whole vector with copies of the last."""
+    the tile's corner; fills up to a whole vector with copies of the last. Asks for those of the next
+    chunk, up to lists[end], meanwhile."""
     number = gathered.dtype.type
+    for k in range(start + count, min(start + 2 * count, end)):
+        prefetch(records, lists[k])
     for j in range((count + LANES - 1) // LANES * LANES):
         record = records[lists[start + min(j, count - 1)]]
         # The corner is subtracted first: exact near the tile, and only then is there room for the rest.
@@ -70,9 +83,9 @@ def gather(lists, start, count, records, left, top, gathered):
 
 
 @inline
-def touched_rows(gathered, count, log2_cut, rows):
-    """First and last row that each gathered ellipse meets in each strip: rows (STRIPS·2·CHUNK,) int32,
-    for a strip CHUNK firsts, then CHUNK lasts. First > last where it meets none; all rows where the
+def touched_blocks(gathered, count, log2_cut, rows):
+    """First and last block that each gathered ellipse meets in each strip: rows (STRIPS·2·CHUNK,) int32,
+    for a strip CHUNK firsts, then CHUNK lasts. First > last where it meets none; all blocks where the
     arithmetic overflows.
 
     Within the columns of a strip an ellipse reaches farthest down at the column nearest to its own lowest
@@ -94,8 +107,8 @@ def touched_rows(gathered, count, log2_cut, rows):
         rx = sqrt(divide(reach, fall))
         dx_bottom = negate(divide(b * sqrt(reach), a * c))
         for strip in range(STRIPS):
-            left = maximum(fill(x, strip * LANES + 0.5) - x, negate(rx))
-            right = minimum(fill(x, strip * LANES + (LANES - 0.5)) - x, rx)
+            left = maximum(fill(x, strip * BLOCK_WIDTH + 0.5) - x, negate(rx))
+            right = minimum(fill(x, strip * BLOCK_WIDTH + (BLOCK_WIDTH - 0.5)) - x, rx)
             bottom = minimum(maximum(dx_bottom, left), right)
             top = minimum(maximum(negate(dx_bottom), left), right)
             below = sqrt(maximum(reach - fall * bottom * bottom, zero) * inverse) + slope * bottom
@@ -103,35 +116,43 @@ def touched_rows(gathered, count, log2_cut, rows):
             # maximum and minimum return their second argument for NaN: then all rows are touched.
             first = maximum(ceil(y - above - half - margin), zero)
             last = minimum(floor(y + below - half + margin), fill(x, TILE - 1.0))
-            # A strip wholly beside the ellipse has left > right; one row less than none.
-            missed = keep_if_at_least(fill(x, TILE + 1.0), left, right + margin)
-            store_int(rows, (2 * strip) * CHUNK + j, minimum(first, fill(x, TILE + 0.0)) + missed)
-            store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, fill(x, -1.0)))
+            # Nothing is left between the rows, or left > right: the strip is wholly beside the ellipse.
+            missed = keep_if_below(fill(x, 2.0 * TILE), last, first) + keep_if_below(
+                fill(x, 2.0 * TILE), right + margin, left
+            )
+            per_row = fill(x, 1 / BLOCK_HEIGHT)
+            first = minimum(first + missed, fill(x, TILE + 0.0)) * per_row
+            store_int(rows, 2 * strip * CHUNK + j, first)
+            store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, zero) * per_row)
 
 
 @inline
 def start_pixels(pixels, left, top, view):
-    """Transmittance 1 and colour 0 in `pixels`; transmittance 0 beyond the image's border, where nothing
-    is left to do. `pixels` is (STRIPS·TILE·4·LANES,): by strip and row, a vector each of transmittance,
-    red, green and blue."""
+    """Transmittance 1 and colour 0 in `pixels` (PIXELS,); transmittance 0 beyond the image's border, where
+    nothing is left to do."""
     pixels[:] = 0
-    for strip in range(STRIPS):
-        for y in range(min(TILE, view.height - top)):
-            base = (strip * TILE + y) * 4 * LANES
-            for lane in range(min(LANES, view.width - left - strip * LANES)):
-                pixels[base + lane] = 1
+    for y in range(min(TILE, view.height - top)):
+        for x in range(min(TILE, view.width - left)):
+            pixels[pixel_index(x, y)] = 1
 
 
 @inline
-def shrink_rows(pixels, stop_below, alive):
-    """Narrows alive (2·STRIPS,) int64, first and last row by strip, to rows with light left. Returns
+def pixel_index(x, y):
+    """Where the transmittance of pixel (x, y) of a tile is; its colour follows at steps of LANES."""
+    block = (x // BLOCK_WIDTH) * BLOCKS + y // BLOCK_HEIGHT
+    return block * 4 * LANES + (y % BLOCK_HEIGHT) * BLOCK_WIDTH + x % BLOCK_WIDTH
+
+
+@inline
+def shrink_alive(pixels, stop_below, alive):
+    """Narrows alive (2·STRIPS,) int64, first and last block by strip, to blocks with light left. Returns
     whether there is one."""
     some = False
     for strip in range(STRIPS):
         first, last = alive[2 * strip], alive[2 * strip + 1]
-        while first <= last and not any_above(load(pixels, (strip * TILE + first) * 4 * LANES), stop_below):
+        while first <= last and not any_above(load(pixels, (strip * BLOCKS + first) * 4 * LANES), stop_below):
             first += 1
-        while first <= last and not any_above(load(pixels, (strip * TILE + last) * 4 * LANES), stop_below):
+        while first <= last and not any_above(load(pixels, (strip * BLOCKS + last) * 4 * LANES), stop_below):
             last -= 1
         alive[2 * strip], alive[2 * strip + 1] = first, last
         some = some or first <= last
@@ -142,27 +163,26 @@ def shrink_rows(pixels, stop_below, alive):
 def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
     """Blends gathered splats over the pixels of a tile, in their order."""
     number = gathered.dtype.type
-    half = number(0.5)
     for j in range(count):
-        y_mean = gathered[G_Y * CHUNK + j]
-        b, c = gathered[G_B * CHUNK + j], gathered[G_C * CHUNK + j]
-        log2_opacity = gathered[G_LOG2_OPACITY * CHUNK + j]
+        b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
+        log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
         red = spread(gathered[G_RED * CHUNK + j])
         green = spread(gathered[G_GREEN * CHUNK + j])
         blue = spread(gathered[G_BLUE * CHUNK + j])
-        cut, cap = fill(red, log2_cut), fill(red, max_alpha)
+        cut, cap, step = fill(red, log2_cut), fill(red, max_alpha), fill(red, BLOCK_HEIGHT)
+        y_centres = row_centres(red) - spread(gathered[G_Y * CHUNK + j])
         for strip in range(STRIPS):
             first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
             last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
-            x_mean = gathered[G_X * CHUNK + j] - number(strip * LANES)
-            adx = spread(gathered[G_A * CHUNK + j]) * (lane_centres(red) - spread(x_mean))
-            for y in range(first, last + 1):
-                dy = number(y) + half - y_mean
-                v = c * dy
-                u = adx + spread(b * dy)
-                power = fma(negate(u), u, spread(log2_opacity - v * v))
+            x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
+            adx = spread(gathered[G_A * CHUNK + j]) * (column_centres(red) - spread(x_mean))
+            dy = y_centres + fill(red, first * BLOCK_HEIGHT)
+            for block in range(first, last + 1):
+                u, v = fma(b, dy, adx), c * dy
+                dy = dy + step
+                power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
-                base = (strip * TILE + y) * 4 * LANES
+                base = (strip * BLOCKS + block) * 4 * LANES
                 light = load(pixels, base)
                 weight = alpha * light
                 store(pixels, base, light - weight)
@@ -176,7 +196,7 @@ def write_pixels(pixels, left, top, background, image):
     """Writes the tile's part of image (H, W, 4): colour over the background, alpha."""
     for y in range(min(TILE, image.shape[0] - top)):
         for x in range(min(TILE, image.shape[1] - left)):
-            base = (x // LANES * TILE + y) * 4 * LANES + x % LANES
+            base = pixel_index(x, y)
             light = pixels[base]
             pixel = image[top + y, left + x]
             pixel[0] = pixels[base + LANES] + light * background[0]
@@ -194,18 +214,18 @@ def draw_tiles(start, stop, offsets, lists, records, view, background, stop_belo
     """
     gathered = np.empty(GATHERED * CHUNK, image.dtype)
     rows = np.empty(STRIPS * 2 * CHUNK, np.int32)
-    pixels = np.empty(STRIPS * TILE * 4 * LANES, image.dtype)
+    pixels = np.empty(PIXELS, image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         start_pixels(pixels, left, top, view)
         for strip in range(STRIPS):
-            alive[2 * strip], alive[2 * strip + 1] = 0, TILE - 1
-        position = offsets[tile]
-        while position < offsets[tile + 1] and shrink_rows(pixels, stop_below, alive):
-            count = min(offsets[tile + 1] - position, CHUNK)
-            gather(lists, position, count, records, left, top, gathered)
-            touched_rows(gathered, count, view.log2_cut, rows)
+            alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
+        position, end = offsets[tile], offsets[tile + 1]
+        while position < end and shrink_alive(pixels, stop_below, alive):
+            count = min(end - position, CHUNK)
+            gather(lists, position, count, end, records, left, top, gathered)
+            touched_blocks(gathered, count, view.log2_cut, rows)
             blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
             position += count
         write_pixels(pixels, left, top, background, image)
