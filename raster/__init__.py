@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.gaussians import SH_COEFFICIENTS
 from .compiling import will_compile
 from .forward import EARLY_STOP
 from .frame import Frame, draw
@@ -71,9 +72,8 @@ def draw_frame(
     dtype: type[np.floating] = np.float32,
     early_stop: float = EARLY_STOP,
     threads: int | None = None,
-    keep_positions: bool = False,
 ) -> Frame:
-    """Draws a picture and keeps what `backward` needs where `keep_positions` says so.
+    """Draws a picture and keeps what `backward` needs.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -84,7 +84,7 @@ def draw_frame(
         raise ValueError(f"early_stop must be in [0, 1), got {early_stop}")
     if settings.sh_degree is not None and not settings.sh_degree >= 0:
         raise ValueError(f"sh_degree must be at least 0, got {settings.sh_degree}")
-    stored = {1: 0, 4: 1, 9: 2, 16: 3}[splats.sh.shape[1]]
+    stored = SH_COEFFICIENTS.index(splats.sh.shape[1])
     background = np.asarray(settings.background, dtype)
     if background.shape != (3,):
         raise ValueError(f"background must be 3 numbers, got {settings.background}")
@@ -96,5 +96,4 @@ def draw_frame(
         sh_degree=stored if settings.sh_degree is None else min(stored, settings.sh_degree),
         early_stop=early_stop,
         threads=threads or available_threads(),
-        keep_positions=keep_positions,
     )

@@ -5,9 +5,9 @@ of the tile's pixel centres. For a row of tiles the ellipse leaves an interval o
 which makes the test of the whole row two square roots, and exact. The ellipse is drawn a hair larger
 (MARGIN) than it is, as the pixels' alphas are computed in float32.
 
-The depth order is cut into pieces. Each piece counts its pairs per tile; the sums of the counts over
-earlier tiles and earlier pieces are where it writes. So lists come out in depth order whatever the
-number of pieces.
+These intervals, the spans, are found once, in the order of the splats in memory. Then the depth order is
+cut into pieces; each piece counts its pairs per tile; the sums of the counts over earlier tiles and
+earlier pieces are where it writes. So lists come out in depth order whatever the number of pieces.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from .compiling import inline, kernel
-from .project import LOG2_OPACITY, RY, A, B, C, X, Y
+from .project import LOG2_OPACITY, RX, RY, A, B, C, X, Y
 from .view import TILE
 
 MARGIN = 2e-3
@@ -25,12 +25,18 @@ MARGIN = 2e-3
 
 
 @inline
+def tile_interval(centre, half):
+    """First and last row or column of tiles, however far outside the image, whose pixel centres meet
+    centre ± half (px), enlarged; first > last where none does."""
+    half = half * (1 + MARGIN) + MARGIN
+    return math.ceil((centre - half - (TILE - 0.5)) / TILE), math.floor((centre + half - 0.5) / TILE)
+
+
+@inline
 def tile_rows(record, tiles_y):
-    """First and last row of tiles that a splat's box meets; first > last where none."""
-    y, ry = np.float64(record[Y]), np.float64(record[RY]) * (1 + MARGIN) + MARGIN
-    first = max(math.ceil((y - ry - (TILE - 0.5)) / TILE), 0.0)
-    last = min(math.floor((y + ry - 0.5) / TILE), tiles_y - 1.0)
-    return np.int64(first), np.int64(last)
+    """First and last row of tiles in the image that a splat's box meets; first > last where none."""
+    first, last = tile_interval(np.float64(record[Y]), np.float64(record[RY]))
+    return np.int64(max(first, 0.0)), np.int64(min(last, tiles_y - 1.0))
 
 
 @inline
@@ -69,23 +75,61 @@ def tile_span(shape, row, tiles_x):
 
 
 @kernel
-def count_pairs(start, stop, order, records, view, counts):
+def count_rows(start, stop, visible, records, tiles_y):
+    """How many spans the splats visible[start:stop] can have at most: the sum of their boxes' tile rows."""
+    total = 0
+    for k in range(start, stop):
+        first, last = tile_rows(records[visible[k]], tiles_y)
+        total += max(last - first + 1, 0)
+    return total
+
+
+@kernel
+def find_spans(start, stop, visible, records, view, first_span, spans, spans_of):
+    """Finds the runs of tiles that the splats visible[start:stop] meet.
+
+    spans (S, 2) int32 receives first and one past the last tile, from row `first_span` on; spans_of
+    (N, 2) int32 first and one past the last span of each splat. records (N, RECORD).
+    """
+    at = first_span
+    for k in range(start, stop):
+        splat = visible[k]
+        record = records[splat]
+        spans_of[splat, 0] = at
+        first_row, last_row = tile_rows(record, view.tiles_y)
+        first, last = tile_interval(np.float64(record[X]), np.float64(record[RX]))
+        if first >= last:  # in one column of tiles the box says all
+            if first == last and first >= 0 and last < view.tiles_x:
+                for row in range(first_row, last_row + 1):
+                    spans[at, 0] = row * view.tiles_x + np.int64(first)
+                    spans[at, 1] = spans[at, 0] + 1
+                    at += 1
+        else:
+            shape = ellipse(record, view.log2_cut)
+            for row in range(first_row, last_row + 1):
+                left, right = tile_span(shape, row, view.tiles_x)
+                if left <= right:
+                    spans[at, 0] = row * view.tiles_x + left
+                    spans[at, 1] = row * view.tiles_x + right + 1
+                    at += 1
+        spans_of[splat, 1] = at
+
+
+@kernel
+def count_pairs(start, stop, order, spans_of, spans, counts):
     """Counts the pairs of order[start:stop] by tile: counts (tiles,) int64 is overwritten."""
     counts[:] = 0
     for k in range(start, stop):
-        record = records[order[k]]
-        first_row, last_row = tile_rows(record, view.tiles_y)
-        shape = ellipse(record, view.log2_cut)
-        for row in range(first_row, last_row + 1):
-            first, last = tile_span(shape, row, view.tiles_x)
-            for tile in range(row * view.tiles_x + first, row * view.tiles_x + last + 1):
+        splat = order[k]
+        for span in range(spans_of[splat, 0], spans_of[splat, 1]):
+            for tile in range(spans[span, 0], spans[span, 1]):
                 counts[tile] += 1
 
 
 @kernel
 def place_lists(counts, offsets):
     """Turns counts (pieces, tiles) int64 into where each piece's part of each tile's list begins, and
-    writes where the lists begin and end: offsets (tiles + 1,) int64. Returns the number of pairs."""
+    writes where the lists begin and end: offsets (tiles + 1,) int64."""
     total = 0
     for tile in range(counts.shape[1]):
         offsets[tile] = total
@@ -94,20 +138,16 @@ def place_lists(counts, offsets):
             counts[piece, tile] = total
             total += count
     offsets[counts.shape[1]] = total
-    return total
 
 
 @kernel
-def write_pairs(start, stop, order, records, view, positions, lists):
-    """Writes the splats order[start:stop] into the tiles' lists (pairs,) int32; positions (tiles,) int64
-    says where, and ends up behind what was written."""
+def write_pairs(start, stop, order, spans_of, spans, first_tile, end_tile, positions, base, lists):
+    """Writes the splats order[start:stop] into the lists of tiles [first_tile, end_tile): lists (pairs,)
+    int32, of which place `base` is the first. positions (tiles,) int64 says where each list goes on, and
+    ends up behind what was written."""
     for k in range(start, stop):
         splat = order[k]
-        record = records[splat]
-        first_row, last_row = tile_rows(record, view.tiles_y)
-        shape = ellipse(record, view.log2_cut)
-        for row in range(first_row, last_row + 1):
-            first, last = tile_span(shape, row, view.tiles_x)
-            for tile in range(row * view.tiles_x + first, row * view.tiles_x + last + 1):
-                lists[positions[tile]] = splat
+        for span in range(spans_of[splat, 0], spans_of[splat, 1]):
+            for tile in range(max(spans[span, 0], first_tile), min(spans[span, 1], end_tile)):
+                lists[positions[tile] - base] = splat
                 positions[tile] += 1

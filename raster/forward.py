@@ -51,6 +51,8 @@ PIXELS = STRIPS * BLOCKS * 4 * LANES
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
+CACHE_LINE = 64
+
 # Columns of `gathered`, CHUNK numbers each.
 G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE = range(9)
 GATHERED = 9
@@ -58,6 +60,14 @@ GATHERED = 9
 EARLY_STOP = 1e-5
 """A pixel ends when less light than this comes through: what is left out is at most this times the
 brightest colour behind."""
+
+
+@inline
+def aligned(count, dtype):
+    """`count` numbers of any contents that begin at a cache line; numba aligns to half of one."""
+    whole = np.empty(count + LANES, dtype)
+    skip = (-whole.ctypes.data % CACHE_LINE) // whole.itemsize
+    return whole[skip : skip + count]
 
 
 @inline
@@ -206,22 +216,22 @@ def write_pixels(pixels, left, top, background, image):
 
 
 @kernel
-def draw_tiles(start, stop, offsets, lists, records, view, background, stop_below, image):
+def draw_tiles(start, stop, offsets, base, lists, records, view, background, stop_below, image):
     """Draws tiles [start, stop), numbered by rows, into image (H, W, 4).
 
-    offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them; records (N, RECORD),
-    background (3,), stop_below (a number) and image share one dtype.
+    offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
+    records (N, RECORD), background (3,), stop_below (a number) and image share one dtype.
     """
-    gathered = np.empty(GATHERED * CHUNK, image.dtype)
-    rows = np.empty(STRIPS * 2 * CHUNK, np.int32)
-    pixels = np.empty(PIXELS, image.dtype)
+    gathered = aligned(GATHERED * CHUNK, image.dtype)
+    rows = aligned(STRIPS * 2 * CHUNK, np.int32)
+    pixels = aligned(PIXELS, image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         start_pixels(pixels, left, top, view)
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
-        position, end = offsets[tile], offsets[tile + 1]
+        position, end = offsets[tile] - base, offsets[tile + 1] - base
         while position < end and shrink_alive(pixels, stop_below, alive):
             count = min(end - position, CHUNK)
             gather(lists, position, count, end, records, left, top, gathered)

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .bins import count_pairs, place_lists, write_pairs
+from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from .forward import draw_tiles
 from .parameters import Parameters
 from .pool import TASKS_PER_THREAD, even_ranges, run
@@ -25,32 +25,8 @@ SPLATS_PER_TASK = 1024
 TILE_COST = 16
 """What a tile costs besides its list, in units of pairs; for sharing tiles out evenly."""
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Frame:
-    """What drawing leaves behind; arrays live in the workspace and are valid until its next picture."""
-
-    view: View
-    background: np.ndarray
-    """(3,) in the picture's dtype."""
-    early_stop: float
-    sh_degree: int
-    image: np.ndarray
-    """(H, W, 4), not in the workspace: the caller's to keep."""
-    records: np.ndarray
-    """(N, RECORD) see `project`; only rows of visible splats mean anything."""
-    order: np.ndarray
-    """(V,) int32, visible splats front to back."""
-    offsets: np.ndarray
-    """(tiles + 1,) int64, where the tiles' lists begin."""
-    lists: np.ndarray
-    """(pairs,) int32, splats by tile, front to back."""
-    pieces: list[tuple[int, int]]
-    """Runs of `order` that were binned together, and..."""
-    positions: np.ndarray
-    """(pieces, tiles) int64: ... where each began to write in each tile's list."""
-    milliseconds: dict[str, float]
-    """Wall-clock time by stage."""
+MAX_LISTED_PAIRS = 1 << 27
+"""Pairs whose lists are in memory at once, 4 bytes each; a picture with more is drawn band by band."""
 
 
 class StageClock:
@@ -67,6 +43,66 @@ class StageClock:
         self.milliseconds[name] = self.milliseconds.get(name, 0.0) + elapsed
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bins:
+    """Lists of splats by tile; arrays live in a workspace. See `bins`."""
+
+    order: np.ndarray
+    """(V,) int32, visible splats front to back."""
+    spans_of: np.ndarray
+    """(N, 2) int32"""
+    spans: np.ndarray
+    """(S, 2) int32"""
+    pieces: list[tuple[int, int]]
+    """Runs of `order` that are binned together, and..."""
+    positions: np.ndarray
+    """(pieces, tiles) int64: ... where each begins to write in each tile's list."""
+    offsets: np.ndarray
+    """(tiles + 1,) int64, where the tiles' lists begin; the last is the number of pairs."""
+    bands: list[tuple[int, int]]
+    """Runs of tiles whose lists are in memory at once; nearly always there is one."""
+    threads: int
+
+    def write(self, band: tuple[int, int], workspace: Workspace) -> np.ndarray:
+        """The lists of a band's tiles: (pairs,) int32, the first being place `offsets[band[0]]`."""
+        first, end = band
+        base = int(self.offsets[first])
+        lists = workspace.take("lists", (int(self.offsets[end]) - base,), np.int32)
+        cursors = workspace.take("cursors", self.positions.shape, np.int64)
+        cursors[:] = self.positions
+        run(
+            write_pairs,
+            [
+                (*piece, self.order, self.spans_of, self.spans, first, end, row, base, lists)
+                for piece, row in zip(self.pieces, cursors, strict=True)
+            ],
+            self.threads,
+        )
+        return lists
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Frame:
+    """What drawing leaves behind. All but the image lives in the workspace until its next picture."""
+
+    view: View
+    background: np.ndarray
+    """(3,) in the picture's dtype."""
+    early_stop: float
+    sh_degree: int
+    threads: int
+    image: np.ndarray
+    """(H, W, 4), the caller's to keep."""
+    records: np.ndarray
+    """(N, RECORD), see `project`; only rows of visible splats mean anything."""
+    bins: Bins
+    lists: np.ndarray
+    """(pairs,) int32 of the last band."""
+    workspace: Workspace
+    milliseconds: dict[str, float]
+    """Wall-clock time by stage."""
+
+
 def draw(
     splats: Parameters,
     view: View,
@@ -76,71 +112,60 @@ def draw(
     sh_degree: int,
     early_stop: float,
     threads: int,
-    keep_positions: bool = False,
 ) -> Frame:
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid."""
     clock = StageClock()
+    dtype = background.dtype
     with clock.stage("project"):
-        records, runs, least, greatest, depths = _project(
-            splats, view, background.dtype, workspace, sh_degree, threads
-        )
+        records, depths, visible, runs, bounds = _project(splats, view, dtype, workspace, sh_degree, threads)
     with clock.stage("sort"):
-        order = _sort(runs, least, greatest, depths, workspace, threads)
+        order = _sort(runs, bounds, visible, depths, workspace, threads)
     with clock.stage("bin"):
-        tiles = view.tiles_x * view.tiles_y
-        pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, at_least=SPLATS_PER_TASK)
-        positions = workspace.take("positions", (len(pieces), tiles), np.int64)
-        offsets = workspace.take("offsets", (tiles + 1,), np.int64)
-        run(
-            count_pairs,
-            [(*piece, order, records, view, row) for piece, row in zip(pieces, positions, strict=True)],
-            threads,
-        )
-        pairs = place_lists(positions, offsets)
-        lists = workspace.take("lists", (pairs,), np.int32)
-        cursors = workspace.take("cursors", positions.shape, np.int64) if keep_positions else positions
-        if keep_positions:
-            cursors[:] = positions
-        run(
-            write_pairs,
-            [(*piece, order, records, view, row, lists) for piece, row in zip(pieces, cursors, strict=True)],
-            threads,
-        )
-    with clock.stage("forward"):
-        image = np.empty((view.height, view.width, 4), background.dtype)
-        stop_below = background.dtype.type(early_stop)
-        run(
-            draw_tiles,
-            [
-                (*tile_range, offsets, lists, records, view, background, stop_below, image)
-                for tile_range in tile_ranges(offsets, threads * TASKS_PER_THREAD)
-            ],
-            threads,
-        )
+        bins = _bin(order, runs, visible, records, view, workspace, threads)
+    image = np.empty((view.height, view.width, 4), dtype)
+    for band in bins.bands:
+        with clock.stage("bin"):
+            lists = bins.write(band, workspace)
+        with clock.stage("forward"):
+            base = int(bins.offsets[band[0]])
+            stop_below = dtype.type(early_stop)
+            run(
+                draw_tiles,
+                [
+                    (*tiles, bins.offsets, base, lists, records, view, background, stop_below, image)
+                    for tiles in tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
+                ],
+                threads,
+            )
     return Frame(
         view=view,
         background=background,
         early_stop=early_stop,
         sh_degree=sh_degree,
+        threads=threads,
         image=image,
         records=records,
-        order=order,
-        offsets=offsets,
+        bins=bins,
         lists=lists,
-        pieces=pieces,
-        positions=positions,
+        workspace=workspace,
         milliseconds=clock.milliseconds,
     )
 
 
-def _project(splats, view, dtype, workspace, sh_degree, threads):
+Runs = list[tuple[int, int]]
+"""(start, stop) in `visible`: what each task of the projection found."""
+
+
+def _project(
+    splats: Parameters, view: View, dtype: np.dtype, workspace: Workspace, sh_degree: int, threads: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
     count = len(splats.means)
     records = workspace.take("records", (count, RECORD), dtype)
     depths = workspace.take("depths", (count,), np.float64)
     visible = workspace.take("visible", (count,), np.int32)
     ranges = even_ranges(count, threads * TASKS_PER_THREAD, at_least=SPLATS_PER_TASK)
     bounds = np.empty((len(ranges), 2))
-    counts = run(
+    found = run(
         project,
         [
             (*piece, *splats, sh_degree, view, records, depths, visible, row)
@@ -148,29 +173,91 @@ def _project(splats, view, dtype, workspace, sh_degree, threads):
         ],
         threads,
     )
-    runs = [(visible, start, found) for (start, _), found in zip(ranges, counts, strict=True)]
-    return records, runs, bounds[:, 0].min(), bounds[:, 1].max(), depths
+    runs = [(start, start + number) for (start, _), number in zip(ranges, found, strict=True)]
+    return records, depths, visible, runs, (float(bounds[:, 0].min()), float(bounds[:, 1].max()))
 
 
-def _sort(runs, least, greatest, depths, workspace, threads):
-    count = sum(found for _, _, found in runs)
+def _sort(
+    runs: Runs,
+    bounds: tuple[float, float],
+    visible: np.ndarray,
+    depths: np.ndarray,
+    workspace: Workspace,
+    threads: int,
+) -> np.ndarray:
+    count = sum(stop - start for start, stop in runs)
     keys = workspace.take("keys", (count,), np.uint32)
     order = workspace.take("order", (count,), np.int32)
     if count == 0:
         return order
-    base, shift, bits = key_scale(least, greatest)
+    base, shift, bits = key_scale(*bounds)
     tasks, at = [], 0
-    for visible, source, found in runs:
-        tasks.append((at, at + found, visible, source, depths.view(np.int64), base, shift, keys, order))
-        at += found
+    for start, stop in runs:
+        end = at + stop - start
+        tasks.append((at, end, visible, start, depths.view(np.int64), base, shift, keys, order))
+        at = end
     run(make_keys, tasks, threads)
     return radix_sort(keys, order, bits, threads, workspace)[1]
 
 
-def tile_ranges(offsets: np.ndarray, pieces: int) -> list[tuple[int, int]]:
-    """Runs of tiles of about equal cost."""
-    tiles = len(offsets) - 1
-    cost = offsets + np.arange(tiles + 1) * TILE_COST
-    edges = np.searchsorted(cost, np.linspace(0, cost[-1], max(1, min(pieces, tiles)) + 1))
-    edges[0], edges[-1] = 0, tiles
+def _bin(
+    order: np.ndarray,
+    runs: Runs,
+    visible: np.ndarray,
+    records: np.ndarray,
+    view: View,
+    workspace: Workspace,
+    threads: int,
+) -> Bins:
+    rows = run(count_rows, [(*piece, visible, records, view.tiles_y) for piece in runs], threads)
+    ends = np.cumsum(rows)
+    spans = workspace.take("spans", (int(ends[-1]), 2), np.int32)
+    spans_of = workspace.take("spans_of", (len(records), 2), np.int32)
+    run(
+        find_spans,
+        [
+            (*piece, visible, records, view, int(end - count), spans, spans_of)
+            for piece, end, count in zip(runs, ends, rows, strict=True)
+        ],
+        threads,
+    )
+    tiles = view.tiles_x * view.tiles_y
+    pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, at_least=SPLATS_PER_TASK)
+    positions = workspace.take("positions", (len(pieces), tiles), np.int64)
+    offsets = workspace.take("offsets", (tiles + 1,), np.int64)
+    run(
+        count_pairs,
+        [(*piece, order, spans_of, spans, row) for piece, row in zip(pieces, positions, strict=True)],
+        threads,
+    )
+    place_lists(positions, offsets)
+    return Bins(
+        order=order,
+        spans_of=spans_of,
+        spans=spans,
+        pieces=pieces,
+        positions=positions,
+        offsets=offsets,
+        bands=_bands(offsets, MAX_LISTED_PAIRS),
+        threads=threads,
+    )
+
+
+def _bands(offsets: np.ndarray, most_pairs: int) -> list[tuple[int, int]]:
+    """Runs of tiles that together have at most so many pairs, or are one tile."""
+    bands, first, tiles = [], 0, len(offsets) - 1
+    while first < tiles:
+        end = int(np.searchsorted(offsets, offsets[first] + most_pairs, side="right")) - 1
+        end = min(max(end, first + 1), tiles)
+        bands.append((first, end))
+        first = end
+    return bands
+
+
+def tile_ranges(offsets: np.ndarray, band: tuple[int, int], pieces: int) -> list[tuple[int, int]]:
+    """Runs of a band's tiles of about equal cost."""
+    first, end = band
+    cost = offsets[first : end + 1] - offsets[first] + np.arange(end - first + 1) * TILE_COST
+    edges = np.searchsorted(cost, np.linspace(0, cost[-1], max(1, min(pieces, end - first)) + 1)) + first
+    edges[0], edges[-1] = first, end
     return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
