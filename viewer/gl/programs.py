@@ -1,0 +1,105 @@
+"""GLSL files to programs: includes, feature flags, and errors that name the file and line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+
+import moderngl
+
+from ... import shaders
+
+INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+ERROR_PLACE = re.compile(r"\b\d+(?::|\()(\d+)\b")
+"""Where drivers put "source string number, line": Mesa 0:12(3), NVIDIA 0(12), Intel and Apple 0:12."""
+
+COMPUTE_VERSION = 430
+"""The oldest GL with compute shaders and shader storage buffers."""
+
+
+class ShaderError(RuntimeError):
+    """A shader of ours does not compile or link on this driver; the message names file and line."""
+
+
+Origin = tuple[str, int]
+"""A file under ``shaders/`` and a line in it, from 1."""
+
+
+def expand(name: str, version: str, flags: Mapping[str, float | bool]) -> tuple[str, list[Origin]]:
+    """Full source of shader `name` (a path under ``shaders/``), and where each of its lines came from.
+
+    Writes ``#version``, then one ``#define`` a flag (True and False become 1 and 0), then the file with
+    every ``#include "path"`` replaced by that file, each file once. Errors are traced by the list of
+    origins rather than by ``#line``, whose file number Mesa 22 does not report back.
+    """
+    lines = [f"#version {version}"]
+    lines += [f"#define {flag} {_literal(value)}" for flag, value in sorted(flags.items())]
+    origins = [("(flags)", number) for number in range(1, len(lines) + 1)]
+    _append(name, set(), lines, origins)
+    return "\n".join(lines) + "\n", origins
+
+
+def _literal(value: float | bool) -> str:
+    # A float needs its point: GLSL has no implicit conversion from int in every place.
+    return repr(float(value)) if isinstance(value, float) else str(int(value))
+
+
+def _append(name: str, seen: set[str], lines: list[str], origins: list[Origin]) -> None:
+    seen.add(name)
+    source = resources.files(shaders).joinpath(name).read_text(encoding="utf8")
+    for number, line in enumerate(source.splitlines(), start=1):
+        match = INCLUDE.match(line)
+        if match is None:
+            lines.append(line)
+            origins.append((name, number))
+        elif match[1] not in seen:
+            _append(match[1], seen, lines, origins)
+
+
+def _version(ctx: moderngl.Context) -> str:
+    return f"{COMPUTE_VERSION if ctx.version_code >= COMPUTE_VERSION else 330} core"
+
+
+def _explain(error: moderngl.Error, origins: list[Origin]) -> ShaderError:
+    def place(match: re.Match[str]) -> str:
+        number = int(match[1])
+        if not 1 <= number <= len(origins):
+            return match[0]
+        name, line = origins[number - 1]
+        return f"{name}:{line}"
+
+    return ShaderError(ERROR_PLACE.sub(place, str(error)).strip())
+
+
+def load_render_program(
+    ctx: moderngl.Context, vertex: str, fragment: str, flags: Mapping[str, float | bool] | None = None
+) -> moderngl.Program:
+    """A vertex and a fragment shader, paths under ``shaders/``, compiled with `flags` as ``#define``s.
+
+    Raises:
+        ShaderError: it does not compile; a defect of ours or of the driver, never of the user.
+    """
+    version = _version(ctx)
+    vertex_source, vertex_origins = expand(vertex, version, flags or {})
+    fragment_source, fragment_origins = expand(fragment, version, flags or {})
+    try:
+        return ctx.program(vertex_shader=vertex_source, fragment_shader=fragment_source)
+    except moderngl.Error as error:
+        origins = fragment_origins if "fragment_shader" in str(error) else vertex_origins
+        raise _explain(error, origins) from error
+
+
+def load_compute(
+    ctx: moderngl.Context, name: str, flags: Mapping[str, float | bool] | None = None
+) -> moderngl.ComputeShader:
+    """A compute shader, a path under ``shaders/``, compiled with `flags` as ``#define``s (GL 4.3).
+
+    Raises:
+        ShaderError: it does not compile.
+    """
+    source, origins = expand(name, f"{COMPUTE_VERSION} core", flags or {})
+    try:
+        return ctx.compute_shader(source)
+    except moderngl.Error as error:
+        raise _explain(error, origins) from error
