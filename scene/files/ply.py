@@ -1,0 +1,173 @@
+"""Splats from a .ply in the layout that the field's trainers write.
+
+Means in ``x y z``; ``f_dc_0..2``; ``f_rest_*`` channel by channel; ``opacity`` a logit; ``scale_*``
+logarithms; ``rot_*`` wxyz (Kerbl et al. 2023, their released code). Properties may stand in any order.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import stat
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..gaussians import Gaussians
+from .other_formats import refuse_other_format, refuse_other_ply
+from .ply_body import Target, check_size, read_rows
+from .ply_header import Element, Header, read_header
+from .point_cloud import read_point_cloud
+from .progress import Watch
+
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+REQUIRED = (
+    *POSITION,
+    *(f"f_dc_{i}" for i in range(3)),
+    "opacity",
+    *(f"scale_{i}" for i in range(2)),
+    *(f"rot_{i}" for i in range(4)),
+)
+"""``scale_2`` may be missing: 2D Gaussian splatting writes two."""
+
+REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
+"""Number of ``f_rest_*`` -> SH coefficients a channel, the constant one included."""
+
+FLAT_RATIO = 1000.0
+"""Splats stored with two scales get a third that is this much smaller than the smaller one."""
+
+
+def load_ply(path: Path, watch: Watch) -> Gaussians:
+    """Splats, or a point cloud as round splats. Raises InputError and LoadCancelled."""
+    try:
+        with open(path, "rb", opener=_open_regular) as file:
+            return _load(file, path, watch)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+    except PermissionError:
+        raise InputError(f"{path}: may not be read; check its permissions") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def _open_regular(name: str, flags: int) -> int:
+    # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
+    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError
+        raise InputError(f"{name}: is a device or a pipe, not a file")
+    return descriptor
+
+
+def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
+    file_bytes = os.fstat(file.fileno()).st_size
+    if file_bytes == 0:
+        raise InputError(f"{path}: is empty")
+    refuse_other_format(file, path)
+    header = read_header(file, path)
+    vertex = header.element("vertex")
+    refuse_other_ply(header, path)
+    if vertex is None:
+        raise InputError(f"{path}: has no element vertex, so no splats")
+    _check_names(vertex, path)
+    if not any(name.startswith(("f_dc_", "f_rest_", "opacity", "scale_", "rot_")) for name in _names(vertex)):
+        return read_point_cloud(file, file_bytes, header, vertex, path, watch)
+    return _read_splats(file, file_bytes, header, vertex, path, watch)
+
+
+def _names(vertex: Element) -> list[str]:
+    return [prop.name for prop in vertex.scalars]
+
+
+def _check_names(vertex: Element, path: Path) -> None:
+    names = [prop.name for prop in vertex.properties]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{path}: the header has property {ascii(twice)} twice; the file is damaged")
+
+
+def _read_splats(
+    file: io.BufferedReader, file_bytes: int, header: Header, vertex: Element, path: Path, watch: Watch
+) -> Gaussians:
+    column = {name: i for i, name in enumerate(_names(vertex))}
+    rest = [name for name in column if name.startswith("f_rest_")]
+    coefficients = REST_COUNTS.get(len(rest))
+    rest_names = [f"f_rest_{i}" for i in range(len(rest))]
+    missing = [name for name in REQUIRED if name not in column]
+    for name in missing:
+        if any(prop.name == name for prop in vertex.properties):
+            raise InputError(f"{path}: {name} is a list, not a number a splat; export the scene again")
+    if missing:
+        raise InputError(f"{path}: the splats have no {', '.join(missing)}; export the scene again with them")
+    if coefficients is None or not set(rest_names) <= set(column):
+        raise InputError(
+            f"{path}: {len(rest)} properties f_rest_* make no spherical harmonics of degree 0 to 3; these have "
+            "f_rest_0 up to none, f_rest_8, f_rest_23 or f_rest_44"
+        )
+    scale_names = ("scale_0", "scale_1", "scale_2" if "scale_2" in column else "scale_1")
+    per_channel = coefficients - 1
+    sh_names = [f"f_dc_{c}" for c in range(3)]
+    sh_names += [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
+    used = [*POSITION, *sh_names, *scale_names, "opacity", *(f"rot_{i}" for i in range(4))]
+    for name in used:
+        if vertex.scalars[column[name]].dtype.kind != "f":
+            raise InputError(
+                f"{path}: property {name} is {vertex.scalars[column[name]].dtype.name}; splats have it as float; "
+                "export the scene again"
+            )
+    check_size(header, vertex, file_bytes, path)
+
+    n = vertex.count
+    precise = any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in POSITION)
+    means = np.empty((n, 3), dtype=np.float64 if precise else np.float32)
+    quats = np.empty((n, 4), dtype=np.float32)
+    log_scales = np.empty((n, 3), dtype=np.float32)
+    opacity_logits = np.empty(n, dtype=np.float32)
+    sh = np.empty((n, coefficients, 3), dtype=np.float32)
+    extras = {
+        name: np.empty(n, dtype=vertex.scalars[i].dtype.newbyteorder("="))
+        for name, i in column.items()
+        if name not in used
+    }
+    named: list[tuple[list[str], np.ndarray]] = [
+        (list(POSITION), means),
+        (sh_names, sh),
+        (["opacity"], opacity_logits),
+        (list(scale_names), log_scales),
+        ([f"rot_{i}" for i in range(4)], quats),
+        *(([name], values) for name, values in extras.items()),
+    ]
+    targets = [Target(columns=[column[name] for name in names], array=array) for names, array in named]
+    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+
+    comments = header.comments
+    if "scale_2" not in column:
+        log_scales[:, 2] = log_scales[:, :2].min(axis=1) - np.float32(math.log(FLAT_RATIO))
+        comments += (f"splatview: the file had two scales; the third is the smaller / {FLAT_RATIO:g}",)
+    if set(NORMAL) <= set(extras) and not any(_has_bits(extras[name]) for name in NORMAL):
+        # The usual layout has normals of zeros that mean nothing; saving writes them again.
+        extras = {name: values for name, values in extras.items() if name not in NORMAL}
+    return Gaussians(
+        means=means,
+        quats=quats,
+        log_scales=log_scales,
+        opacity_logits=opacity_logits,
+        sh=sh,
+        comments=comments,
+        extras=extras,
+    )
+
+
+def _has_bits(values: np.ndarray) -> bool:
+    """Whether any bit is set: -0.0 counts."""
+    return bool(values.view(f"u{values.itemsize}").any())
