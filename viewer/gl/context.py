@@ -52,12 +52,12 @@ def create_headless_context(*, require: int | None = None) -> moderngl.Context:
         InputError: no driver, or one that is too old; says what to install.
     """
     least = require or 330
-    backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     try:
-        ctx = moderngl.create_context(standalone=True, require=least, **backend)
+        if sys.platform.startswith("linux"):
+            return moderngl.create_context(standalone=True, require=least, backend="egl")
+        return moderngl.create_context(standalone=True, require=least)
     except Exception as error:  # glcontext raises bare Exception, OSError or ImportError by platform
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"no OpenGL {least // 100}.{least // 10 % 10} without a window here ({reason}); {HOW_TO_GET_GL}"
         ) from error
-    return ctx
