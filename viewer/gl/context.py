@@ -54,7 +54,8 @@ def create_headless_context(*, require: int | None = None) -> moderngl.Context:
     least = require or 330
     try:
         if sys.platform.startswith("linux"):
-            return moderngl.create_context(standalone=True, require=least, backend="egl")
+            # moderngl's stub types its keyword arguments wrongly.
+            return moderngl.create_context(standalone=True, require=least, backend="egl")  # pyright: ignore
         return moderngl.create_context(standalone=True, require=least)
     except Exception as error:  # glcontext raises bare Exception, OSError or ImportError by platform
         reason = " ".join(str(error).split()) or type(error).__name__
