@@ -12,6 +12,7 @@ from ..scene.gaussians import SH_COEFFICIENTS
 from .compiling import will_compile
 from .forward import EARLY_STOP
 from .frame import Frame, draw
+from .gradients import Gradients, backward
 from .parameters import Parameters, check_parameters, parameters_of
 from .pool import available_threads
 from .view import make_view
@@ -20,9 +21,11 @@ from .workspace import Workspace
 __all__ = [
     "EARLY_STOP",
     "Frame",
+    "Gradients",
     "Parameters",
     "Workspace",
     "available_threads",
+    "backward",
     "check_parameters",
     "draw_frame",
     "parameters_of",

@@ -85,7 +85,7 @@ def count_rows(start, stop, visible, records, tiles_y):
 
 
 @kernel
-def find_spans(start, stop, visible, records, view, first_span, spans, spans_of):
+def find_spans(start, stop, first_span, visible, records, view, spans, spans_of):
     """Finds the runs of tiles that the splats visible[start:stop] meet.
 
     spans (S, 2) int32 receives first and one past the last tile, from row `first_span` on; spans_of
@@ -116,7 +116,7 @@ def find_spans(start, stop, visible, records, view, first_span, spans, spans_of)
 
 
 @kernel
-def count_pairs(start, stop, order, spans_of, spans, counts):
+def count_pairs(start, stop, counts, order, spans_of, spans):
     """Counts the pairs of order[start:stop] by tile: counts (tiles,) int64 is overwritten."""
     counts[:] = 0
     for k in range(start, stop):
@@ -141,7 +141,7 @@ def place_lists(counts, offsets):
 
 
 @kernel
-def write_pairs(start, stop, order, spans_of, spans, first_tile, end_tile, positions, base, lists):
+def write_pairs(start, stop, positions, order, spans_of, spans, first_tile, end_tile, base, lists):
     """Writes the splats order[start:stop] into the lists of tiles [first_tile, end_tile): lists (pairs,)
     int32, of which place `base` is the first. positions (tiles,) int64 says where each list goes on, and
     ends up behind what was written."""

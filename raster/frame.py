@@ -13,20 +13,21 @@ import numpy as np
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from .forward import draw_tiles
 from .parameters import Parameters
-from .pool import TASKS_PER_THREAD, even_ranges, run
+from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from .project import RECORD, project
 from .sort import key_scale, make_keys, radix_sort
 from .view import View
 from .workspace import Workspace
-
-SPLATS_PER_TASK = 1024
-"""At least so many splats a task of a stage: fewer cost less than handing them out."""
 
 TILE_COST = 16
 """What a tile costs besides its list, in units of pairs; for sharing tiles out evenly."""
 
 MAX_LISTED_PAIRS = 1 << 27
 """Pairs whose lists are in memory at once, 4 bytes each; a picture with more is drawn band by band."""
+
+
+Runs = list[tuple[int, int]]
+"""(start, stop) each."""
 
 
 class StageClock:
@@ -72,10 +73,8 @@ class Bins:
         cursors[:] = self.positions
         run(
             write_pairs,
-            [
-                (*piece, self.order, self.spans_of, self.spans, first, end, row, base, lists)
-                for piece, row in zip(self.pieces, cursors, strict=True)
-            ],
+            [(*piece, row) for piece, row in zip(self.pieces, cursors, strict=True)],
+            (self.order, self.spans_of, self.spans, first, end, base, lists),
             self.threads,
         )
         return lists
@@ -95,6 +94,12 @@ class Frame:
     """(H, W, 4), the caller's to keep."""
     records: np.ndarray
     """(N, RECORD), see `project`; only rows of visible splats mean anything."""
+    pieces: Runs
+    """(start, stop) of the splats that were projected together, and..."""
+    runs: Runs
+    """... (start, stop) in `visible` of what was found visible in each."""
+    visible: np.ndarray
+    """(N,) int32, see `runs`."""
     bins: Bins
     lists: np.ndarray
     """(pairs,) int32 of the last band."""
@@ -117,12 +122,16 @@ def draw(
     clock = StageClock()
     dtype = background.dtype
     with clock.stage("project"):
-        records, depths, visible, runs, bounds = _project(splats, view, dtype, workspace, sh_degree, threads)
+        pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+        records, depths, visible, runs, bounds = _project(
+            splats, pieces, view, dtype, workspace, sh_degree, threads
+        )
     with clock.stage("sort"):
         order = _sort(runs, bounds, visible, depths, workspace, threads)
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
     image = np.empty((view.height, view.width, 4), dtype)
+    lists = np.empty(0, np.int32)
     for band in bins.bands:
         with clock.stage("bin"):
             lists = bins.write(band, workspace)
@@ -131,10 +140,8 @@ def draw(
             stop_below = dtype.type(early_stop)
             run(
                 draw_tiles,
-                [
-                    (*tiles, bins.offsets, base, lists, records, view, background, stop_below, image)
-                    for tiles in tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
-                ],
+                tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
+                (bins.offsets, base, lists, records, view, background, stop_below, image),
                 threads,
             )
     return Frame(
@@ -145,6 +152,9 @@ def draw(
         threads=threads,
         image=image,
         records=records,
+        pieces=pieces,
+        runs=runs,
+        visible=visible,
         bins=bins,
         lists=lists,
         workspace=workspace,
@@ -152,28 +162,27 @@ def draw(
     )
 
 
-Runs = list[tuple[int, int]]
-"""(start, stop) in `visible`: what each task of the projection found."""
-
-
 def _project(
-    splats: Parameters, view: View, dtype: np.dtype, workspace: Workspace, sh_degree: int, threads: int
+    splats: Parameters,
+    pieces: Runs,
+    view: View,
+    dtype: np.dtype,
+    workspace: Workspace,
+    sh_degree: int,
+    threads: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
     count = len(splats.means)
     records = workspace.take("records", (count, RECORD), dtype)
     depths = workspace.take("depths", (count,), np.float64)
     visible = workspace.take("visible", (count,), np.int32)
-    ranges = even_ranges(count, threads * TASKS_PER_THREAD, at_least=SPLATS_PER_TASK)
-    bounds = np.empty((len(ranges), 2))
+    bounds = np.empty((len(pieces), 2))
     found = run(
         project,
-        [
-            (*piece, *splats, sh_degree, view, records, depths, visible, row)
-            for piece, row in zip(ranges, bounds, strict=True)
-        ],
+        [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
+        (*splats, sh_degree, view, records, depths, visible),
         threads,
     )
-    runs = [(start, start + number) for (start, _), number in zip(ranges, found, strict=True)]
+    runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
     return records, depths, visible, runs, (float(bounds[:, 0].min()), float(bounds[:, 1].max()))
 
 
@@ -191,12 +200,9 @@ def _sort(
     if count == 0:
         return order
     base, shift, bits = key_scale(*bounds)
-    tasks, at = [], 0
-    for start, stop in runs:
-        end = at + stop - start
-        tasks.append((at, end, visible, start, depths.view(np.int64), base, shift, keys, order))
-        at = end
-    run(make_keys, tasks, threads)
+    ends = np.cumsum([stop - start for start, stop in runs]).tolist()
+    tasks = [(end - (stop - start), end, start) for (start, stop), end in zip(runs, ends, strict=True)]
+    run(make_keys, tasks, (visible, depths.view(np.int64), base, shift, keys, order), threads)
     return radix_sort(keys, order, bits, threads, workspace)[1]
 
 
@@ -209,25 +215,24 @@ def _bin(
     workspace: Workspace,
     threads: int,
 ) -> Bins:
-    rows = run(count_rows, [(*piece, visible, records, view.tiles_y) for piece in runs], threads)
-    ends = np.cumsum(rows)
-    spans = workspace.take("spans", (int(ends[-1]), 2), np.int32)
+    rows = run(count_rows, runs, (visible, records, view.tiles_y), threads)
+    ends = np.cumsum(rows).tolist()
+    spans = workspace.take("spans", (ends[-1], 2), np.int32)
     spans_of = workspace.take("spans_of", (len(records), 2), np.int32)
     run(
         find_spans,
-        [
-            (*piece, visible, records, view, int(end - count), spans, spans_of)
-            for piece, end, count in zip(runs, ends, rows, strict=True)
-        ],
+        [(*piece, end - count) for piece, end, count in zip(runs, ends, rows, strict=True)],
+        (visible, records, view, spans, spans_of),
         threads,
     )
     tiles = view.tiles_x * view.tiles_y
-    pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, at_least=SPLATS_PER_TASK)
+    pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
     positions = workspace.take("positions", (len(pieces), tiles), np.int64)
     offsets = workspace.take("offsets", (tiles + 1,), np.int64)
     run(
         count_pairs,
-        [(*piece, order, spans_of, spans, row) for piece, row in zip(pieces, positions, strict=True)],
+        [(*piece, row) for piece, row in zip(pieces, positions, strict=True)],
+        (order, spans_of, spans),
         threads,
     )
     place_lists(positions, offsets)
@@ -238,12 +243,12 @@ def _bin(
         pieces=pieces,
         positions=positions,
         offsets=offsets,
-        bands=_bands(offsets, MAX_LISTED_PAIRS),
+        bands=bands_of(offsets, MAX_LISTED_PAIRS),
         threads=threads,
     )
 
 
-def _bands(offsets: np.ndarray, most_pairs: int) -> list[tuple[int, int]]:
+def bands_of(offsets: np.ndarray, most_pairs: int) -> list[tuple[int, int]]:
     """Runs of tiles that together have at most so many pairs, or are one tile."""
     bands, first, tiles = [], 0, len(offsets) - 1
     while first < tiles:

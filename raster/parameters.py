@@ -35,13 +35,13 @@ def check_parameters(means: Any, quats: Any, log_scales: Any, opacity_logits: An
         ValueError: an argument is no array, or of the wrong shape or dtype; the message names it.
     """
     if not isinstance(means, np.ndarray) or means.ndim != 2:
-        raise ValueError(f"means must be an array of shape (N, 3), got {_describe(means)}")
+        raise ValueError(f"means must be an array of shape (N, 3), got {describe(means)}")
     n = len(means)
     if n > MAX_SPLATS:
         raise ValueError(f"means must have at most {MAX_SPLATS} rows, got {n}")
     if not isinstance(sh, np.ndarray) or sh.ndim != 3 or sh.shape[1] not in SH_COEFFICIENTS:
         raise ValueError(
-            f"sh must be an array of shape (N, K, 3), K in {SH_COEFFICIENTS}, got {_describe(sh)}"
+            f"sh must be an array of shape (N, K, 3), K in {SH_COEFFICIENTS}, got {describe(sh)}"
         )
     single = (np.dtype(np.float32), np.dtype(np.float64))
     return Parameters(
@@ -59,13 +59,14 @@ def parameters_of(gaussians: Gaussians) -> Parameters:
     return check_parameters(g.means, g.quats, g.log_scales, g.opacity_logits, g.sh)
 
 
-def _describe(value: Any) -> str:
+def describe(value: Any) -> str:
+    """What was given instead, for an error message."""
     return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
 
 
 def _checked(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[Any, ...]) -> np.ndarray:
     if not isinstance(array, np.ndarray) or array.shape != shape:
-        raise ValueError(f"{name} must be an array of shape {shape}, got {_describe(array)}")
+        raise ValueError(f"{name} must be an array of shape {shape}, got {describe(array)}")
     if array.dtype not in dtypes:
         wanted = " or ".join(str(dtype) for dtype in dtypes)
         raise ValueError(f"{name} must be {wanted}, got {array.dtype}")

@@ -17,6 +17,9 @@ from typing import Any
 TASKS_PER_THREAD = 4
 """Pieces a stage is cut into for each thread: enough that threads end together, few enough to be cheap."""
 
+SPLATS_PER_TASK = 1024
+"""Tasks over splats begin at multiples of it: fewer cost less to do than to hand out."""
+
 
 def available_threads() -> int:
     """Cores that this process may use."""
@@ -31,8 +34,10 @@ def _executor() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(available_threads(), 2), thread_name_prefix="raster")
 
 
-def run(kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], threads: int) -> list[Any]:
-    """Calls `kernel(*task)` for every task on `threads` threads, the caller's included.
+def run(
+    kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], common: Sequence[Any], threads: int
+) -> list[Any]:
+    """Calls `kernel(*task, *common)` for every task on `threads` threads, the caller's included.
 
     Which thread takes which task is left to chance; results come in the order of the tasks. The first
     exception of a task is raised here, after the tasks already begun have ended.
@@ -40,7 +45,7 @@ def run(kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], threads: int
     tasks = list(tasks)
     helpers = min(threads, len(tasks)) - 1
     if helpers < 1:
-        return [kernel(*task) for task in tasks]
+        return [kernel(*task, *common) for task in tasks]
     results: list[Any] = [None] * len(tasks)
     pending = iter(range(len(tasks)))
     lock = threading.Lock()
@@ -52,7 +57,7 @@ def run(kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], threads: int
             if index is None:
                 return
             try:
-                results[index] = kernel(*tasks[index])
+                results[index] = kernel(*tasks[index], *common)
             except BaseException:
                 with lock:
                     for _ in pending:  # nobody begins another task
@@ -71,8 +76,9 @@ def run(kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], threads: int
     return results
 
 
-def even_ranges(count: int, pieces: int, *, at_least: int = 1) -> list[tuple[int, int]]:
-    """[0, count) cut into at most `pieces` even runs (start, stop), none shorter than `at_least`."""
-    pieces = max(1, min(pieces, count // at_least))
-    edges = [count * piece // pieces for piece in range(pieces + 1)]
+def even_ranges(count: int, pieces: int, *, step: int = 1) -> list[tuple[int, int]]:
+    """[0, count) cut into at most `pieces` even runs (start, stop) that begin at multiples of `step`."""
+    steps = -(-count // step)
+    pieces = max(1, min(pieces, steps))
+    edges = [min(steps * piece // pieces * step, count) for piece in range(pieces + 1)]
     return list(pairwise(edges))

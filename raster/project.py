@@ -160,7 +160,7 @@ def sh_sum(sh, splat, basis, count):
 
 @kernel
 def project(
-    start, stop, means, quats, log_scales, opacity_logits, sh, degree, view, records, depths, visible, bounds
+    start, stop, bounds, means, quats, log_scales, opacity_logits, sh, degree, view, records, depths, visible
 ):
     """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
     `visible` from `start` on.

@@ -36,7 +36,7 @@ def key_scale(least: float, greatest: float) -> tuple[int, int, int]:
 
 
 @kernel
-def make_keys(start, stop, visible, source, depth_bits, base, shift, keys, order):
+def make_keys(start, stop, source, visible, depth_bits, base, shift, keys, order):
     """Gathers visible[source:source + stop - start] to order[start:stop] (int32) with their keys (uint32).
 
     depth_bits (N,) int64: the depths' bits.
@@ -48,7 +48,7 @@ def make_keys(start, stop, visible, source, depth_bits, base, shift, keys, order
 
 
 @kernel
-def _count(start, stop, keys, shift, mask, histogram):
+def _count(start, stop, histogram, keys, shift, mask):
     histogram[:] = 0
     for k in range(start, stop):
         histogram[(keys[k] >> shift) & mask] += 1
@@ -66,7 +66,7 @@ def _positions(histograms):
 
 
 @kernel
-def _scatter(start, stop, keys, values, shift, mask, positions, keys_out, values_out):
+def _scatter(start, stop, positions, keys, values, shift, mask, keys_out, values_out):
     for k in range(start, stop):
         digit = (keys[k] >> shift) & mask
         to = positions[digit]
@@ -94,19 +94,9 @@ def radix_sort(
     values_out = workspace.take("values_out", values.shape, values.dtype)
     for number in range(passes):
         shift = np.uint32(number * width)
-        run(
-            _count,
-            [(*piece, keys, shift, mask, row) for piece, row in zip(pieces, positions, strict=True)],
-            threads,
-        )
+        tasks = [(*piece, row) for piece, row in zip(pieces, positions, strict=True)]
+        run(_count, tasks, (keys, shift, mask), threads)
         _positions(positions)
-        run(
-            _scatter,
-            [
-                (*piece, keys, values, shift, mask, row, keys_out, values_out)
-                for piece, row in zip(pieces, positions, strict=True)
-            ],
-            threads,
-        )
+        run(_scatter, tasks, (keys, values, shift, mask, keys_out, values_out), threads)
         keys, keys_out, values, values_out = keys_out, keys, values_out, values
     return keys, values

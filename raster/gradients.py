@@ -1,0 +1,146 @@
+"""Gradients of a loss by everything that made a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .backward import SUMS, differentiate_tiles, gather_pairs
+from .frame import Frame, StageClock, bands_of, tile_ranges
+from .parameters import Parameters, describe
+from .pool import TASKS_PER_THREAD, run
+from .project_backward import POSE_BLOCK, project_backward
+
+MAX_SUMMED_PAIRS = 1 << 23
+"""Pairs whose sums are in memory at once, 64 bytes each in float32: half a GiB."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Gradients:
+    """dL/d(...), in the dtypes of the parameters; 0 for splats that were not visible."""
+
+    parameters: Parameters
+    means2d: np.ndarray
+    """(N, 2) by the mean in the image, px."""
+    abs_means2d: np.ndarray
+    """(N, 2) the same, but added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+    background: np.ndarray
+    """(3,)"""
+    pose: np.ndarray
+    """(6,) float64 by a small motion of the camera, (shift, turn) in camera axes: a point at t in camera
+    axes moves to t + shift + turn x t, so world_to_camera becomes exp([turn, shift])·world_to_camera."""
+    milliseconds: dict[str, float]
+    """Wall-clock time by stage."""
+
+
+def backward(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
+    """Gradients from `d_image` (H, W, 4), dL/d(image) in the picture's dtype, alpha included.
+
+    `splats` must be what the frame was drawn from, and its workspace not used since.
+
+    Raises:
+        ValueError: d_image has the wrong shape or dtype, or the image model's max_alpha is not below 1.
+    """
+    dtype = frame.image.dtype
+    if not isinstance(d_image, np.ndarray) or d_image.shape != frame.image.shape or d_image.dtype != dtype:
+        raise ValueError(f"d_image must be {dtype} {frame.image.shape}, got {describe(d_image)}")
+    if not frame.view.max_alpha < 1:
+        raise ValueError("gradients need an image model with max_alpha below 1")
+    d_image = np.ascontiguousarray(d_image)
+    clock = StageClock()
+    splat_sums = _splat_sums(frame, d_image, clock)
+    with clock.stage("project_backward"):
+        gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums)
+        light = 1 - frame.image[..., 3:]
+        background = (light.astype(np.float64) * d_image[..., :3]).sum(axis=(0, 1)).astype(dtype)
+    return Gradients(
+        parameters=gradients,
+        means2d=means2d,
+        abs_means2d=abs_means2d,
+        background=background,
+        pose=pose,
+        milliseconds=clock.milliseconds,
+    )
+
+
+def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> np.ndarray:
+    """(N, SUMS), see `backward`; rows of visible splats only."""
+    bins, workspace, threads = frame.bins, frame.workspace, frame.threads
+    dtype = frame.image.dtype
+    splat_sums = workspace.take("splat_sums", (len(frame.records), SUMS), dtype)
+    walked = workspace.take("walked", (len(bins.offsets) - 1,), np.int64)
+    cursors = workspace.take("cursors", bins.positions.shape, np.int64)
+    bands = bands_of(bins.offsets, MAX_SUMMED_PAIRS)
+    for number, band in enumerate(bands):
+        lists = frame.lists
+        if bands != bins.bands:
+            with clock.stage("bin"):
+                lists = bins.write(band, workspace)
+        base, end = int(bins.offsets[band[0]]), int(bins.offsets[band[1]])
+        sums = workspace.take("pair_sums", ((end - base) * SUMS,), dtype)
+        with clock.stage("backward"):
+            stop_below = dtype.type(frame.early_stop)
+            run(
+                differentiate_tiles,
+                tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
+                (
+                    bins.offsets,
+                    base,
+                    lists,
+                    frame.records,
+                    frame.view,
+                    stop_below,
+                    frame.image,
+                    d_image,
+                    sums,
+                    walked,
+                ),
+                threads,
+            )
+        with clock.stage("gather"):
+            cursors[:] = bins.positions
+            run(
+                gather_pairs,
+                [(*piece, row) for piece, row in zip(bins.pieces, cursors, strict=True)],
+                (
+                    bins.order,
+                    bins.spans_of,
+                    bins.spans,
+                    *band,
+                    bins.offsets,
+                    walked,
+                    sums,
+                    splat_sums,
+                    number > 0,
+                ),
+                threads,
+            )
+    return splat_sums
+
+
+def _parameters(
+    splats: Parameters, frame: Frame, splat_sums: np.ndarray
+) -> tuple[Parameters, np.ndarray, np.ndarray, np.ndarray]:
+    count = len(splats.means)
+    gradients = Parameters(*(np.empty_like(array) for array in splats))
+    means2d = np.empty((count, 2), splats.quats.dtype)
+    abs_means2d = np.empty_like(means2d)
+    pose_sums = np.zeros((-(-count // POSE_BLOCK), 6))
+    run(
+        project_backward,
+        [(*piece, *found) for piece, found in zip(frame.pieces, frame.runs, strict=True)],
+        (
+            frame.visible,
+            *splats,
+            frame.sh_degree,
+            frame.view,
+            splat_sums,
+            *gradients,
+            means2d,
+            abs_means2d,
+            pose_sums,
+        ),
+        frame.threads,
+    )
+    return gradients, means2d, abs_means2d, pose_sums.sum(axis=0)

@@ -1,0 +1,296 @@
+"""From gradients by footprints to gradients by the scene's parameters: the chain rule of `project`.
+
+All in float64, in the forms that `project` uses: the determinant's gradient goes through the cross
+product of M's rows, never through S'xx·S'yy - S'xy².
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..scene.sh import SH_C1, SH_C2, SH_C3
+from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, TU, TUX, TUY, TV, TVY, T
+from .compiling import inline, kernel
+from .pool import SPLATS_PER_TASK
+from .project import (
+    CONIC_SCALE,
+    camera_point,
+    covariance,
+    image_axes,
+    rotation_matrix,
+    sh_basis,
+    sh_sum,
+    sigmoid,
+    splat_axes,
+)
+
+POSE_BLOCK = SPLATS_PER_TASK
+"""Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
+are the same on any number of threads."""
+
+
+@inline
+def camera_to_world(view, x, y, z):
+    """Camera axes -> world axes."""
+    r = view.rotation
+    return (
+        r[0, 0] * x + r[1, 0] * y + r[2, 0] * z,
+        r[0, 1] * x + r[1, 1] * y + r[2, 1] * z,
+        r[0, 2] * x + r[1, 2] * y + r[2, 2] * z,
+    )
+
+
+@inline
+def sh_basis_gradient(x, y, z, degree, gradient):
+    """Writes d basis / d direction to gradient (16, 3), rows of bands above `degree` apart."""
+    gradient[:] = 0
+    if degree >= 1:
+        gradient[1, 1] = -SH_C1
+        gradient[2, 2] = SH_C1
+        gradient[3, 0] = -SH_C1
+    if degree >= 2:
+        xx, yy, zz = x * x, y * y, z * z
+        _set(gradient, 4, SH_C2[0] * y, SH_C2[0] * x, 0.0)
+        _set(gradient, 5, 0.0, SH_C2[1] * z, SH_C2[1] * y)
+        _set(gradient, 6, -2 * SH_C2[2] * x, -2 * SH_C2[2] * y, 4 * SH_C2[2] * z)
+        _set(gradient, 7, SH_C2[3] * z, 0.0, SH_C2[3] * x)
+        _set(gradient, 8, 2 * SH_C2[4] * x, -2 * SH_C2[4] * y, 0.0)
+        if degree >= 3:
+            _set(gradient, 9, SH_C3[0] * 6 * x * y, SH_C3[0] * 3 * (xx - yy), 0.0)
+            _set(gradient, 10, SH_C3[1] * y * z, SH_C3[1] * x * z, SH_C3[1] * x * y)
+            _set(gradient, 11, -2 * SH_C3[2] * x * y, SH_C3[2] * (4 * zz - xx - 3 * yy), 8 * SH_C3[2] * y * z)
+            _set(
+                gradient,
+                12,
+                -6 * SH_C3[3] * x * z,
+                -6 * SH_C3[3] * y * z,
+                SH_C3[3] * (6 * zz - 3 * xx - 3 * yy),
+            )
+            _set(gradient, 13, SH_C3[4] * (4 * zz - 3 * xx - yy), -2 * SH_C3[4] * x * y, 8 * SH_C3[4] * x * z)
+            _set(gradient, 14, 2 * SH_C3[5] * x * z, -2 * SH_C3[5] * y * z, SH_C3[5] * (xx - yy))
+            _set(gradient, 15, SH_C3[6] * 3 * (xx - yy), -6 * SH_C3[6] * x * y, 0.0)
+
+
+@inline
+def _set(rows, row, x, y, z):
+    rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
+
+
+@inline
+def axes_gradient(m, xy, yy, det, unblurred, blur, antialiased, sums):
+    """dL/dM (2, 3), row by row, from a splat's sums; m, xy, yy, det, unblurred as `covariance` has them."""
+    a = math.sqrt(yy / det)
+    b_by_a = -xy / yy
+    d_a, d_b, d_c = -sums[TUX] / CONIC_SCALE, -sums[TUY] / CONIC_SCALE, -sums[TVY] / CONIC_SCALE
+    # a = (yy/det)^½, b = -xy/yy·a, c = yy^-½
+    d_a += d_b * b_by_a
+    d_xy = -d_b * a / yy
+    d_yy = (0.5 * a * d_a - b_by_a * a * d_b - 0.5 / math.sqrt(yy) * d_c) / yy
+    d_det = -0.5 * a / det * d_a
+    d_unblurred = 0.0
+    if antialiased:  # the opacity's factor is (unblurred / det)^½
+        d_det -= 0.5 * sums[T] / det
+        d_unblurred = 0.5 * sums[T] / unblurred
+    d_unblurred += d_det
+    # unblurred = |n|², n = m0 x m1; det = unblurred + blur·(|m0|² + |m1|²) + blur²; yy = |m1|² + blur
+    nx, ny, nz = m[1] * m[5] - m[2] * m[4], m[2] * m[3] - m[0] * m[5], m[0] * m[4] - m[1] * m[3]
+    nx, ny, nz = 2 * d_unblurred * nx, 2 * d_unblurred * ny, 2 * d_unblurred * nz
+    along0, along1 = 2 * blur * d_det, 2 * (blur * d_det + d_yy)
+    return (
+        m[4] * nz - m[5] * ny + along0 * m[0] + d_xy * m[3],
+        m[5] * nx - m[3] * nz + along0 * m[1] + d_xy * m[4],
+        m[3] * ny - m[4] * nx + along0 * m[2] + d_xy * m[5],
+        ny * m[2] - nz * m[1] + along1 * m[3] + d_xy * m[0],
+        nz * m[0] - nx * m[2] + along1 * m[4] + d_xy * m[1],
+        nx * m[1] - ny * m[0] + along1 * m[5] + d_xy * m[2],
+    )
+
+
+@inline
+def quat_gradient(w, x, y, z, d):
+    """dL/d(unit quaternion) from dL/dR (nine entries, row by row)."""
+    return (
+        2 * (z * (d[3] - d[1]) + y * (d[2] - d[6]) + x * (d[7] - d[5])),
+        2 * (y * (d[1] + d[3]) + z * (d[2] + d[6]) + w * (d[7] - d[5]) - 2 * x * (d[4] + d[8])),
+        2 * (x * (d[1] + d[3]) + z * (d[5] + d[7]) + w * (d[2] - d[6]) - 2 * y * (d[0] + d[8])),
+        2 * (x * (d[2] + d[6]) + y * (d[5] + d[7]) + w * (d[3] - d[1]) - 2 * z * (d[0] + d[4])),
+    )
+
+
+@kernel
+def project_backward(
+    start,
+    stop,
+    run_start,
+    run_stop,
+    visible,
+    means,
+    quats,
+    log_scales,
+    opacity_logits,
+    sh,
+    degree,
+    view,
+    splat_sums,
+    d_means,
+    d_quats,
+    d_log_scales,
+    d_opacity_logits,
+    d_sh,
+    d_means2d,
+    abs_means2d,
+    pose_sums,
+):
+    """Writes the gradients of splats [start, stop), of which visible[run_start:run_stop] are visible.
+
+    Parameters and their gradients have the shapes of `Parameters`; d_means2d and abs_means2d (N, 2)
+    receive the gradient by the mean in px and the sum of its absolute values by pixel (Ye et al. 2024,
+    AbsGS). pose_sums (blocks, 6) float64 receives gradients by a small motion of the camera, added up
+    by POSE_BLOCK splats: see `gradients`. Rows of splats that are not visible become 0.
+    """
+    basis = np.empty(16, np.float64)
+    basis_gradient = np.empty((16, 3), np.float64)
+    coefficients = (degree + 1) * (degree + 1)
+    at = run_start
+    pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
+    for i in range(start, stop):
+        d_sh[i] = 0
+        if at >= run_stop or visible[at] != i:
+            d_means[i] = 0
+            d_quats[i] = 0
+            d_log_scales[i] = 0
+            d_opacity_logits[i] = 0
+            d_means2d[i] = 0
+            abs_means2d[i] = 0
+            continue
+        at += 1
+        sums = splat_sums[i]
+
+        # What `project` computed on the way.
+        ox = np.float64(means[i, 0]) - view.eye[0]
+        oy = np.float64(means[i, 1]) - view.eye[1]
+        oz = np.float64(means[i, 2]) - view.eye[2]
+        x, y, z = camera_point(view, ox, oy, oz)
+        qw, qx, qy, qz = (
+            np.float64(quats[i, 0]),
+            np.float64(quats[i, 1]),
+            np.float64(quats[i, 2]),
+            np.float64(quats[i, 3]),
+        )
+        shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        qw, qx, qy, qz = qw * shrink, qx * shrink, qy * shrink, qz * shrink
+        r = rotation_matrix(qw, qx, qy, qz)
+        sx = math.exp(np.float64(log_scales[i, 0]))
+        sy = math.exp(np.float64(log_scales[i, 1]))
+        sz = math.exp(np.float64(log_scales[i, 2]))
+        p = image_axes(view, x, y, z)
+        m = splat_axes(p, r, sx, sy, sz)
+        _, xy, yy, det, unblurred = covariance(m, view.blur)
+
+        # Opacity: dln(opacity)/dlogit = 1 - opacity.
+        d_opacity_logits[i] = sums[T] * sigmoid(-np.float64(opacity_logits[i]))
+
+        # Footprint: M = P·R·diag(s).
+        d_m = axes_gradient(m, xy, yy, det, unblurred, view.blur, view.antialiased, sums)
+        d_log_scales[i, 0] = d_m[0] * m[0] + d_m[3] * m[3]
+        d_log_scales[i, 1] = d_m[1] * m[1] + d_m[4] * m[4]
+        d_log_scales[i, 2] = d_m[2] * m[2] + d_m[5] * m[5]
+        q0, q1, q2 = d_m[0] * sx, d_m[1] * sy, d_m[2] * sz
+        q3, q4, q5 = d_m[3] * sx, d_m[4] * sy, d_m[5] * sz
+        d_r = (
+            p[0] * q0 + p[3] * q3,
+            p[0] * q1 + p[3] * q4,
+            p[0] * q2 + p[3] * q5,
+            p[1] * q0 + p[4] * q3,
+            p[1] * q1 + p[4] * q4,
+            p[1] * q2 + p[4] * q5,
+            p[2] * q0 + p[5] * q3,
+            p[2] * q1 + p[5] * q4,
+            p[2] * q2 + p[5] * q5,
+        )
+        dw, dx, dy, dz = quat_gradient(qw, qx, qy, qz, d_r)
+        radial = qw * dw + qx * dx + qy * dy + qz * dz  # the length of a quaternion changes nothing
+        d_quats[i, 0] = (dw - qw * radial) * shrink
+        d_quats[i, 1] = (dx - qx * radial) * shrink
+        d_quats[i, 2] = (dy - qy * radial) * shrink
+        d_quats[i, 3] = (dz - qz * radial) * shrink
+        d_p = (
+            q0 * r[0] + q1 * r[1] + q2 * r[2],
+            q0 * r[3] + q1 * r[4] + q2 * r[5],
+            q0 * r[6] + q1 * r[7] + q2 * r[8],
+            q3 * r[0] + q4 * r[1] + q5 * r[2],
+            q3 * r[3] + q4 * r[4] + q5 * r[5],
+            q3 * r[6] + q4 * r[7] + q5 * r[8],
+        )
+
+        # Mean in the image, with a, b, c of `project` as float64 has them.
+        a = math.sqrt(yy / det)
+        d_x2 = a * sums[TU] / CONIC_SCALE
+        d_y2 = (sums[TV] / math.sqrt(yy) - xy / yy * a * sums[TU]) / CONIC_SCALE
+        d_means2d[i, 0], d_means2d[i, 1] = d_x2, d_y2
+        abs_means2d[i, 0] = a * sums[ABS_X] / CONIC_SCALE
+        abs_means2d[i, 1] = sums[ABS_Y] / (CONIC_SCALE * CONIC_SCALE)
+        fx, fy = view.fx / z, view.fy / z
+        tx, ty = fx * d_x2, fy * d_y2
+        tz = -(x * tx + y * ty) / z
+
+        # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
+        px0, px1, px2 = camera_point(view, d_p[0], d_p[1], d_p[2])
+        py0, py1, py2 = camera_point(view, d_p[3], d_p[4], d_p[5])
+        u, v = min(max(x / z, view.min_u), view.max_u), min(max(y / z, view.min_v), view.max_v)
+        # J = [fx/z, 0, -fx·u/z; 0, fy/z, -fy·v/z]; u and v follow x/z and y/z where they are not clamped.
+        d_u, d_v = -fx * px2, -fy * py2
+        tz += (-fx * px0 - fy * py1 - u * d_u - v * d_v) / z
+        if view.min_u <= x / z <= view.max_u:
+            tx += d_u / z
+            tz -= d_u * u / z
+        if view.min_v <= y / z <= view.max_v:
+            ty += d_v / z
+            tz -= d_v * v / z
+
+        # Colour.
+        distance = math.sqrt(ox * ox + oy * oy + oz * oz)
+        nx, ny, nz = ox / distance, oy / distance, oz / distance
+        sh_basis(nx, ny, nz, degree, basis)
+        sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
+        red, green, blue = sh_sum(sh, i, basis, coefficients)
+        d_red = np.float64(sums[D_RED]) if red > 0 else 0.0
+        d_green = np.float64(sums[D_GREEN]) if green > 0 else 0.0
+        d_blue = np.float64(sums[D_BLUE]) if blue > 0 else 0.0
+        dx = dy = dz = 0.0
+        for k in range(coefficients):
+            d_sh[i, k, 0], d_sh[i, k, 1], d_sh[i, k, 2] = (
+                basis[k] * d_red,
+                basis[k] * d_green,
+                basis[k] * d_blue,
+            )
+            along = d_red * sh[i, k, 0] + d_green * sh[i, k, 1] + d_blue * sh[i, k, 2]
+            dx += along * basis_gradient[k, 0]
+            dy += along * basis_gradient[k, 1]
+            dz += along * basis_gradient[k, 2]
+        radial = nx * dx + ny * dy + nz * dz
+        dx, dy, dz = (
+            (dx - nx * radial) / distance,
+            (dy - ny * radial) / distance,
+            (dz - nz * radial) / distance,
+        )
+
+        wx, wy, wz = camera_to_world(view, tx, ty, tz)
+        d_means[i, 0], d_means[i, 1], d_means[i, 2] = wx + dx, wy + dy, wz + dz
+
+        # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
+        pose = pose_sums[i // POSE_BLOCK]
+        cx, cy, cz = camera_point(view, dx, dy, dz)
+        pose[0] += tx + cx
+        pose[1] += ty + cy
+        pose[2] += tz + cz
+        # K = Jᵀ·dL/dP·Wᵀ; its antisymmetric part turns.
+        k21 = -fx * u * px1 - fy * v * py1
+        k12 = fy * py2
+        k02 = fx * px2
+        k20 = -fx * u * px0 - fy * v * py0
+        pose[3] += y * tz - z * ty + k21 - k12
+        pose[4] += z * tx - x * tz + k02 - k20
+        pose[5] += x * ty - y * tx + fy * py0 - fx * px1
