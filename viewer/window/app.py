@@ -1,0 +1,195 @@
+"""The window itself: hello_imgui's runner around a `Core`, a picture and the panels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import moderngl
+from imgui_bundle import hello_imgui, imgui, implot  # before glfw: it says which library that is
+
+import glfw  # isort: skip
+
+from ...scene import InputError
+from . import keys, layout, opening, theme
+from .core import Core
+from .display import best_gl_version
+from .dropping import install_drop_handler
+from .file_dialogs import FileDialogs
+from .picture import choose_picture
+from .preferences import Preferences, config_folder, load_preferences, save_preferences
+
+IDLE_FPS = 2.0
+"""Frames a second when nothing happens; any event wakes the window at once."""
+
+WAITING_FPS = 12.0
+"""Frames a second while something is on its way: enough for a progress bar, and it gets the cores."""
+
+MAX_FPS = 60.0
+"""Where nothing else limits the rate: without a monitor to wait for a drag would take a whole core."""
+
+ACTIVE_SECONDS = 0.5
+"""How long after the last event the window keeps its full rate: long enough for tooltips to appear."""
+
+
+class Window:
+    """Ties the frame loop's callbacks to one `Core`."""
+
+    def __init__(self, paths: Sequence[Path], *, renderer: str = "auto"):
+        preferences, complaint = load_preferences()
+        self.core = Core(preferences=preferences)
+        self.core.prefer(background=preferences.background, blend=preferences.blend)
+        self.core.prefer(fov_y=preferences.fov_y)
+        self.dialogs = FileDialogs()
+        self.core.choose_files = self.dialogs.ask
+        self.failure: str | None = None
+        self._ctx: moderngl.Context | None = None
+        self._paths = [Path(path) for path in paths]
+        self._renderer = renderer
+        self._saved: Preferences = preferences
+        self._drop: Callable[..., None] | None = None
+        if complaint:
+            self.core.tell(complaint)
+
+    # ---- hello_imgui's callbacks, in the order in which they are called
+
+    def start(self) -> None:
+        """The GL context is there: make the picture and begin to load."""
+        self._ctx = moderngl.create_context()
+        try:
+            self.core.picture = choose_picture(self._ctx, self._renderer, on_ready=glfw.post_empty_event)
+        except InputError as error:
+            self.failure = str(error)
+            self.core.quitting = True
+            return
+        self._drop = install_drop_handler(self.core)
+        self.core.clipboard_read = imgui.get_clipboard_text
+        if self._paths:
+            opening.open_paths(self.core, self._paths)
+        else:
+            opening.begin_demo(self.core)
+
+    def before_frame(self) -> None:
+        """Everything that changes the state happens here, between two frames."""
+        core = self.core
+        params = hello_imgui.get_runner_params()
+        if core.picture is None:
+            params.app_shall_exit = True
+            return
+        opening.finish_loading(core)
+        core.run_posted()
+        core.advance()
+        if core.clipboard_write is not None:
+            imgui.set_clipboard_text(core.clipboard_write)
+            core.clipboard_write = None
+        if core.scene_path is not None and self.dialogs.folder is None:
+            self.dialogs.folder = core.scene_path.parent
+        params.app_window_params.window_title = layout.title(core)
+        layout.hide_or_show_panels(core)
+        flying = keys.held_step() is not None
+        params.fps_idling.enable_idling = not (core.transition or flying)
+        params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else IDLE_FPS
+        if core.quitting:
+            params.app_shall_exit = True
+
+    def frame(self) -> None:
+        """Drawn over the docks: dialogs, and the keys that work everywhere."""
+        keys.post_pressed(self.core)
+        layout.show_floating(self.core, self.dialogs)
+        if self._ctx is not None:
+            # ImGui draws next, into whatever is bound.
+            self._ctx.screen.use()
+
+    def stop(self) -> None:
+        """The context still exists: end what runs, keep what is to be kept."""
+        core = self.core
+        opening.cancel_loading(core, quiet=True)
+        self.dialogs.close()
+        # The layout that is saved next has the panels open.
+        core.panels_hidden = False
+        layout.hide_or_show_panels(core)
+        if core.picture is not None:
+            core.picture.release()
+            core.picture = None
+        if core.preferences != self._saved:
+            try:
+                save_preferences(core.preferences)
+            except OSError as error:
+                self.failure = f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+
+
+def run_window(
+    paths: Sequence[Path],
+    *,
+    size: tuple[int, int] = (1280, 800),
+    renderer: str = "auto",
+    drive: Callable[[Core, Any], None] | None = None,
+) -> int:
+    """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
+
+    `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
+    `renderer`: "auto", "quads" or "cpu". `drive(core, ctx)` is for tests: it runs beside the frame loop
+    with ImGui's test-engine context, and the window closes when it returns.
+
+    Returns:
+        0, or 1 where `drive` failed.
+
+    Raises:
+        InputError: no display can be opened, or no renderer works on it.
+    """
+    major, minor = best_gl_version()
+    window = Window(paths, renderer=renderer)
+    params = layout.runner_params(window.core, size)
+    options = params.renderer_backend_options.open_gl_options
+    options.major_version, options.minor_version = major, minor
+    options.use_core_profile = options.use_forward_compat = True
+    # ImGui smooths its own edges; multisampling only costs.
+    options.anti_aliasing_samples = 0
+    params.fps_idling.fps_max = MAX_FPS
+    params.fps_idling.time_active_after_last_event = ACTIVE_SECONDS
+    callbacks = params.callbacks
+    callbacks.load_additional_fonts = theme.load_fonts
+    callbacks.setup_imgui_style = theme.apply
+    callbacks.post_init = window.start
+    callbacks.pre_new_frame = window.before_frame
+    callbacks.post_render_dockable_windows = window.frame
+    callbacks.before_exit = window.stop
+    run = _Driven(params, window.core, drive) if drive else None
+    implot.create_context()
+    try:
+        hello_imgui.run(params)
+    finally:
+        implot.destroy_context()
+    if window.failure:
+        raise InputError(window.failure)
+    return 0 if run is None or run.succeeded else 1
+
+
+class _Driven:
+    """Runs a test against the window with ImGui's test engine, then closes it."""
+
+    def __init__(self, params: hello_imgui.RunnerParams, core: Core, drive: Callable[[Core, Any], None]):
+        self.succeeded = False
+        self._core, self._drive, self._params = core, drive, params
+        params.use_imgui_test_engine = True
+        params.callbacks.register_tests = self._register
+
+    def _register(self) -> None:
+        engine = hello_imgui.get_imgui_test_engine()
+        test = imgui.test_engine.register_test(engine, "window", "drive")
+        test.test_func = self._run
+        io = imgui.test_engine.get_io(engine)
+        io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
+        imgui.test_engine.queue_test(engine, test)
+
+    def _run(self, ctx: Any) -> None:
+        try:
+            self._drive(self._core, ctx)
+            self.succeeded = not ctx.is_error()
+        except BaseException:
+            import traceback
+
+            traceback.print_exc()
+        finally:
+            self._core.quitting = True

@@ -1,0 +1,77 @@
+"""Going to cameras that come from elsewhere: a loaded list, the clipboard."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from ...scene import Camera
+from .core import Core
+from .navigation import view_from_camera
+
+
+def go_to_camera(core: Core, index: int) -> None:
+    """Jumps to the loaded camera `index`, counted round the list."""
+    if not core.cameras:
+        core.tell("No cameras are loaded: File > Load a list of cameras")
+        return
+    core.camera_index = index % len(core.cameras)
+    camera = core.cameras[core.camera_index]
+    take_position(core, camera)
+    core.tell(f"Camera {core.camera_index + 1} of {len(core.cameras)}: {camera.name or 'unnamed'}")
+
+
+def step_camera(core: Core, step: int) -> None:
+    """Next or previous: the first step goes to the first or last camera."""
+    go_to_camera(core, core.camera_index + step if core.camera_index >= 0 or step > 0 else -1)
+
+
+def take_position(core: Core, camera: Camera) -> None:
+    """Looks as `camera` does; the turning point keeps its distance, the up axis stays."""
+    width, height = core.picture_size
+    view = core.destination
+    core.go_to(view_from_camera(camera, distance=view.distance, up=view.up, width=width, height=height))
+
+
+def copy_camera(core: Core) -> None:
+    """Puts the view on the clipboard in the form that `splatview render --camera` reads."""
+    core.clipboard_write = camera_text(core.camera)
+    core.tell("The camera is on the clipboard")
+
+
+def paste_camera(core: Core) -> None:
+    try:
+        camera = camera_from_text(core.clipboard_read())
+    except ValueError as error:
+        core.tell(f"There is no camera on the clipboard: {error}")
+        return
+    take_position(core, camera)
+
+
+def camera_text(camera: Camera) -> str:
+    """The camera as CAM.json has it."""
+    data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return json.dumps({**data, "world_to_camera": camera.world_to_camera.tolist()})
+
+
+def camera_from_text(text: str) -> Camera:
+    """The camera that `text` describes.
+
+    Raises:
+        ValueError: it is no camera; the message says why.
+    """
+    try:
+        data = json.loads(text)
+        return Camera(
+            width=int(data["width"]),
+            height=int(data["height"]),
+            **{name: float(data[name]) for name in ("fx", "fy", "cx", "cy")},
+            world_to_camera=np.array(data["world_to_camera"], dtype=np.float64),
+        )
+    except json.JSONDecodeError:
+        raise ValueError("it holds no JSON") from None
+    except KeyError as error:
+        raise ValueError(f"{error} is missing") from None
+    except (TypeError, RecursionError, OverflowError):
+        raise ValueError("it is not an object with the numbers of a camera") from None

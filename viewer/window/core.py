@@ -1,0 +1,170 @@
+"""The window without the window: what is open, where the eye is, what was asked for.
+
+Panels draw from a `Core` and post commands to it; the frame loop runs them between two frames, on the
+GL thread. Nothing here imports ImGui, so all of it is tested without a display.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...scene import Camera, RenderSettings
+from ..gl import VisualMode
+from .bookmarks import Bookmark
+from .loading import LoadedScene, Loading
+from .navigation import Transition, View
+from .navigation.view import look_from
+from .picture import Picture
+from .preferences import Preferences
+
+MESSAGES_KEPT = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One line of the messages panel."""
+
+    text: str
+    error: bool
+    at: float
+    """Seconds since the epoch."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Core:
+    """The window's whole state. Fields are plain: panels set the simple ones, commands the rest."""
+
+    preferences: Preferences
+    picture: Picture | None = None
+    """None until the GL context exists."""
+    scene: LoadedScene | None = None
+    loading: Loading | None = None
+    """A scene on its way; the old one stays until it is here."""
+
+    view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
+    transition: Transition | None = None
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    mode: VisualMode = "splats"
+
+    cameras: list[Camera] = field(default_factory=list)
+    """Loaded camera list."""
+    camera_index: int = -1
+    bookmarks: list[Bookmark] = field(default_factory=list)
+    bookmark_index: int = -1
+
+    picture_size: tuple[int, int] = (1, 1)
+    """Px of the visible area; the rendered picture is `preferences.resolution_scale` times that."""
+    frame_history: deque[dict[str, float]] = field(default_factory=lambda: deque(maxlen=120))
+    """Stage times in ms of the latest drawn frames."""
+    messages: deque[Message] = field(default_factory=lambda: deque(maxlen=MESSAGES_KEPT))
+    problem: str | None = None
+    """An error that waits in a dialog for the user to read it."""
+    dialog: str | None = None
+    """Which dialog is open: "help", "screenshot" or none."""
+    screenshot_size: tuple[int, int] | None = None
+    """Px, as the screenshot dialog has it; None: the size that is seen."""
+    gpu_name: str = ""
+    process_mib: float = 0.0
+    """Memory of this process, MiB."""
+    clipboard_write: str | None = None
+    """Text for the system's clipboard, taken by the frame loop."""
+    clipboard_read: Callable[[], str] = str
+    choose_files: Callable[..., None] = lambda *args, **kwargs: None
+    """Opens a file dialog; set by the window. (title, done(paths), kind)"""
+    panels_hidden: bool = False
+    open_panels: set[str] | None = None
+    """While panels are hidden: those to show again."""
+    quitting: bool = False
+    now: Callable[[], float] = time.monotonic
+    _posted: deque[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=deque)
+
+    # ---- commands
+
+    def post(self, command: Callable[..., None], *args: Any) -> None:
+        """Runs `command(core, *args)` before the next frame. May be called from any thread."""
+        self._posted.append((command, args))
+
+    def run_posted(self) -> int:
+        """Runs what was posted, what that posts included; returns how many commands ran."""
+        ran = 0
+        while self._posted:
+            command, args = self._posted.popleft()
+            command(self, *args)
+            ran += 1
+        return ran
+
+    # ---- messages
+
+    def tell(self, text: str) -> None:
+        """One line into the messages panel and the status bar."""
+        self.messages.append(Message(text=text, error=False, at=time.time()))
+
+    def complain(self, text: str) -> None:
+        """One line that the user must not miss: a dialog, and the messages panel."""
+        self.messages.append(Message(text=text, error=True, at=time.time()))
+        self.problem = text
+
+    # ---- the view
+
+    def go_to(self, view: View, *, smooth: bool = True) -> None:
+        """Changes the view, as a short motion where the user likes that."""
+        if smooth and self.preferences.smooth:
+            self.transition = Transition(start=self.view, end=view, began=self.now())
+        else:
+            self.transition = None
+            self.view = view
+
+    @property
+    def destination(self) -> View:
+        """Where the view is going: two quick key presses add up rather than cut each other off."""
+        return self.transition.end if self.transition else self.view
+
+    def steer(self, view: View) -> None:
+        """The user's hand on the view: ends any motion and takes effect at once."""
+        self.transition = None
+        self.view = view
+
+    def advance(self) -> None:
+        """Moves a running transition on to now."""
+        if self.transition:
+            now = self.now()
+            self.view = self.transition.at(now)
+            if self.transition.done(now):
+                self.transition = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the visible area at full resolution."""
+        return self.view.camera(*self.picture_size)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something is on its way that the next frames should show."""
+        return self.loading is not None or (self.picture is not None and self.picture.busy)
+
+    # ---- settings
+
+    def prefer(self, **changes: Any) -> None:
+        """Changes preferences; those that decide the picture take effect in `settings` too."""
+        self.preferences = replace(self.preferences, **changes)
+        if "background" in changes or "blend" in changes:
+            self.settings = replace(
+                self.settings, background=self.preferences.background, blend=self.preferences.blend
+            )
+        if "fov_y" in changes:
+            self.steer(replace(self.view, lens=replace(self.view.lens, fov_y=self.preferences.fov_y)))
+
+    @property
+    def scene_path(self) -> Path | None:
+        """The first file of the open scene: what bookmarks and pictures are put beside."""
+        return self.scene.paths[0] if self.scene and self.scene.paths else None
+
+
+Y_UP = np.array([0.0, 1.0, 0.0])

@@ -1,0 +1,122 @@
+"""What is where: docks, menu bar, status bar, and what floats above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+from . import menus, overlays, viewport
+from .core import Core
+from .file_dialogs import FileDialogs
+from .panels import bookmarks, camera, messages, rendering, scene, statistics
+from .preferences import config_folder
+
+LAYOUT_FILE = "layout.ini"
+
+PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
+    ("Scene", "Upper", scene.show),
+    ("Picture", "Upper", rendering.show),
+    ("Camera", "Upper", camera.show),
+    ("Views", "Lower", bookmarks.show),
+    ("Statistics", "Lower", statistics.show),
+    ("Messages", "Lower", messages.show),
+)
+"""Name, dock and contents of each panel."""
+
+VIEW = "View"
+"""The dock in the middle, which holds the picture."""
+
+
+def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams:
+    """hello_imgui's parameters but for the callbacks that `app` sets."""
+    params = hello_imgui.RunnerParams()
+    window = params.app_window_params
+    window.window_title = title(core)
+    window.window_geometry.size = size
+    window.restore_previous_geometry = True
+
+    style = params.imgui_window_params
+    style.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+    style.show_menu_bar = True
+    style.show_menu_app = style.show_menu_view = False
+    style.show_status_bar = True
+    style.show_status_fps = False
+    style.remember_theme = style.remember_status_bar_settings = False
+
+    params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
+    params.ini_filename = str(config_folder() / LAYOUT_FILE)
+    params.ini_filename_use_app_window_title = False
+    try:
+        config_folder().mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        params.ini_disable = True
+        core.tell(f"{config_folder()}: cannot be made ({error.strerror}); the layout will not be kept")
+
+    params.callbacks.show_menus = partial(menus.show, core)
+    params.callbacks.show_status = partial(overlays.status_bar, core)
+    params.docking_params = docking(core)
+    return params
+
+
+def docking(core: Core) -> hello_imgui.DockingParams:
+    """The picture on the left, two stacks of panels on the right."""
+    split = hello_imgui.DockingSplit
+    params = hello_imgui.DockingParams()
+    params.docking_splits = [
+        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27),
+        split("Upper", "Lower", imgui.Dir.down, 0.42),
+    ]
+    view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
+    # hello_imgui would add padding around the picture; the window is begun by hand instead.
+    view.call_begin_end = False
+    view.include_in_view_menu = False
+    params.dockable_windows = [view]
+    for name, dock, contents in PANELS:
+        window = hello_imgui.DockableWindow(name, dock, partial(contents, core))
+        params.dockable_windows.append(window)
+    params.main_dock_space_node_flags = imgui.DockNodeFlags_.auto_hide_tab_bar
+    return params
+
+
+def show_view(core: Core) -> None:
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
+    flags = (
+        imgui.WindowFlags_.no_scrollbar
+        | imgui.WindowFlags_.no_scroll_with_mouse
+        | imgui.WindowFlags_.no_move
+        | imgui.WindowFlags_.no_collapse
+    )
+    visible = imgui.begin(VIEW, None, flags)[0]
+    imgui.pop_style_var()
+    if visible:
+        viewport.show(core)
+        overlays.over_picture(core)
+    imgui.end()
+
+
+def show_floating(core: Core, dialogs: FileDialogs) -> None:
+    """Dialogs above everything."""
+    overlays.loading(core)
+    overlays.problem(core)
+    overlays.help_page(core)
+    overlays.screenshot(core)
+    dialogs.show()
+
+
+def title(core: Core) -> str:
+    return f"{core.scene.name} - splatview" if core.scene else "splatview"
+
+
+def hide_or_show_panels(core: Core) -> None:
+    """Makes what is visible follow `core.panels_hidden`; what the user had closed stays closed."""
+    windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
+    if core.panels_hidden and core.open_panels is None:
+        core.open_panels = {window.label for window in windows if window.is_visible}
+        for window in windows:
+            window.is_visible = False
+    elif not core.panels_hidden and core.open_panels is not None:
+        for window in windows:
+            window.is_visible = window.label in core.open_panels
+        core.open_panels = None

@@ -1,0 +1,144 @@
+"""Reading scenes in a thread, so that the window never waits for a disk."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...scene import Gaussians, InputError, concatenate
+from ...scene.effects import Effect, census
+from ...scene.files import LoadCancelled, load_scene
+from ...scene.framing import robust_bounds
+from ...scene.health import Finding, check
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoadedScene:
+    """A scene and all that is found out about it before it is shown."""
+
+    gaussians: Gaussians
+    paths: tuple[Path, ...]
+    """The files it came from; none for the demo."""
+    name: str
+    centre: np.ndarray
+    """(3,) float64, world: middle of where the splats are."""
+    radius: float
+    """World units, > 0: outliers left out."""
+    effects: tuple[Effect, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+    """How long loading took."""
+
+
+class Loading:
+    """One load under way. All attributes may be read from any thread.
+
+    `read` makes the scene; it is called in the thread with `progress(0..1)` and `cancelled()`.
+    """
+
+    def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
+        self.name = name
+        self.progress = 0.0
+        self.stage = "Reading"
+        self.result: LoadedScene | None = None
+        self.error: str | None = None
+        self._paths = tuple(paths)
+        self._read = read
+        self._cancelled = threading.Event()
+        # A daemon: a read that hangs on a dead network drive must not keep the program from ending.
+        self._thread = threading.Thread(target=self._run, name="splatview-load", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def cancelled(self) -> bool:
+        return self._cancelled.is_set()
+
+    def cancel(self) -> None:
+        """Asks the thread to end soon; its result will not be used."""
+        self._cancelled.set()
+
+    def join(self, timeout: float) -> None:
+        self._thread.join(timeout)
+
+    def _advance(self, share: float) -> None:
+        self.progress = min(max(share, self.progress), 1.0)
+
+    def _run(self) -> None:
+        began = time.perf_counter()
+        try:
+            gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
+            self.stage = "Examining"
+            self._check_cancelled()
+            centre, radius = robust_bounds(gaussians.means)
+            effects = census(gaussians)
+            self._check_cancelled()
+            findings = check(gaussians)
+            self._check_cancelled()
+            self.result = LoadedScene(
+                gaussians=gaussians,
+                paths=self._paths,
+                name=self.name,
+                centre=centre,
+                radius=radius if 0 < radius < np.inf else 1.0,
+                effects=tuple(effects),
+                findings=tuple(findings),
+                seconds=time.perf_counter() - began,
+            )
+            self.progress = 1.0
+        except LoadCancelled:
+            self._cancelled.set()
+        except InputError as error:
+            self.error = str(error)
+        except MemoryError:
+            self.error = f"{self.name}: not enough memory to open it"
+        except Exception as error:
+            # Whatever a reader did not foresee: the window and the old scene must survive it.
+            self.error = f"{self.name}: cannot be opened ({type(error).__name__}: {error})"
+
+    def _check_cancelled(self) -> None:
+        if self._cancelled.is_set():
+            raise LoadCancelled
+
+
+def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
+    """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
+    sizes = [path.stat().st_size if path.is_file() else 0 for path in paths]
+    whole = max(sum(sizes), 1)
+    before = [sum(sizes[:i]) for i in range(len(sizes))]
+
+    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
+        parts = [added_to.gaussians] if added_to else []
+        for path, size, start in zip(paths, sizes, before, strict=True):
+            parts.append(
+                load_scene(
+                    path,
+                    progress=lambda share, size=size, start=start: progress((start + share * size) / whole),
+                    cancelled=cancelled,
+                )
+            )
+        return concatenate(parts) if len(parts) > 1 else parts[0]
+
+    all_paths = (*(added_to.paths if added_to else ()), *paths)
+    name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
+    if added_to and not added_to.paths:
+        name = f"{added_to.name} and {name}"
+    return Loading(name, all_paths, read)
+
+
+def load_demo() -> Loading:
+    """Starts to make the bundled scene, which the window opens with when it is given none."""
+    from ...scene.demo import demo_scene
+
+    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
+        return demo_scene()
+
+    return Loading("Demo", (), read)

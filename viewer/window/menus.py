@@ -1,0 +1,113 @@
+"""The menu bar. Every entry is an action of the shortcut table, or opens something by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from imgui_bundle import hello_imgui, imgui
+
+from . import opening
+from .actions import ACTIONS, NAVIGATION_MODES, UP_NAMES, VISUAL_MODES, set_up, up_name
+from .core import Core
+from .navigation import AXIS_NAMES
+from .shortcuts import keys_of, text_of
+
+
+def show(core: Core) -> None:
+    if imgui.begin_menu("File"):
+        file_menu(core)
+        imgui.end_menu()
+    if imgui.begin_menu("Camera"):
+        camera_menu(core)
+        imgui.end_menu()
+    if imgui.begin_menu("Picture"):
+        for mode in VISUAL_MODES:
+            item(core, f"mode_{mode}", selected=core.mode == mode)
+        imgui.end_menu()
+    if imgui.begin_menu("Window"):
+        window_menu(core)
+        imgui.end_menu()
+    if imgui.begin_menu("Help"):
+        item(core, "toggle_help", "Keys and mouse")
+        imgui.end_menu()
+
+
+def item(core: Core, action: str, name: str = "", *, selected: bool = False, enabled: bool = True) -> None:
+    """A menu entry with its key; `name` where the table's text would be too long."""
+    clicked, _ = imgui.menu_item(name or text_of(action), keys_of(action), selected, enabled)
+    if clicked:
+        core.post(ACTIONS[action])
+
+
+def file_menu(core: Core) -> None:
+    item(core, "open", "Open...")
+    item(core, "add", "Add to the scene...", enabled=core.scene is not None)
+    if imgui.begin_menu("Recent", bool(core.preferences.recent)):
+        for name in core.preferences.recent:
+            if imgui.menu_item(f"{Path(name).name}##{name}", "", False)[0]:
+                core.post(opening.open_paths, [Path(name)])
+            if imgui.is_item_hovered():
+                imgui.set_tooltip(name)
+        imgui.separator()
+        if imgui.menu_item("Forget these", "", False)[0]:
+            core.prefer(recent=())
+        imgui.end_menu()
+    if imgui.menu_item("Demo scene", "", False)[0]:
+        core.post(opening.begin_demo)
+    imgui.separator()
+    item(core, "open_cameras", "Load cameras...")
+    imgui.separator()
+    item(core, "screenshot", "Save a picture")
+    item(core, "screenshot_as", "Save a picture as...")
+    imgui.separator()
+    item(core, "quit")
+
+
+def camera_menu(core: Core) -> None:
+    item(core, "frame_all")
+    if imgui.begin_menu("Look from"):
+        for name in AXIS_NAMES:
+            item(core, f"look_from_{name}", name)
+        imgui.end_menu()
+    item(core, "level")
+    imgui.separator()
+    for mode in NAVIGATION_MODES:
+        item(
+            core,
+            f"navigate_{mode}",
+            mode.capitalize(),
+            selected=core.preferences.navigation == mode,
+        )
+    imgui.separator()
+    if imgui.begin_menu("Up axis"):
+        now = up_name(core.view)
+        for name in UP_NAMES:
+            if imgui.menu_item(name, "", now == name)[0]:
+                core.post(set_up, name)
+        imgui.separator()
+        item(core, "next_up", "Next")
+        item(core, "up_from_view", "What is up in the picture")
+        imgui.end_menu()
+    item(core, "narrower")
+    item(core, "wider")
+    imgui.separator()
+    item(core, "add_bookmark")
+    item(core, "next_bookmark", enabled=bool(core.bookmarks))
+    item(core, "previous_camera", enabled=bool(core.cameras))
+    item(core, "next_camera", enabled=bool(core.cameras))
+    imgui.separator()
+    item(core, "copy_camera")
+    item(core, "paste_camera")
+
+
+def window_menu(core: Core) -> None:
+    item(core, "toggle_panels", "Only the picture", selected=core.panels_hidden)
+    imgui.separator()
+    params = hello_imgui.get_runner_params()
+    for window in params.docking_params.dockable_windows:
+        if window.can_be_closed and imgui.menu_item(window.label, "", window.is_visible)[0]:
+            window.is_visible = not window.is_visible
+    imgui.separator()
+    if imgui.menu_item("Put the panels back", "", False)[0]:
+        core.panels_hidden, core.open_panels = False, None
+        params.docking_params.layout_reset = True

@@ -1,0 +1,140 @@
+"""How the picture is made: what is shown, the image model's knobs, the background."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from imgui_bundle import ImVec4, imgui
+
+from ....scene.image_model import BLUR, NEAR
+from ..actions import VISUAL_MODES, set_mode
+from ..core import Core
+from . import widgets
+
+MODE_NAMES = {
+    "splats": "Splats",
+    "points": "Points",
+    "ellipsoids": "Ellipsoids",
+    "depth": "Depth",
+    "overdraw": "Overdraw",
+}
+MODE_TIP = (
+    "What is drawn for each splat. Splats: the picture itself. Points: centres only, to see structure. "
+    "Ellipsoids: solid bodies, to see needles and discs. Depth: near is bright. "
+    "Overdraw: how many splats each pixel costs, to see where time goes."
+)
+BACKGROUNDS = (
+    ("Black", (0.0, 0.0, 0.0)),
+    ("Graphite", (0.10, 0.10, 0.11)),
+    ("Grey", (0.5, 0.5, 0.5)),
+    ("White", (1.0, 1.0, 1.0)),
+    ("Sky", (0.53, 0.70, 0.90)),
+)
+
+
+def show(core: Core) -> None:
+    mode = widgets.combo("Show", core.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
+    if mode is not None:
+        core.post(set_mode, mode)
+    sh_degree(core)
+    scale = widgets.slider(
+        "Resolution",
+        core.preferences.resolution_scale,
+        0.25,
+        2.0,
+        "Rendered pixels for each pixel of the window, along each side. Half is about four times as fast; "
+        "two smooths edges. Saved pictures are always at full resolution.",
+        form="%.2f x",
+    )
+    if scale is not None:
+        core.prefer(resolution_scale=scale)
+    widgets.section("Background")
+    background(core)
+    widgets.section("Image model")
+    image_model(core)
+
+
+def sh_degree(core: Core) -> None:
+    stored = core.scene.gaussians.sh_degree if core.scene else 3
+    choices = ["all", *(str(degree) for degree in range(stored + 1))]
+    names = [f"All stored ({stored})", "0: constant colour", "1", "2", "3"][: len(choices)]
+    now = core.settings.sh_degree
+    value = "all" if now is None or now > stored else str(now)
+    chosen = widgets.combo(
+        "SH degree",
+        value,
+        choices,
+        "Highest band of view-dependent colour that is computed. Lower is faster and loses gloss.",
+        names,
+    )
+    if chosen is not None:
+        core.settings = replace(core.settings, sh_degree=None if chosen == "all" else int(chosen))
+
+
+def background(core: Core) -> None:
+    tip = "Blended behind the scene, as it is: no gamma. Scenes are mostly trained on black or white."
+    widgets.label("Colour", tip)
+    changed, colour = imgui.color_edit3("##background", list(core.preferences.background))
+    widgets.tooltip(tip)
+    if changed:
+        r, g, b = (min(max(float(part), 0.0), 1.0) for part in colour)
+        core.prefer(background=(r, g, b))
+    widgets.label("Presets", "Backgrounds for one click.")
+    side = imgui.get_frame_height()
+    for i, (name, preset) in enumerate(BACKGROUNDS):
+        if i:
+            imgui.same_line()
+        flags = imgui.ColorEditFlags_.no_tooltip | imgui.ColorEditFlags_.no_drag_drop
+        if imgui.color_button(f"{name}##background", ImVec4(*preset, 1), flags, (side, side)):
+            core.prefer(background=preset)
+        widgets.tooltip(name)
+
+
+def image_model(core: Core) -> None:
+    model = core.settings.model
+    antialiased = widgets.checkbox(
+        "Antialiased",
+        model.antialiased,
+        "Takes back from small splats the brightness that the blur adds (Mip-Splatting). Right only for "
+        "scenes that were trained so; others become thin and dark.",
+    )
+    if antialiased is not None:
+        model = replace(model, antialiased=antialiased)
+    blur = widgets.slider(
+        "Blur",
+        model.blur,
+        0.0,
+        1.0,
+        f"Variance in px² added to every footprint. Trained scenes expect {BLUR}; some antialiased ones 0.1.",
+    )
+    if blur is not None:
+        model = replace(model, blur=blur)
+    near = widgets.slider(
+        "Near",
+        model.near,
+        0.001,
+        10.0,
+        "Splats nearer to the eye than this are not drawn, world units. Raise it to look inside.",
+        form="%.3f",
+        logarithmic=True,
+    )
+    if near is not None:
+        model = replace(model, near=near)
+    if model != core.settings.model:
+        core.settings = replace(core.settings, model=model)
+    blend = widgets.combo(
+        "Blending",
+        core.preferences.blend,
+        ("float16", "float32"),
+        "Precision of the target that splats are blended into. float16 is faster and within 4/255 of the "
+        "truth; float32 is for measuring.",
+    )
+    if blend is not None:
+        core.prefer(blend=blend)
+    defaults = replace(core.settings, model=type(model)())
+    if defaults != core.settings:
+        widgets.button(
+            "Back to the defaults",
+            f"Antialiasing off, blur {BLUR} px², near {NEAR}: what scenes are trained with.",
+            lambda: setattr(core, "settings", defaults),
+        )

@@ -1,0 +1,61 @@
+"""What is open: its files, size, what its effects are and what is ill in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import imgui
+
+from .. import theme
+from ..core import Core
+from . import widgets
+
+
+def show(core: Core) -> None:
+    scene = core.scene
+    if scene is None:
+        widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
+        widgets.action_button(core, "Open...", "open")
+        return
+    gaussians = scene.gaussians
+    for path in scene.paths:
+        widgets.fact("File", path.name, str(path))
+    if not scene.paths:
+        widgets.fact("Scene", scene.name, "Made by the program itself; open a file to replace it.")
+    widgets.fact("Splats", f"{len(gaussians):,}", "Gaussians in the scene, ill ones included.")
+    widgets.fact(
+        "SH degree", str(gaussians.sh_degree), "Highest band of view-dependent colour that is stored."
+    )
+    widgets.fact("In memory", f"{gaussians.nbytes / 2**20:,.1f} MiB", "All arrays of the scene.")
+    means = gaussians.means[np.isfinite(gaussians.means).all(axis=1)]
+    if len(means):
+        low, high = (", ".join(f"{v:.4g}" for v in side(axis=0)) for side in (means.min, means.max))
+        widgets.fact("From", low, "Least x, y, z of all finite centres, world units.")
+        widgets.fact("To", high, "Greatest x, y, z of all finite centres, world units.")
+    widgets.fact(
+        "Middle",
+        ", ".join(f"{v:.4g}" for v in scene.centre),
+        "Of where the splats are, outliers left out: what F frames.",
+    )
+    widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
+
+    if scene.effects:
+        widgets.section("Effects")
+        for effect in scene.effects:
+            imgui.text_colored(
+                imgui.ImVec4(*theme.ACCENT, 1) if effect.on else theme.QUIET, "on" if effect.on else "off"
+            )
+            imgui.same_line(imgui.get_font_size() * 2.6)
+            imgui.text(effect.name)
+            widgets.tooltip(effect.why)
+    widgets.section("Health")
+    ill = [finding for finding in scene.findings if finding.count]
+    if not ill:
+        widgets.note("No splat is ill.")
+    for finding in ill:
+        imgui.text_colored(theme.WARNING, f"{finding.count:,}")
+        imgui.same_line(imgui.get_font_size() * 5)
+        imgui.text(finding.name)
+    if gaussians.comments:
+        widgets.section("Comments in the file")
+        for comment in gaussians.comments:
+            widgets.note(comment)

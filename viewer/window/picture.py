@@ -1,0 +1,209 @@
+"""Where the window's picture comes from: the GPU's splats or the CPU's, behind one interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import moderngl
+import numpy as np
+
+from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ..gl import FrameStats, VisualMode, make_renderer
+from ..gl.context import describe
+from ..gl.cpu_texture import CpuTexture
+
+
+class Picture(Protocol):
+    """Draws a scene into a texture. Only the GL thread calls it."""
+
+    name: str
+    """What the statistics panel calls it."""
+    modes: tuple[VisualMode, ...]
+    """What it can show."""
+
+    def load(self, gaussians: Gaussians) -> None:
+        """Replaces the scene. Raises InputError where it does not fit into memory."""
+        ...
+
+    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
+        """Brings the texture up to date; costs nothing where nothing has changed."""
+        ...
+
+    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
+        """The finished picture (H, W, 4) float32, whatever the window shows meanwhile."""
+        ...
+
+    @property
+    def texture(self) -> moderngl.Texture:
+        """The latest picture, row 0 on top; of another size than asked for while a better one is made."""
+        ...
+
+    @property
+    def busy(self) -> bool:
+        """Whether a better picture is on its way: the window then keeps asking."""
+        ...
+
+    @property
+    def stats(self) -> FrameStats: ...
+
+    @property
+    def status(self) -> str:
+        """What the user should know while waiting, or ""."""
+        ...
+
+    def take_problem(self) -> str | None:
+        """What went wrong behind the scenes since the last call."""
+        ...
+
+    def release(self) -> None: ...
+
+
+class GpuPicture:
+    """The GL renderer that suits the context, drawing straight into the window's context."""
+
+    modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
+
+    def __init__(self, ctx: moderngl.Context):
+        self._renderer = make_renderer(ctx)
+        self._ctx = ctx
+        self.name = self._renderer.name
+        self.load(EMPTY)
+
+    def load(self, gaussians: Gaussians) -> None:
+        self._renderer.load(gaussians)
+
+    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
+        self._renderer.draw(camera, settings, mode=mode)
+
+    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
+        self._renderer.draw(camera, settings, mode=mode)
+        return self._renderer.read()
+
+    @property
+    def texture(self) -> moderngl.Texture:
+        return self._renderer.texture
+
+    @property
+    def busy(self) -> bool:
+        return False
+
+    @property
+    def stats(self) -> FrameStats:
+        return self._renderer.stats
+
+    @property
+    def status(self) -> str:
+        return ""
+
+    def take_problem(self) -> str | None:
+        return None
+
+    def release(self) -> None:
+        self._renderer.release()
+
+
+class CpuPicture:
+    """Splats by the CPU rasteriser; what it cannot show (points, depth, ...) by the GL renderer.
+
+    The GL renderer is made and loaded only when such a mode is first asked for.
+    """
+
+    modes = GpuPicture.modes
+    name = "cpu"
+
+    def __init__(self, ctx: moderngl.Context, *, on_ready: Callable[[], object] = lambda: None):
+        self._ctx = ctx
+        self._cpu = CpuTexture(ctx, on_ready=on_ready)
+        self._gpu: GpuPicture | None = None
+        self._gaussians = EMPTY
+        self._gpu_holds: Gaussians | None = None
+        self._by_gpu = False
+        self.load(EMPTY)
+
+    def load(self, gaussians: Gaussians) -> None:
+        self._gaussians = gaussians
+        self._cpu.load(gaussians)
+        if self._gpu is not None:
+            # Not kept twice: loaded again when a mode needs it.
+            self._gpu.load(EMPTY)
+            self._gpu_holds = EMPTY
+
+    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
+        self._by_gpu = mode != "splats"
+        if self._by_gpu:
+            self._loaded_gpu().draw(camera, settings, mode)
+        else:
+            self._cpu.draw(camera, settings)
+
+    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
+        if mode != "splats":
+            return self._loaded_gpu().read(camera, settings, mode)
+        return self._cpu.read(camera, settings)
+
+    def _loaded_gpu(self) -> GpuPicture:
+        if self._gpu is None:
+            self._gpu = GpuPicture(self._ctx)
+        if self._gpu_holds is not self._gaussians:
+            self._gpu.load(self._gaussians)
+            self._gpu_holds = self._gaussians
+        return self._gpu
+
+    @property
+    def texture(self) -> moderngl.Texture:
+        return self._gpu.texture if self._by_gpu and self._gpu else self._cpu.texture
+
+    @property
+    def busy(self) -> bool:
+        return not self._by_gpu and self._cpu.busy
+
+    @property
+    def stats(self) -> FrameStats:
+        return self._gpu.stats if self._by_gpu and self._gpu else self._cpu.stats
+
+    @property
+    def status(self) -> str:
+        return "" if self._by_gpu else self._cpu.status
+
+    def take_problem(self) -> str | None:
+        problem, self._cpu.problem = self._cpu.problem, None
+        return problem
+
+    def release(self) -> None:
+        self._cpu.release()
+        if self._gpu is not None:
+            self._gpu.release()
+
+
+def choose_picture(
+    ctx: moderngl.Context, renderer: str, *, on_ready: Callable[[], object] = lambda: None
+) -> Picture:
+    """What draws: `renderer` is "auto", "quads" or "cpu"; "auto" takes the CPU where GL is only software.
+    `on_ready` is called, in any thread, when a picture has come that was waited for.
+
+    Raises:
+        InputError: the name is unknown, or the renderer does not work here.
+    """
+    if renderer not in RENDERERS:
+        raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
+    if renderer == "cpu" or (renderer == "auto" and describe(ctx).is_software):
+        return CpuPicture(ctx, on_ready=on_ready)
+    return GpuPicture(ctx)
+
+
+RENDERERS = ("auto", "quads", "cpu")
+
+
+EMPTY = Gaussians(
+    means=np.zeros((0, 3), np.float32),
+    quats=np.zeros((0, 4), np.float32),
+    log_scales=np.zeros((0, 3), np.float32),
+    opacity_logits=np.zeros(0, np.float32),
+    sh=np.zeros((0, 1, 3), np.float32),
+)
+"""What is shown before anything is open."""
+
+
+def scaled_camera(camera: Camera, scale: float) -> Camera:
+    """`camera` on `scale` times the pixels, at least 1x1."""
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))

@@ -1,0 +1,157 @@
+"""What the window remembers between runs, as one JSON file in the user's configuration folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+NavigationMode = Literal["orbit", "fly", "trackball"]
+BlendPrecision = Literal["float16", "float32"]
+
+FILE_NAME = "preferences.json"
+MAX_RECENT = 12
+"""As many as fit a menu without scrolling."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preferences:
+    """Equal in meaning on every machine: nothing here names a window position or a GPU."""
+
+    navigation: NavigationMode = "orbit"
+    fly_speed: float = 1.0
+    """Factor on the speed that suits the scene's size."""
+    mouse_speed: float = 1.0
+    invert_wheel: bool = False
+    smooth: bool = True
+    """Whether jumps are shown as short motions."""
+    fov_y: float = 50.0
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    blend: BlendPrecision = "float16"
+    resolution_scale: float = 1.0
+    recent: tuple[str, ...] = ()
+    """Absolute paths, newest first."""
+
+
+RANGES = {
+    "fly_speed": (0.01, 100.0),
+    "mouse_speed": (0.1, 10.0),
+    "fov_y": (5.0, 140.0),
+    "resolution_scale": (0.125, 2.0),
+}
+"""Inclusive limits of the numbers; the panels' sliders read them too."""
+
+
+def config_folder() -> Path:
+    """The platform's place for settings; SPLATVIEW_CONFIG_DIR overrides it. It may not exist yet."""
+    if override := os.environ.get("SPLATVIEW_CONFIG_DIR"):
+        return Path(override)
+    if sys.platform == "win32":
+        base = Path(os.environ.get("APPDATA") or Path.home() / "AppData" / "Roaming")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Application Support"
+    else:
+        base = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    return base / "splatview"
+
+
+def load_preferences() -> tuple[Preferences, str | None]:
+    """The saved preferences, and one line to show the user where something was wrong with the file.
+
+    A file that is no JSON object is renamed to preferences.json.broken; single values that make no
+    sense, a later version's say, are replaced by their defaults. Never raises.
+    """
+    path = config_folder() / FILE_NAME
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return Preferences(), None
+    except OSError as error:
+        return Preferences(), f"Cannot read {path}: {error.strerror}. Defaults are used."
+    except (ValueError, RecursionError):
+        data = None
+    if not isinstance(data, dict):
+        aside = path.with_name(FILE_NAME + ".broken")
+        try:
+            os.replace(path, aside)
+        except OSError as error:
+            return Preferences(), f"{path} is broken and cannot be set aside: {error.strerror}."
+        return Preferences(), f"{path} was broken: it is now {aside.name}, and defaults are used."
+    defaults = Preferences()
+    kept, wrong = {}, []
+    for item in fields(Preferences):
+        if item.name not in data:
+            continue
+        try:
+            kept[item.name] = checked(item.name, data[item.name], getattr(defaults, item.name))
+        except ValueError:
+            wrong.append(item.name)
+    line = f"{path}: ignored what is not valid in {', '.join(wrong)}." if wrong else None
+    return replace(defaults, **kept), line
+
+
+def checked(name: str, value: Any, default: Any) -> Any:
+    """`value` of a JSON file as the field `name` needs it; ValueError where it cannot be."""
+    choices = {"navigation": get_args(NavigationMode), "blend": get_args(BlendPrecision)}.get(name)
+    if choices is not None:
+        if value not in choices:
+            raise ValueError(name)
+        return value
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise ValueError(name)
+        return value
+    if isinstance(default, float):
+        low, high = RANGES[name]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+            raise ValueError(name)
+        return float(value)
+    if name == "background":
+        if not isinstance(value, list) or len(value) != 3:
+            raise ValueError(name)
+        if not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in value):
+            raise ValueError(name)
+        return tuple(float(v) for v in value)
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise ValueError(name)
+    return tuple(value[:MAX_RECENT])
+
+
+def save_preferences(preferences: Preferences) -> None:
+    """Writes the file whole or not at all.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    write_json(config_folder() / FILE_NAME, asdict(preferences))
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Writes `data` as JSON beside `path`, then puts it in place: a crash leaves the old file whole.
+
+    Raises:
+        OSError: the folder cannot be made or written to.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(data, file, indent=2, allow_nan=False)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def with_recent(preferences: Preferences, path: Path) -> Preferences:
+    """`path` as the newest of the recent files, once."""
+    newest = str(path.absolute())
+    others = [entry for entry in preferences.recent if entry != newest]
+    return replace(preferences, recent=(newest, *others)[:MAX_RECENT])

@@ -1,0 +1,121 @@
+"""The picture in the middle of the window: drawn at the visible area's size, steered by the mouse."""
+
+from __future__ import annotations
+
+import math
+
+import moderngl
+from imgui_bundle import ImVec2, imgui
+
+from .actions import focus_at
+from .core import Core
+from .keys import held_step
+from .navigation import dolly, look, move, orbit, pan, trackball
+from .picture import scaled_camera
+from .preferences import RANGES
+
+ORBIT_SPEED = math.pi
+"""Radians for a drag across the picture's height."""
+
+WHEEL_STEP = 0.85
+"""Factor on the distance for one notch towards the scene."""
+
+FLY_SPEED = 0.4
+"""Scene radii a second at speed 1."""
+
+LONGEST_STEP = 0.1
+"""Seconds that one frame's flight may count for: after a stall the eye must not leap."""
+
+_LEFT, _RIGHT, _MIDDLE = imgui.MouseButton_.left, imgui.MouseButton_.right, imgui.MouseButton_.middle
+
+
+def show(core: Core) -> None:
+    """The contents of the view's dock: the picture, and what the mouse and held keys do to it."""
+    area = imgui.get_content_region_avail()
+    width, height = max(1, int(area.x)), max(1, int(area.y))
+    scale = imgui.get_io().display_framebuffer_scale
+    core.picture_size = (max(1, round(width * scale.x)), max(1, round(height * scale.y)))
+    corner = imgui.get_cursor_screen_pos()
+    buttons = (
+        imgui.ButtonFlags_.mouse_button_left
+        | imgui.ButtonFlags_.mouse_button_right
+        | imgui.ButtonFlags_.mouse_button_middle
+    )
+    imgui.set_next_item_allow_overlap()
+    imgui.invisible_button("picture", ImVec2(width, height), buttons)
+    steer_by_mouse(core, corner, width, height, scale)
+    steer_by_keys(core)
+    draw_picture(core, corner, width, height)
+
+
+def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
+    picture = core.picture
+    if picture is None:
+        return
+    camera = scaled_camera(core.camera, core.preferences.resolution_scale)
+    picture.draw(camera, core.settings, core.mode)
+    texture = picture.texture
+    # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
+    texture.swizzle = "RGB1"
+    exact = texture.size == core.picture_size
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST) if exact else (moderngl.LINEAR, moderngl.LINEAR)
+    imgui.get_window_draw_list().add_image(
+        imgui.ImTextureRef(texture.glo), corner, ImVec2(corner.x + width, corner.y + height)
+    )
+
+
+def steer_by_mouse(core: Core, corner: ImVec2, width: int, height: int, scale: ImVec2) -> None:
+    """Drags that began on the picture, and the wheel and double clicks over it."""
+    io = imgui.get_io()
+    if imgui.is_item_active() and (io.mouse_delta.x or io.mouse_delta.y):
+        dx, dy = io.mouse_delta.x, io.mouse_delta.y
+        panning = imgui.is_mouse_down(_RIGHT) or imgui.is_mouse_down(_MIDDLE)
+        # When flying, Shift is the fast gear of the keys.
+        panning = panning or (io.key_shift and core.preferences.navigation != "fly")
+        if panning:
+            core.steer(pan(core.view, dx, dy, height=height))
+        elif imgui.is_mouse_down(_LEFT):
+            turn(core, io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y, dx, dy, width, height)
+    if not imgui.is_item_hovered():
+        return
+    if imgui.is_mouse_double_clicked(_LEFT):
+        x = (io.mouse_pos.x - corner.x) * scale.x
+        y = (io.mouse_pos.y - corner.y) * scale.y
+        core.post(focus_at, x, y)
+    if io.mouse_wheel:
+        notches = -io.mouse_wheel if core.preferences.invert_wheel else io.mouse_wheel
+        if core.preferences.navigation == "fly":
+            low, high = RANGES["fly_speed"]
+            core.prefer(fly_speed=min(max(core.preferences.fly_speed * 1.2**notches, low), high))
+            core.tell(f"Flying speed {core.preferences.fly_speed:.2g}")
+        else:
+            core.steer(dolly(core.view, WHEEL_STEP**notches))
+
+
+def turn(core: Core, x: float, y: float, dx: float, dy: float, width: int, height: int) -> None:
+    """A left drag that came to (x, y) by (dx, dy), in ImGui's units from the picture's corner."""
+    radians = core.preferences.mouse_speed * ORBIT_SPEED / height
+    match core.preferences.navigation:
+        case "orbit":
+            core.steer(orbit(core.view, dx * radians, dy * radians))
+        case "fly":
+            # What is under the mouse goes with it: looking turns by the angle that a pixel spans.
+            pixel = core.preferences.mouse_speed * math.radians(core.view.lens.fov_y) / height
+            core.steer(look(core.view, -dx * pixel, dy * pixel))
+        case "trackball":
+            half = min(width, height) / 2
+            end = ((x - width / 2) / half, (y - height / 2) / half)
+            start = (end[0] - dx / half, end[1] - dy / half)
+            core.steer(trackball(core.view, start, end))
+
+
+def steer_by_keys(core: Core) -> bool:
+    """Flies while keys are held, in every mode; returns whether one is."""
+    step = held_step()
+    if step is None:
+        return False
+    radius = core.scene.radius if core.scene else core.view.distance
+    seconds = min(imgui.get_io().delta_time, LONGEST_STEP)
+    length = core.preferences.fly_speed * FLY_SPEED * radius * seconds
+    core.steer(move(core.view, [part * length for part in step]))
+    return True
