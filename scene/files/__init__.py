@@ -6,11 +6,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from ..camera import Camera
+from ..errors import InputError
 from ..gaussians import Gaussians
+from .cameras import read_cameras_file, write_camera
 from .ply import load_ply
+from .ply_write import save_ply
 from .progress import LoadCancelled, Watch
 
-__all__ = ["LoadCancelled", "load_scene"]
+__all__ = ["LoadCancelled", "load_cameras", "load_scene", "save_camera", "save_scene"]
 
 
 def load_scene(
@@ -29,3 +33,37 @@ def load_scene(
         LoadCancelled: `cancelled` returned true.
     """
     return load_ply(Path(path), Watch(progress=progress, cancelled=cancelled))
+
+
+def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Writes a scene in the format of the suffix, wholly or not at all: an older file stays until then.
+
+    Raises:
+        InputError: the suffix names no format that can be written, or the system refuses.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"{path}: scenes are saved as .ply; give it that suffix")
+    if path.name.lower().endswith(".compressed.ply"):
+        raise InputError(f"{path}: compressed .ply cannot be written yet; drop .compressed from the name")
+    save_ply(gaussians, path)
+
+
+def load_cameras(
+    path: str | os.PathLike[str], *, on_note: Callable[[str], None] | None = None
+) -> list[Camera]:
+    """The cameras in a file or folder, at least one.
+
+    Read are our own JSON (one camera or a list), the ``cameras.json`` that the 3DGS trainer writes, and
+    COLMAP models (a folder, or its ``cameras`` or ``images`` file, .bin or .txt; sorted by image name).
+    `on_note` gets a line about whatever a pinhole camera cannot hold, lens distortion say.
+
+    Raises:
+        InputError: the file is missing, damaged or of another kind.
+    """
+    return read_cameras_file(Path(path), on_note or (lambda note: None))
+
+
+def save_camera(camera: Camera, path: str | os.PathLike[str]) -> None:
+    """Writes a camera as JSON that `load_cameras` reads, wholly or not at all. Raises InputError."""
+    write_camera(camera, Path(path))

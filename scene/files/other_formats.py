@@ -53,6 +53,6 @@ def refuse_other_ply(header: Header, path: Path) -> None:
     for element in header.elements:
         if element.name in ("face", "tristrips") and element.count > 0:
             raise InputError(
-                f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample points on "
-                "it, or train splats from pictures of it"
+                f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample "
+                "points on it, or train splats from pictures of it"
             )

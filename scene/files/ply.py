@@ -93,7 +93,7 @@ def _check_names(vertex: Element, path: Path) -> None:
     names = [prop.name for prop in vertex.properties]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{path}: the header has property {ascii(twice)} twice; the file is damaged")
+        raise InputError(f"{path}: the header has property {twice!a} twice; the file is damaged")
 
 
 def _read_splats(
@@ -111,8 +111,8 @@ def _read_splats(
         raise InputError(f"{path}: the splats have no {', '.join(missing)}; export the scene again with them")
     if coefficients is None or not set(rest_names) <= set(column):
         raise InputError(
-            f"{path}: {len(rest)} properties f_rest_* make no spherical harmonics of degree 0 to 3; these have "
-            "f_rest_0 up to none, f_rest_8, f_rest_23 or f_rest_44"
+            f"{path}: {len(rest)} properties f_rest_* make no whole SH bands; degrees 0 to 3 have 0, 9, 24 "
+            "and 45, numbered from f_rest_0; export the scene again"
         )
     scale_names = ("scale_0", "scale_1", "scale_2" if "scale_2" in column else "scale_1")
     per_channel = coefficients - 1
@@ -120,11 +120,9 @@ def _read_splats(
     sh_names += [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
     used = [*POSITION, *sh_names, *scale_names, "opacity", *(f"rot_{i}" for i in range(4))]
     for name in used:
-        if vertex.scalars[column[name]].dtype.kind != "f":
-            raise InputError(
-                f"{path}: property {name} is {vertex.scalars[column[name]].dtype.name}; splats have it as float; "
-                "export the scene again"
-            )
+        dtype = vertex.scalars[column[name]].dtype
+        if dtype.kind != "f":
+            raise InputError(f"{path}: {name} is {dtype.name}, but must be a float; export the scene again")
     check_size(header, vertex, file_bytes, path)
 
     n = vertex.count

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from .excerpt import excerpt
 from .ply_header import Element, Header
 from .ply_rows import AsciiRows, BinaryRows
 from .progress import Watch
@@ -115,7 +116,7 @@ def _cast(
             if not fits.all():
                 prop = element.scalars[target.columns[0]]
                 raise InputError(
-                    f"{path}: a value of {prop.name} is no {rows.dtype.name} as the header says; the file is damaged"
+                    f"{path}: a value of {excerpt(prop.name)} is no {rows.dtype.name}; the file is damaged"
                 )
         with np.errstate(over="ignore", invalid="ignore"):
             rows[:] = values

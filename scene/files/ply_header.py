@@ -12,6 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import InputError
+from .excerpt import excerpt
 
 MAX_HEADER_BYTES = 1 << 20
 """Headers are a few KiB, comments included; a file that goes on longer is something else."""
@@ -159,11 +160,6 @@ def read_header(file: BinaryIO, path: object) -> Header:
         comments=tuple(comments),
         body_offset=body_offset,
     )
-
-
-def excerpt(text: str) -> str:
-    """`text` quoted on one line, cut where long: for messages about files that may hold anything."""
-    return ascii(text if len(text) <= 60 else text[:57] + "...")
 
 
 def _dtype(type_name: str, byte_order: str | None) -> np.dtype | None:

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..errors import InputError
-from .ply_header import Element, excerpt
+from .excerpt import excerpt
+from .ply_header import Element
 from .progress import Watch
 
 CHUNK_BYTES = 1 << 20
@@ -87,8 +88,8 @@ class BinaryRows:
 
     def _ended(self, element: Element) -> InputError:
         return InputError(
-            f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its header "
-            "promises; it is truncated, or was cut while it was read"
+            f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its "
+            "header promises; it is truncated, or was cut while it was read"
         )
 
 
@@ -131,8 +132,8 @@ class AsciiRows:
             line = self._file.readline(MAX_LINE_BYTES)
             if not line:
                 raise InputError(
-                    f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its "
-                    "header promises; it is truncated"
+                    f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that "
+                    "its header promises; it is truncated"
                 )
             if len(line) == MAX_LINE_BYTES:
                 raise InputError(f"{self._path}: a line of {element.name} is endless; the file is damaged")

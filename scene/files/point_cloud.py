@@ -82,7 +82,7 @@ def read_point_cloud(
 
 
 def _white(colours: np.ndarray, dtype: np.dtype) -> float:
-    """The value that means full intensity: of integers their largest, of floats 1, or 255 where any exceeds 1."""
+    """What means full intensity: of integers their largest, of floats 1, or 255 where any exceeds 1."""
     if dtype.kind in "iu":
         return float(np.iinfo(dtype).max)
     with np.errstate(invalid="ignore"):
@@ -115,7 +115,7 @@ def spacing(means: np.ndarray) -> np.ndarray:
 
 
 def morton_codes(points: np.ndarray) -> np.ndarray:
-    """(N, 3) finite float64 -> (N,) uint64: the bits of the three coordinates in a cube of 2²¹ cells, interleaved."""
+    """(N, 3) finite float64 -> (N,) uint64: cells of a cube, 2²¹ to a side, with the bits interleaved."""
     low = points.min(axis=0)
     side = (points.max(axis=0) - low).max()
     cells = ((points - low) * ((2**21 - 1) / side if side > 0 else 0.0)).astype(np.uint64)
