@@ -72,10 +72,11 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     # hello_imgui would add padding around the picture; the window is begun by hand instead.
     view.call_begin_end = False
     view.include_in_view_menu = False
-    params.dockable_windows = [view]
-    for name, dock, contents in PANELS:
-        window = hello_imgui.DockableWindow(name, dock, partial(contents, core))
-        params.dockable_windows.append(window)
+    # Assigned at once: the binding hands out copies of its lists.
+    params.dockable_windows = [
+        view,
+        *(hello_imgui.DockableWindow(name, dock, partial(contents, core)) for name, dock, contents in PANELS),
+    ]
     params.main_dock_space_node_flags = imgui.DockNodeFlags_.auto_hide_tab_bar
     return params
 
