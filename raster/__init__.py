@@ -72,11 +72,14 @@ def draw_frame(
     settings: RenderSettings,
     workspace: Workspace,
     *,
+    background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
     early_stop: float = EARLY_STOP,
     threads: int | None = None,
 ) -> Frame:
-    """Draws a picture and keeps what `backward` needs.
+    """Draws a picture in `dtype`, float32 or float64, and keeps what `backward` needs.
+
+    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -88,13 +91,15 @@ def draw_frame(
     if settings.sh_degree is not None and not settings.sh_degree >= 0:
         raise ValueError(f"sh_degree must be at least 0, got {settings.sh_degree}")
     stored = SH_COEFFICIENTS.index(splats.sh.shape[1])
-    background = np.asarray(settings.background, dtype)
-    if background.shape != (3,):
-        raise ValueError(f"background must be 3 numbers, got {settings.background}")
+    if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
+        raise ValueError(f"dtype must be float32 or float64, got {np.dtype(dtype)}")
+    behind = np.array(settings.background if background is None else background, dtype)
+    if behind.shape != (3,) or not np.isfinite(behind).all():
+        raise ValueError(f"background must be 3 finite numbers, got {behind}")
     return draw(
         splats,
         make_view(camera, settings, np.dtype(dtype)),
-        background,
+        behind,
         workspace,
         sh_degree=stored if settings.sh_degree is None else min(stored, settings.sh_degree),
         early_stop=early_stop,

@@ -1,0 +1,1 @@
+"""Training splats from photos with torch."""
