@@ -12,6 +12,7 @@ from imgui_bundle import hello_imgui, imgui, implot  # before glfw: it says whic
 import glfw  # isort: skip
 
 from ...scene import InputError
+from ..gl.context import describe
 from . import keys, layout, opening, theme
 from .core import Core
 from .display import best_gl_version
@@ -63,6 +64,7 @@ class Window:
             self.failure = str(error)
             self.core.quitting = True
             return
+        self.core.gpu_name = describe(self._ctx).renderer
         self._drop = install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
         if self._paths:
@@ -80,6 +82,7 @@ class Window:
         opening.finish_loading(core)
         core.run_posted()
         core.advance()
+        core.note_statistics()
         if core.clipboard_write is not None:
             imgui.set_clipboard_text(core.clipboard_write)
             core.clipboard_write = None
@@ -151,6 +154,7 @@ def run_window(
     callbacks = params.callbacks
     callbacks.load_additional_fonts = theme.load_fonts
     callbacks.setup_imgui_style = theme.apply
+    callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
     callbacks.pre_new_frame = window.before_frame
     callbacks.post_render_dockable_windows = window.frame
@@ -164,6 +168,13 @@ def run_window(
     if window.failure:
         raise InputError(window.failure)
     return 0 if run is None or run.succeeded else 1
+
+
+def configure_imgui() -> None:
+    """hello_imgui's settings, but the arrow keys fly rather than walk through the panels' controls."""
+    hello_imgui.imgui_default_settings.setup_default_imgui_config()
+    io = imgui.get_io()
+    io.config_flags &= ~int(imgui.ConfigFlags_.nav_enable_keyboard)
 
 
 class _Driven:

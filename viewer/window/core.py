@@ -6,6 +6,7 @@ GL thread. Nothing here imports ImGui, so all of it is tested without a display.
 
 from __future__ import annotations
 
+import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -71,8 +72,8 @@ class Core:
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""
     gpu_name: str = ""
-    process_mib: float = 0.0
-    """Memory of this process, MiB."""
+    process_mib: float | None = None
+    """Memory of this process, MiB, where the system tells."""
     clipboard_write: str | None = None
     """Text for the system's clipboard, taken by the frame loop."""
     clipboard_read: Callable[[], str] = str
@@ -83,6 +84,8 @@ class Core:
     """While panels are hidden: those to show again."""
     quitting: bool = False
     now: Callable[[], float] = time.monotonic
+    _frames_noted: int = 0
+    _memory_due: float = 0.0
     _posted: deque[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=deque)
 
     # ---- commands
@@ -149,6 +152,22 @@ class Core:
         """Whether something is on its way that the next frames should show."""
         return self.loading is not None or (self.picture is not None and self.picture.busy)
 
+    # ---- statistics
+
+    def note_statistics(self) -> None:
+        """Remembers what the latest drawn frame cost, and once a second the process's memory."""
+        if self.picture is None:
+            return
+        stats = self.picture.stats
+        if stats.drawn != self._frames_noted and stats.ms:
+            self._frames_noted = stats.drawn
+            self.frame_history.append(dict(stats.ms))
+        if problem := self.picture.take_problem():
+            self.complain(problem)
+        if self.now() >= self._memory_due:
+            self._memory_due = self.now() + 1.0
+            self.process_mib = process_memory()
+
     # ---- settings
 
     def prefer(self, **changes: Any) -> None:
@@ -168,3 +187,12 @@ class Core:
 
 
 Y_UP = np.array([0.0, 1.0, 0.0])
+
+
+def process_memory() -> float | None:
+    """Resident memory of this process in MiB; None where it cannot be told without more libraries."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

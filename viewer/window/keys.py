@@ -42,10 +42,16 @@ def _key(name: str) -> imgui.Key:
 
 
 def post_pressed(core: Core) -> None:
-    """Posts the action of every shortcut pressed in this frame; none while the user is typing."""
+    """Posts the action of every shortcut pressed in this frame.
+
+    None while the user is typing, and only the way out while a menu or question is open.
+    """
     if imgui.get_io().want_text_input:
         return
+    asked = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
     for shortcut in SHORTCUTS:
+        if asked and shortcut.action != "cancel":
+            continue
         if not shortcut.held and any(imgui.is_key_chord_pressed(chord(key)) for key in shortcut.keys):
             core.post(ACTIONS[shortcut.action])
 
@@ -53,7 +59,7 @@ def post_pressed(core: Core) -> None:
 def held_step() -> tuple[float, float, float] | None:
     """(right, up, forward) of the held keys, times 4 when fast and 1/4 when slow; None where none is."""
     io = imgui.get_io()
-    if io.want_text_input or io.key_ctrl:
+    if io.want_text_input or io.key_ctrl or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         return None
     step = [0.0, 0.0, 0.0]
     any_down = False

@@ -7,7 +7,7 @@ from functools import partial
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from . import menus, overlays, viewport
+from . import dialogs, menus, overlays, viewport
 from .core import Core
 from .file_dialogs import FileDialogs
 from .panels import bookmarks, camera, messages, rendering, scene, statistics
@@ -64,9 +64,12 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     """The picture on the left, two stacks of panels on the right."""
     split = hello_imgui.DockingSplit
     params = hello_imgui.DockingParams()
+    # Tabs can be closed and brought back from the Window menu; more buttons than that are clutter.
+    tidy = imgui.internal.DockNodeFlagsPrivate_
+    flags = tidy.no_window_menu_button | tidy.no_close_button
     params.docking_splits = [
-        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27),
-        split("Upper", "Lower", imgui.Dir.down, 0.42),
+        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27, flags),
+        split("Upper", "Lower", imgui.Dir.down, 0.42, flags),
     ]
     view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
     # hello_imgui would add padding around the picture; the window is begun by hand instead.
@@ -97,13 +100,13 @@ def show_view(core: Core) -> None:
     imgui.end()
 
 
-def show_floating(core: Core, dialogs: FileDialogs) -> None:
+def show_floating(core: Core, files: FileDialogs) -> None:
     """Dialogs above everything."""
-    overlays.loading(core)
-    overlays.problem(core)
-    overlays.help_page(core)
-    overlays.screenshot(core)
-    dialogs.show()
+    dialogs.loading(core)
+    dialogs.problem(core)
+    dialogs.help_page(core)
+    dialogs.screenshot(core)
+    files.show()
 
 
 def title(core: Core) -> str:

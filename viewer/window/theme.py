@@ -6,7 +6,7 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 
 FONT = "fonts/Roboto/Roboto-Regular.ttf"
 """Ships with imgui-bundle."""
-FONT_SIZE = 15.0
+FONT_SIZE = 16.0
 
 ACCENT = (0.36, 0.66, 0.92)
 WARNING = ImVec4(0.95, 0.72, 0.35, 1)

@@ -32,9 +32,9 @@ def show(core: Core) -> None:
 
 def bookmark_row(core: Core, index: int, name: str) -> None:
     imgui.push_id(index)
-    spacing = imgui.get_style().item_spacing.x
-    side = imgui.get_frame_height()
-    if imgui.selectable(name, index == core.bookmark_index, size=(-2 * (side + spacing), 0))[0]:
+    buttons = 2 * (imgui.get_frame_height() + imgui.get_style().item_spacing.x)
+    width = max(imgui.get_content_region_avail().x - buttons, imgui.get_font_size())
+    if imgui.selectable(name, index == core.bookmark_index, 0, (width, 0))[0]:
         core.post(go_to_bookmark, index)
     widgets.tooltip("Go to this view")
     imgui.same_line()

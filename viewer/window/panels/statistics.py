@@ -30,7 +30,8 @@ def show(core: Core) -> None:
     widgets.fact("Splats", f"{stats.splats:,}", "In the scene.")
     share = f" ({stats.visible / stats.splats:.0%})" if stats.splats else ""
     widgets.fact("Visible", f"{stats.visible:,}{share}", "Left after culling, a frame or two ago.")
-    widgets.fact("Memory", f"{core.process_mib:,.0f} MiB", "Of this program, the scene included.")
+    if core.process_mib is not None:
+        widgets.fact("Memory", f"{core.process_mib:,.0f} MiB", "Of this program, the scene included.")
     widgets.section("Time of a drawn frame")
     total = sum(stats.ms.values())
     widgets.fact(
