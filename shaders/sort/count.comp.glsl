@@ -1,0 +1,14 @@
+// Counts the keys of each digit value in each block.
+
+#include "sort/blocks.glsl"
+#include "sort/own_counts.glsl"
+
+void main() {
+    count_own_keys();
+    for (uint d = gl_LocalInvocationID.x; d < uint(RADIX); d += uint(WORKGROUP)) {
+        uint sum = 0u;
+        for (uint i = 0u; i < uint(WORKGROUP); ++i)
+            sum += own_counts[d * uint(WORKGROUP) + i];
+        table[d * plan.blocks + gl_WorkGroupID.x] = sum;
+    }
+}
