@@ -68,7 +68,8 @@ class RadixSort:
         limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
         if not 4 * capacity <= limit:
             raise InputError(
-                f"{capacity:,} splats are more than this OpenGL driver can sort ({limit // 4:,}): use --renderer cpu"
+                f"{capacity:,} splats are more than this OpenGL driver can sort ({limit // 4:,});"
+                " use --renderer cpu"
             )
         self.capacity = capacity
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)

@@ -25,13 +25,13 @@ def tuning(request: pytest.FixtureRequest) -> SortTuning:
 def run_sort(ctx: moderngl.Context, keys: np.ndarray, tuning: SortTuning) -> tuple[np.ndarray, np.ndarray]:
     """Sorts keys with their indices as values; both as they are afterwards."""
     sorter = RadixSort(ctx, len(keys), tuning=tuning)
-    buffers = [ctx.buffer(a) for a in (keys, np.arange(len(keys), dtype=np.uint32))]
+    key_buffer, value_buffer = ctx.buffer(keys), ctx.buffer(np.arange(len(keys), dtype=np.uint32))
     count = ctx.buffer(np.array([len(keys)], np.uint32))
-    sorter.sort(*buffers, count)
-    after = [np.frombuffer(buffer.read(), np.uint32) for buffer in buffers]
-    for thing in (sorter, *buffers, count):
+    sorter.sort(key_buffer, value_buffer, count)
+    sorted_keys, order = (np.frombuffer(buffer.read(), np.uint32) for buffer in (key_buffer, value_buffer))
+    for thing in (sorter, key_buffer, value_buffer, count):
         thing.release()
-    return after[0], after[1]
+    return sorted_keys, order
 
 
 def check(ctx: moderngl.Context, keys: np.ndarray, tuning: SortTuning) -> None:
