@@ -82,7 +82,7 @@ def render(
     q = (a[:, None] * dx + b[:, None] * dy) ** 2 + (c[:, None] * dy) ** 2
     alpha = (opacities[:, None] * (-q / 2).exp()).clamp_max(model.max_alpha)
     alpha = torch.where(alpha >= model.alpha_cut, alpha, 0)
-    light = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha).cumprod(0)])
+    light = torch.cat([torch.ones_like(px.reshape(1, -1)), (1 - alpha).cumprod(0)])
     colour = (alpha * light[:-1]).T @ colours + light[-1][:, None] * background
     picture = torch.cat([colour, 1 - light[-1][:, None]], dim=1)
     return picture.reshape(camera.height, camera.width, 4)

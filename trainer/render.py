@@ -27,7 +27,7 @@ class Visibility:
     means2d: torch.Tensor | None = field(default=None)
     """(N, 2) dL/d(mean in the image), px; None before backward."""
     abs_means2d: torch.Tensor | None = field(default=None)
-    """(N, 2) the same, added up over pixels by absolute value (Ye et al. 2024, AbsGS); None before backward."""
+    """(N, 2) the same, added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
 
     @property
     def visible(self) -> torch.Tensor:
@@ -73,10 +73,12 @@ def render(
         "opacity_logits": opacity_logits,
         "sh": sh,
     }
-    for name, tensor in named.items():
-        _check(name, tensor, means.dtype)
+    if not isinstance(means, torch.Tensor):
+        raise ValueError(f"means must be a tensor, got {type(means).__name__}")
     if means.dtype not in (torch.float32, torch.float64):
         raise ValueError(f"means must be torch.float32 or torch.float64, got {means.dtype}")
+    for name, tensor in named.items():
+        _check(name, tensor, means.dtype)
     if background is None:
         background = torch.tensor(settings.background, dtype=means.dtype)
     if pose is None:
