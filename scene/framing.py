@@ -1,0 +1,72 @@
+"""A first view of a scene that nobody has looked at: where it is, how large, and which way is up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .camera import Camera, look_at
+from .gaussians import Gaussians
+from .image_model import NEAR
+from .projection import FLOAT32_MAX
+
+WORLD_UP = (0.0, -1.0, 0.0)
+"""Trainers keep the axes of the first photos, x right, y down: -y is up, nearly or exactly."""
+
+VIEW_OFFSET = (0.4, -0.4, -1.0)
+"""From the scene to the eye: in front (photos look along +z), a little above and beside."""
+
+OUTLIERS = 5.0
+"""Percent of the splats left out at either end of each axis: trained scenes have floaters far away."""
+
+SAMPLE = 200_000
+"""Splats looked at; their percentiles differ from those of all by less than a picture shows."""
+
+SPLAT_SIGMAS = 3.0
+"""A scene is at least so many standard deviations of its median splat large: a lone splat fills the view."""
+
+
+def frame_camera(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 50.0) -> Camera:
+    """A camera that has the bulk of the scene in view, with -y up. `fov_y` in degrees, 0 to 180.
+
+    Works for any scene, none or ill splats included: see `robust_bounds`.
+    """
+    centre, radius = _bounds(gaussians.means)
+    with np.errstate(over="ignore"):
+        sizes = np.exp(gaussians.log_scales[:: _stride(len(gaussians))].max(axis=1, initial=-np.inf))
+    sizes = sizes[(sizes > 0) & (sizes <= FLOAT32_MAX)]
+    if len(sizes):
+        radius = max(radius, SPLAT_SIGMAS * float(np.median(sizes)))
+    radius = radius or 1.0
+    tan_y = math.tan(math.radians(fov_y) / 2)
+    narrower = math.atan(min(tan_y, tan_y * width / height))
+    # Scenes of millimetres must not vanish before the near plane, nor eye and target become one number.
+    distance = max(radius / math.sin(narrower), radius + 2 * NEAR, 1e-9 * float(np.abs(centre).max()))
+    offset = np.array(VIEW_OFFSET) / np.linalg.norm(VIEW_OFFSET)
+    return look_at(centre + offset * distance, centre, up=WORLD_UP, fov_y=fov_y, width=width, height=height)
+
+
+def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) float64 and radius > 0, in world units, of the bulk of `means` (N, 3).
+
+    They belong to the box that leaves out OUTLIERS percent of the splats at either end of each axis; splats
+    that are not finite do not count. The radius is 1 where no two splats are apart.
+    """
+    centre, radius = _bounds(means)
+    return centre, radius or 1.0
+
+
+def _bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
+    """As `robust_bounds`, with a radius of 0 where no two splats are apart."""
+    with np.errstate(invalid="ignore"):
+        finite = means[(np.abs(means) <= FLOAT32_MAX).all(axis=1)]
+    if not len(finite):
+        return np.zeros(3), 0.0
+    sample = finite[:: _stride(len(finite))].astype(np.float64)
+    low, high = np.percentile(sample, [OUTLIERS, 100 - OUTLIERS], axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+
+
+def _stride(count: int) -> int:
+    return max(1, count // SAMPLE)
