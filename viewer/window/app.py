@@ -44,12 +44,11 @@ class Window:
         self.core.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs()
         self.core.choose_files = self.dialogs.ask
-        self.failure: str | None = None
+        self.failure: Exception | None = None
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
         self._saved: Preferences = preferences
-        self._drop: Callable[..., None] | None = None
         if complaint:
             self.core.tell(complaint)
 
@@ -60,12 +59,12 @@ class Window:
         self._ctx = moderngl.create_context()
         try:
             self.core.picture = choose_picture(self._ctx, self._renderer, on_ready=glfw.post_empty_event)
-        except InputError as error:
-            self.failure = str(error)
-            self.core.quitting = True
+        except Exception as error:
+            # An exception that leaves this callback would take the process down without a word.
+            self.failure = error
             return
         self.core.gpu_name = describe(self._ctx).renderer
-        self._drop = install_drop_handler(self.core)
+        install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
         if self._paths:
             opening.open_paths(self.core, self._paths)
@@ -119,7 +118,9 @@ class Window:
             try:
                 save_preferences(core.preferences)
             except OSError as error:
-                self.failure = f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+                self.failure = InputError(
+                    f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+                )
 
 
 def run_window(
@@ -166,7 +167,7 @@ def run_window(
     finally:
         implot.destroy_context()
     if window.failure:
-        raise InputError(window.failure)
+        raise window.failure
     return 0 if run is None or run.succeeded else 1
 
 

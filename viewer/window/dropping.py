@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,15 @@ from .core import Core
 from .opening import open_paths
 
 
-def install_drop_handler(core: Core) -> Callable[[Any, Sequence[str]], None]:
-    """Opens what is dropped; a handler that was there before is called too. Returns the handler.
+def install_drop_handler(core: Core) -> None:
+    """Opens what is dropped. To be called once hello_imgui has its window.
 
-    To be called once hello_imgui has its window.
+    Neither hello_imgui nor ImGui's GLFW backend has a drop callback of its own that would have to be
+    called as well.
     """
-    window = glfw_window_hello_imgui()
-    previous: Callable[..., None] | None = None
 
-    def dropped(window: Any, names: Sequence[str]) -> None:
-        if previous is not None:
-            previous(window, names)
+    def dropped(_window: Any, names: Sequence[str]) -> None:
         core.post(open_paths, [Path(name) for name in names])
 
-    previous = glfw.set_drop_callback(window, dropped)
-    return dropped
+    # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
+    glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imgui_bundle import ImVec2, imgui
 
-from . import theme
+from . import gizmo, theme
 from .actions import NAVIGATION_MODES
 from .core import Core
 from .panels import widgets
@@ -33,6 +33,11 @@ def over_picture(core: Core) -> None:
         widgets.action_button(core, NAVIGATION_NAMES[mode], f"navigate_{mode}")
         imgui.pop_style_color()
     imgui.pop_style_var()
+    width = imgui.get_window_width()
+    gizmo.show(core, ImVec2(corner.x + width - margin, corner.y + margin))
+    if core.picture is not None and core.picture.status:
+        imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
+        imgui.text_colored(theme.WARNING, core.picture.status)
     if core.scene is None and core.loading is None:
         text = f"Drop a scene here, or press {keys_of('open')}"
         size, area = imgui.calc_text_size(text), imgui.get_window_size()

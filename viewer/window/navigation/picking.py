@@ -7,13 +7,12 @@ can reach the pixel, so that half a million splats take tens of milliseconds.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ....scene import Camera, Gaussians, RenderSettings
-from ....scene.projection import project
+from ....scene.projection import project, sigmoid
 from ....scene.reference import alphas
 
 SURFACE = 0.5
@@ -65,13 +64,13 @@ def may_reach(
 ) -> np.ndarray:
     """Indices (C,) int64, ascending, of all splats that can reach (x, y) px, and few others.
 
-    A footprint's half extent is at most reach·sqrt(|J|²·s² + blur) with s the largest scale and
-    |J|² <= (f/z)²·(1 + u² + v²), u and v as the Jacobian has them (clamped to within the margin).
+    A footprint's half extent is at most reach·sqrt(|J|²·s² + blur) with s the largest scale,
+    reach² = 2·ln(opacity / cut), and |J|² <= (f/z)²·(1 + u² + v²), u and v as the
+    Jacobian has them (clamped to within the margin).
     """
     model = settings.model
     if not model.alpha_cut > 0:
         return np.arange(len(gaussians))
-    reach = math.sqrt(2 * math.log(max(1.0, 1 / model.alpha_cut)))
     focal = max(camera.fx, camera.fy)
     with np.errstate(all="ignore"):
         offsets = (gaussians.means - camera.eye).astype(np.float32)
@@ -89,6 +88,7 @@ def may_reach(
                 )
             ]
             slant = 1 + np.minimum(np.abs(u), widest[0]) ** 2 + np.minimum(np.abs(v), widest[1]) ** 2
+        reach = np.sqrt(np.maximum(2 * np.log(sigmoid(gaussians.opacity_logits) / model.alpha_cut), 0))
         size = np.exp(gaussians.log_scales.max(axis=1)) * focal / z
         # 1 px and 1 % of slack for float32.
         radius = reach * np.sqrt(size * size * slant + model.blur) * np.float32(1.01) + 1
