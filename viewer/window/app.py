@@ -78,7 +78,7 @@ class Window:
         if core.picture is None:
             params.app_shall_exit = True
             return
-        opening.finish_loading(core)
+        opening.continue_loading(core)
         core.run_posted()
         core.advance()
         core.note_statistics()

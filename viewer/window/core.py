@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...scene import Camera, RenderSettings
-from ..gl import VisualMode
+from ..gl import FrameStats, VisualMode
 from .bookmarks import Bookmark
 from .loading import LoadedScene, Loading
 from .navigation import Transition, View
@@ -48,6 +48,10 @@ class Core:
     scene: LoadedScene | None = None
     loading: Loading | None = None
     """A scene on its way; the old one stays until it is here."""
+    upload: Generator[float] | None = None
+    """Its last stage, advanced a little in every frame."""
+    stats: FrameStats | None = None
+    """Of the picture, read once a frame."""
 
     view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
     transition: Transition | None = None
@@ -158,7 +162,7 @@ class Core:
         """Remembers what the latest drawn frame cost, and once a second the process's memory."""
         if self.picture is None:
             return
-        stats = self.picture.stats
+        stats = self.stats = self.picture.stats
         if stats.drawn != self._frames_noted and stats.ms:
             self._frames_noted = stats.drawn
             self.frame_history.append(dict(stats.ms))

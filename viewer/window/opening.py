@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from .camera_list import go_to_camera
 from .core import Core
 from .loading import LoadedScene, load_demo, load_files
 from .navigation import view_from_camera
-from .picture import EMPTY
 from .preferences import with_recent
 
 CAMERA_SUFFIXES = {".json", ".bin", ".txt"}
@@ -46,36 +46,58 @@ def begin_demo(core: Core) -> None:
 
 
 def cancel_loading(core: Core, *, quiet: bool = False) -> None:
+    """Stops reading or uploading; the shown scene stays."""
+    if not quiet and core.loading:
+        core.tell(f"Cancelled loading {core.loading.name}")
     if core.loading:
         core.loading.cancel()
-        if not quiet:
-            core.tell(f"Cancelled loading {core.loading.name}")
         core.loading = None
+    if core.upload:
+        core.upload.close()
+        core.upload = None
 
 
-def finish_loading(core: Core) -> None:
-    """Called every frame: takes over a scene that has been read, or shows why it could not be."""
+def continue_loading(core: Core) -> None:
+    """Called every frame: takes over a scene that has been read, for a few milliseconds of uploading."""
     loading = core.loading
     if loading is None or not loading.done:
         return
-    core.loading = None
-    if loading.cancelled:
+    if loading.error is not None or loading.result is None:
+        core.loading = None
+        if loading.error is not None:
+            core.complain(loading.error)
         return
-    if loading.error is not None:
-        core.complain(loading.error)
-    elif loading.result is not None:
-        show(core, loading.result)
+    if core.upload is None and core.picture is not None:
+        loading.stage = "Uploading"
+        core.upload = core.picture.load_steps(loading.result.gaussians)
+    if upload_for(core, UPLOAD_SECONDS):
+        core.upload = core.loading = None
+        adopt(core, loading.result)
 
 
-def show(core: Core, scene: LoadedScene) -> None:
-    """Puts `scene` on the GPU and makes it the open one; where it does not fit, the old one comes back."""
-    if core.picture is not None:
-        try:
-            core.picture.load(scene.gaussians)
-        except InputError as error:
-            core.picture.load(core.scene.gaussians if core.scene else EMPTY)
-            core.complain(f"{scene.name}: {error}")
-            return
+UPLOAD_SECONDS = 0.012
+"""Of each frame's time; the rest keeps the window alive."""
+
+
+def upload_for(core: Core, seconds: float) -> bool:
+    """Uploads for about so long; True when all is done. A scene that does not fit is told of and dropped."""
+    until = time.perf_counter() + seconds
+    try:
+        while core.upload is not None and core.loading is not None:
+            core.loading.progress = next(core.upload)
+            if time.perf_counter() >= until:
+                return False
+    except StopIteration:
+        return True
+    except InputError as error:
+        core.complain(f"{core.loading.name if core.loading else 'The scene'}: {error}")
+        core.upload = core.loading = None
+        return False
+    return True
+
+
+def adopt(core: Core, scene: LoadedScene) -> None:
+    """Makes `scene`, which the picture holds already, the open one."""
     same_place = core.scene is not None and scene.paths[:1] == core.scene.paths[:1]
     core.scene = scene
     if not same_place:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Protocol
 
 import moderngl
@@ -22,8 +22,11 @@ class Picture(Protocol):
     modes: tuple[VisualMode, ...]
     """What it can show."""
 
-    def load(self, gaussians: Gaussians) -> None:
-        """Replaces the scene. Raises InputError where it does not fit into memory."""
+    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+        """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
+
+        Raises InputError where it does not fit into memory. Closing the generator keeps the old scene.
+        """
         ...
 
     def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
@@ -66,11 +69,14 @@ class GpuPicture:
 
     def __init__(self, ctx: moderngl.Context):
         self._renderer = make_renderer(ctx)
-        self._ctx = ctx
-        self.name = self._renderer.name
-        self.load(EMPTY)
+        self.name = f"quads (OpenGL {ctx.version_code // 100}.{ctx.version_code // 10 % 10})"
+        self._renderer.load(EMPTY)
+
+    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+        yield from self._renderer.load_steps(gaussians)
 
     def load(self, gaussians: Gaussians) -> None:
+        """As `load_steps`, all at once."""
         self._renderer.load(gaussians)
 
     def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
@@ -109,19 +115,20 @@ class CpuPicture:
     The GL renderer is made and loaded only when such a mode is first asked for.
     """
 
-    modes = GpuPicture.modes
+    modes: tuple[VisualMode, ...] = GpuPicture.modes
     name = "cpu"
 
     def __init__(self, ctx: moderngl.Context, *, on_ready: Callable[[], object] = lambda: None):
         self._ctx = ctx
         self._cpu = CpuTexture(ctx, on_ready=on_ready)
+        self._cpu.load(EMPTY)
         self._gpu: GpuPicture | None = None
         self._gaussians = EMPTY
         self._gpu_holds: Gaussians | None = None
         self._by_gpu = False
-        self.load(EMPTY)
 
-    def load(self, gaussians: Gaussians) -> None:
+    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+        yield 0.0
         self._gaussians = gaussians
         self._cpu.load(gaussians)
         if self._gpu is not None:

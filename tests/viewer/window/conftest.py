@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.viewer.window.core import Core
-from splatview.viewer.window.opening import finish_loading
+from splatview.viewer.window.opening import continue_loading
 from splatview.viewer.window.preferences import Preferences
 
 # A busy machine is no failure.
@@ -40,7 +40,8 @@ class RecordingPicture:
         self.loaded: list[Gaussians] = []
         self.too_big: int | None = None
 
-    def load(self, gaussians: Gaussians) -> None:
+    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+        yield 0.5
         if self.too_big is not None and len(gaussians) >= self.too_big:
             raise InputError("the GPU's memory does not hold it")
         self.loaded.append(gaussians)
@@ -77,7 +78,7 @@ def wait_for_loading() -> Callable[[Core], None]:
         while core.loading is not None:
             assert time.monotonic() < limit, "loading does not end"
             core.loading.join(0.01)
-            finish_loading(core)
+            continue_loading(core)
             core.run_posted()
 
     return wait

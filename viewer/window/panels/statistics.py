@@ -19,9 +19,9 @@ STAGES = {
 
 def show(core: Core) -> None:
     picture = core.picture
-    if picture is None:
+    stats = core.stats
+    if picture is None or stats is None:
         return
-    stats = picture.stats
     widgets.fact("Renderer", picture.name, "What computes the picture.")
     widgets.fact("Runs on", core.gpu_name, "As the OpenGL driver names it.")
     width, height = core.picture_size

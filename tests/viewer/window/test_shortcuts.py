@@ -1,0 +1,35 @@
+"""One table of keys: everything in it works, and nothing is in it twice."""
+
+from __future__ import annotations
+
+import pytest
+
+from splatview.viewer.window.actions import ACTIONS
+from splatview.viewer.window.dialogs import HELP_COLUMNS
+from splatview.viewer.window.keys import chord
+from splatview.viewer.window.shortcuts import HELD_DIRECTIONS, SHORTCUTS, keys_of, text_of
+
+
+def test_every_shortcut_does_something():
+    for shortcut in SHORTCUTS:
+        assert shortcut.action in (HELD_DIRECTIONS if shortcut.held else ACTIONS), shortcut
+
+
+def test_every_action_can_be_found_by_its_key():
+    assert set(ACTIONS) == {shortcut.action for shortcut in SHORTCUTS if not shortcut.held}
+    assert all(keys_of(action) and text_of(action) for action in ACTIONS)
+
+
+def test_no_key_means_two_things():
+    chords = [chord(key) for shortcut in SHORTCUTS for key in shortcut.keys]
+    assert len(chords) == len(set(chords))
+
+
+def test_every_group_is_on_the_help_page():
+    on_page = {group for column in HELP_COLUMNS for group in column}
+    assert {shortcut.group for shortcut in SHORTCUTS} <= on_page
+
+
+def test_an_unknown_key_is_noticed():
+    with pytest.raises(AttributeError):
+        chord("Ctrl+Nonsense")
