@@ -1,0 +1,104 @@
+// EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
+// scene/projection.py that keep float32 accurate. Flag: ANTIALIASED.
+#include "common/numbers.glsl"
+
+uniform mat3 u_camera_from_world;  // world axes to camera axes
+uniform vec3 u_eye_high;           // the eye relative to the scene's centre; high + low carry float64's digits
+uniform vec3 u_eye_low;
+uniform vec2 u_focal;              // px
+uniform vec2 u_principal;          // px
+uniform vec2 u_size;               // px
+uniform vec4 u_ray_limits;         // least and greatest t.xy / t.z that the Jacobian trusts
+uniform float u_near;
+uniform float u_blur;              // px²
+uniform float u_alpha_cut;
+
+const float MIN_QUAT_COMPONENT = 1e-30;
+const float WHOLE_IMAGE = 1e18;    // px; half an axis where no alpha cut bounds the footprint
+
+struct Footprint {
+    vec2 mean;       // px
+    vec3 conic;      // a, b, c in 1/px: q = (a dx + b dy)² + (c dy)²
+    vec2 major_axis; // px, to where alpha falls below the cut
+    float minor_axis;
+    float opacity;
+    float depth;     // t.z
+    vec3 direction;  // unit, world axes, from the eye
+};
+
+mat3 rotation_matrix(vec4 quat, float largest) {
+    // By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
+    vec4 q = normalize(quat / largest);
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    return mat3(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+// False where the splat is culled. `position` is relative to the scene's centre, `scale` and `opacity` are
+// activated, `quat` is wxyz of any length. Every guard is phrased so that NaN fails it.
+bool project(vec3 position, vec4 quat, vec3 scale, float opacity, out Footprint f) {
+    vec3 offset = (position - u_eye_high) - u_eye_low;
+    vec3 t = u_camera_from_world * offset;
+    float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
+    if (!(t.z >= u_near) || !(largest >= MIN_QUAT_COMPONENT)) return false;
+    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;
+    if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
+
+    vec2 ray = t.xy / t.z;
+    f.mean = ray * u_focal + u_principal;
+    f.depth = t.z;
+    f.direction = normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)));
+
+    // Rows of M = J·W·R·diag(s), divided by their largest entry so that a huge splat does not overflow.
+    mat3 axes = u_camera_from_world * rotation_matrix(quat, largest);
+    axes = mat3(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
+    vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);
+    vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
+    vec3 m0 = (u_focal.x / t.z) * (vec3(axes[0].x, axes[1].x, axes[2].x) - slope.x * row_z);
+    vec3 m1 = (u_focal.y / t.z) * (vec3(axes[0].y, axes[1].y, axes[2].y) - slope.y * row_z);
+    if (!is_finite(m0) || !is_finite(m1)) return false;
+    vec3 entries = max(abs(m0), abs(m1));
+    float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);
+    m0 /= spread;
+    m1 /= spread;
+    float blur = u_blur / spread / spread;
+    float m00 = dot(m0, m0), m11 = dot(m1, m1), xy = dot(m0, m1);
+    vec3 area = cross(m0, m1);
+    float det_unblurred = dot(area, area);
+    float det = det_unblurred + blur * (m00 + m11) + blur * blur;
+    float xx = m00 + blur, yy = m11 + blur;
+    if (!(det > 0.0)) return false;
+
+    f.opacity = opacity;
+#if ANTIALIASED
+    f.opacity *= sqrt(det_unblurred / det);
+    if (!(f.opacity >= u_alpha_cut) || !(f.opacity > 0.0)) return false;
+#endif
+    float a = sqrt(yy / det) / spread;
+    f.conic = vec3(a, -xy / yy * a, 1.0 / (sqrt(yy) * spread));
+    if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;
+
+    // The ellipse alpha = cut: along the eigenvectors, 1-sigma lengths sqrt(eigenvalue).
+    if (u_alpha_cut > 0.0) {
+        float half_difference = 0.5 * (xx - yy);
+        float root = sqrt(half_difference * half_difference + xy * xy);
+        float major = 0.5 * (xx + yy) + root;
+        vec2 along = half_difference >= 0.0 ? vec2(half_difference + root, xy) : vec2(xy, root - half_difference);
+        float stretch = max(abs(along.x), abs(along.y));
+        along = stretch > 0.0 ? normalize(along / stretch) : vec2(1.0, 0.0);
+        // A little wide, because log() is only good to 1e-4 or so on some drivers.
+        float reach = sqrt(max(2.0 * log(f.opacity / u_alpha_cut), 0.0) + 1e-3) * spread;
+        f.major_axis = along * (reach * sqrt(major));
+        f.minor_axis = reach * sqrt(det / major);
+        vec2 across = f.minor_axis * vec2(-along.y, along.x);
+        vec2 extent = min(sqrt(f.major_axis * f.major_axis + across * across), WHOLE_IMAGE) + 0.02;
+        // Off screen: no pixel centre within the box.
+        if (any(lessThan(f.mean + extent, vec2(0.5))) || any(greaterThan(f.mean - extent, u_size - 0.5))) return false;
+    } else {
+        f.major_axis = vec2(WHOLE_IMAGE, 0.0);
+        f.minor_axis = WHOLE_IMAGE;
+    }
+    return true;
+}

@@ -1,0 +1,30 @@
+// Appends the visible splats in the order of their indices: with a stable sort after it, splats of equal
+// depth are drawn by index, the same in every frame, which slots from an atomic counter would not give.
+// Flags: GROUP_SIZE.
+#include "quads/culled.glsl"
+layout(local_size_x = GROUP_SIZE) in;
+
+layout(std430, binding = 0) readonly buffer DepthKeys { uint depth_keys[]; };
+layout(std430, binding = 1) readonly buffer GroupStarts { uint group_starts[]; };
+layout(std430, binding = 2) writeonly buffer Keys { uint keys[]; };
+layout(std430, binding = 3) writeonly buffer Order { uint order[]; };
+uniform uint u_splats;
+
+const uint WORDS = uint(GROUP_SIZE) / 32u;
+shared uint visible_bits[WORDS];
+
+void main() {
+    uint me = gl_LocalInvocationID.x, splat = gl_GlobalInvocationID.x;
+    uint word = me / 32u, bit = me % 32u;
+    if (me < WORDS) visible_bits[me] = 0u;
+    barrier();
+    uint key = splat < u_splats ? depth_keys[splat] : CULLED;
+    if (key != CULLED) atomicOr(visible_bits[word], 1u << bit);
+    barrier();
+    if (key == CULLED) return;
+    uint slot = group_starts[gl_WorkGroupID.x];
+    for (uint below = 0u; below < word; below++) slot += uint(bitCount(visible_bits[below]));
+    slot += uint(bitCount(visible_bits[word] & ((1u << bit) - 1u)));
+    keys[slot] = key;
+    order[slot] = splat;
+}

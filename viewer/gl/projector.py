@@ -1,0 +1,117 @@
+"""Project, cull, compact and sort on the GPU: from a scene and a camera to draw order, without read-back."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+
+from ...scene.gaussians import SH_COEFFICIENTS
+from .programs import load_compute
+from .scene_buffers import GROUP_SIZE, SceneBuffers
+from .sort import RadixSort
+from .view_uniforms import Uniform, set_uniforms
+from .visible_count import VisibleCount
+
+QUADS_PER_INSTANCE = 512
+"""Splats drawn as one instance: software and hardware GL alike pay for each instance."""
+
+SCAN_SIZE = 256
+
+RECORD_BYTES = 16
+"""A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
+
+
+class Projector:
+    """Holds what a frame computes before drawing; buffers are sized by the scene."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._programs: dict[tuple[int, int, bool], moderngl.ComputeShader] = {}
+        self._scan = load_compute(
+            ctx, "quads/scan.comp.glsl", {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE}
+        )
+        self._compact = load_compute(ctx, "quads/compact.comp.glsl", {"GROUP_SIZE": GROUP_SIZE})
+        self.visible = VisibleCount(ctx)
+        self.command = ctx.buffer(reserve=20)
+        """DrawElementsIndirectCommand."""
+        self._sized: list[moderngl.Buffer] = []
+        self._sorter: RadixSort | None = None
+
+    def resize(self, splats: int) -> None:
+        """Makes room for a scene of `splats`."""
+        self._release_sized()
+        room = max(1, splats)
+        self._groups = -(-splats // GROUP_SIZE)
+        self.shapes, self.bounds, self.colours = (self._buffer(room * RECORD_BYTES) for _ in range(3))
+        self.depth_keys, self.keys, self.order = (self._buffer(room * 4) for _ in range(3))
+        self._counts = self._buffer(max(1, self._groups) * 4)
+        self._counts.write(np.zeros(max(1, self._groups), dtype=np.uint32))
+        self._starts = self._buffer(max(1, self._groups) * 4)
+        self._sorter = RadixSort(self._ctx, room)
+
+    def _buffer(self, size: int) -> moderngl.Buffer:
+        buffer = self._ctx.buffer(reserve=size)
+        self._sized.append(buffer)
+        return buffer
+
+    def project(
+        self, scene: SceneBuffers, uniforms: dict[str, Uniform], *, sh_degree: int, antialiased: bool
+    ) -> None:
+        """Fills records and keys of all splats, then keys and order of the visible ones, by index."""
+        program = self._program(min(sh_degree, scene.sh_degree), scene.sh_degree, antialiased)
+        set_uniforms(program, uniforms)
+        for slot, buffer in enumerate(
+            (self.shapes, self.bounds, self.colours, self.depth_keys, self._counts), start=4
+        ):
+            buffer.bind_to_storage_buffer(slot)
+        for page in scene.pages:
+            for slot, buffer in enumerate((page.positions, page.quats, page.scales_opacity, page.sh)):
+                buffer.bind_to_storage_buffer(slot)
+            set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count})
+            program.run(-(-page.count // GROUP_SIZE))
+        self._ctx.memory_barrier()
+        for slot, buffer in enumerate((self._counts, self._starts, self.visible.buffer, self.command)):
+            buffer.bind_to_storage_buffer(slot)
+        set_uniforms(self._scan, {"u_groups": self._groups})
+        self._scan.run(1)
+        self._ctx.memory_barrier()
+        for slot, buffer in enumerate((self.depth_keys, self._starts, self.keys, self.order)):
+            buffer.bind_to_storage_buffer(slot)
+        set_uniforms(self._compact, {"u_splats": scene.splats})
+        if self._groups:
+            self._compact.run(self._groups)
+        self._ctx.memory_barrier()
+        self.visible.frame_done()
+
+    def sort(self) -> None:
+        """Orders the visible splats front to back, ties by index."""
+        if self._sorter is None:
+            raise RuntimeError("resize() comes before sort()")
+        self._sorter.sort(self.keys, self.order, self.visible.buffer)
+        self._ctx.memory_barrier()
+
+    def _program(self, degree: int, stored: int, antialiased: bool) -> moderngl.ComputeShader:
+        variant = (degree, stored, antialiased)
+        if variant not in self._programs:
+            flags = {
+                "GROUP_SIZE": GROUP_SIZE,
+                "SH_DEGREE": degree,
+                "SH_STORED": SH_COEFFICIENTS[stored],
+                "ANTIALIASED": antialiased,
+            }
+            self._programs[variant] = load_compute(self._ctx, "quads/project.comp.glsl", flags)
+        return self._programs[variant]
+
+    def _release_sized(self) -> None:
+        if self._sorter is not None:
+            self._sorter.release()
+            self._sorter = None
+        while self._sized:
+            self._sized.pop().release()
+
+    def release(self) -> None:
+        self._release_sized()
+        self.visible.release()
+        self.command.release()
+        for program in (*self._programs.values(), self._scan, self._compact):
+            program.release()

@@ -1,0 +1,146 @@
+"""A scene on the GPU: one storage buffer an attribute, in pages that respect the driver's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+
+from ...scene import Gaussians
+from ...scene.gaussians import SH_COEFFICIENTS
+from ...scene.projection import sigmoid
+
+GROUP_SIZE = 256
+"""Splats a work group projects; pages are whole groups."""
+
+UPLOAD_SLICE = 65_536
+"""Splats prepared and uploaded between two steps of `upload_steps`: a few milliseconds of work."""
+
+FAR_FROM_ORIGIN = 4.0
+"""Positions are stored relative to a centre once it lies this many scene radii from the origin; nearer
+scenes keep their float32 values to the bit."""
+
+BYTES_A_SPLAT = (3 + 4 + 4) * 4
+"""Positions, quaternions, scales and opacity; spherical harmonics come on top."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Page:
+    """Splats `first` to `first + count` of a scene."""
+
+    first: int
+    count: int
+    positions: moderngl.Buffer
+    """count x 3 float32, relative to the scene's centre."""
+    quats: moderngl.Buffer
+    """count x 4 float32, wxyz, raw."""
+    scales_opacity: moderngl.Buffer
+    """count x 4 float32: standard deviations in world units, opacity; activated here, where exp is exact."""
+    sh: moderngl.Buffer
+    """count x K x 3 float32, K of the degree in use."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneBuffers:
+    """All pages of a scene; release it before its context goes."""
+
+    splats: int
+    centre: np.ndarray
+    """(3,) float64, world units: what positions are relative to."""
+    radius: float
+    """World units: half the splats lie within it of `median`; for colour ranges, not for culling."""
+    median: np.ndarray
+    """(3,) float64: median of the finite means."""
+    sh_degree: int
+    """Highest degree with a coefficient that is not zero: higher bands are not uploaded."""
+    pages: tuple[Page, ...]
+
+    def release(self) -> None:
+        for page in self.pages:
+            for buffer in (page.positions, page.quats, page.scales_opacity, page.sh):
+                buffer.release()
+
+
+def storage_limit(ctx: moderngl.Context) -> int:
+    """Bytes one storage buffer may have on this driver (128 MiB on Mesa)."""
+    return int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
+
+
+def degree_in_use(sh: np.ndarray) -> int:
+    """The lowest degree that shows `sh` (N, K, 3) unchanged: bands that are all zero do not count."""
+    for degree in range(SH_COEFFICIENTS.index(sh.shape[1]), 0, -1):
+        if sh[:, SH_COEFFICIENTS[degree - 1] :].any():
+            return degree
+    return 0
+
+
+def centre_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where positions (N, 3) are stored relative to, their median (both (3,) float64), and their radius."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        sample = means[:: max(1, len(means) // 100_000)].astype(np.float64)
+        sample = sample[np.isfinite(sample).all(axis=1)]
+        if not len(sample):
+            return np.zeros(3), np.zeros(3), 1.0
+        median = np.median(sample, axis=0)
+        radius = float(np.median(np.linalg.norm(sample - median, axis=1)))
+    far = not np.abs(median).max() <= FAR_FROM_ORIGIN * radius
+    return (median if far else np.zeros(3)), median, radius or 1.0
+
+
+def upload_steps(
+    ctx: moderngl.Context, gaussians: Gaussians, *, limit: int | None = None
+) -> Iterator[float | SceneBuffers]:
+    """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
+
+    Closing the generator early releases what it had uploaded. `limit` is bytes a buffer may have.
+    """
+    n = len(gaussians)
+    degree = degree_in_use(gaussians.sh)
+    coefficients = SH_COEFFICIENTS[degree]
+    centre, median, radius = centre_of(gaussians.means)
+    largest = max(16, coefficients * 12)
+    fitting = (limit or storage_limit(ctx)) // largest
+    page_size = max(GROUP_SIZE, fitting // GROUP_SIZE * GROUP_SIZE)
+    pages: list[Page] = []
+    done = False
+    try:
+        for first in range(0, n, page_size):
+            count = min(page_size, n - first)
+            page = Page(
+                first=first,
+                count=count,
+                positions=ctx.buffer(reserve=count * 12),
+                quats=ctx.buffer(reserve=count * 16),
+                scales_opacity=ctx.buffer(reserve=count * 16),
+                sh=ctx.buffer(reserve=count * coefficients * 12),
+            )
+            pages.append(page)
+            for start in range(first, first + count, UPLOAD_SLICE):
+                part = slice(start, min(start + UPLOAD_SLICE, first + count))
+                _fill(page, gaussians, part, centre, coefficients)
+                yield part.stop / n
+        done = True
+        yield SceneBuffers(
+            splats=n, centre=centre, radius=radius, median=median, sh_degree=degree, pages=tuple(pages)
+        )
+    finally:
+        if not done:
+            SceneBuffers(
+                splats=n, centre=centre, radius=radius, median=median, sh_degree=degree, pages=tuple(pages)
+            ).release()
+
+
+def _fill(page: Page, gaussians: Gaussians, part: slice, centre: np.ndarray, coefficients: int) -> None:
+    at = part.start - page.first
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions = (gaussians.means[part].astype(np.float64) - centre).astype(np.float32)
+        activated = np.empty((part.stop - part.start, 4), dtype=np.float32)
+        activated[:, :3] = np.exp(gaussians.log_scales[part])
+        activated[:, 3] = sigmoid(gaussians.opacity_logits[part])
+    page.positions.write(positions, offset=at * 12)
+    page.quats.write(np.ascontiguousarray(gaussians.quats[part]), offset=at * 16)
+    page.scales_opacity.write(activated, offset=at * 16)
+    sh = np.ascontiguousarray(gaussians.sh[part, :coefficients])
+    page.sh.write(sh, offset=at * coefficients * 12)
