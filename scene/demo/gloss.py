@@ -1,0 +1,131 @@
+"""Colour that moves with the viewer: reflections traced through the scene and fitted with SH to degree 3.
+
+A splat's colour seen along direction d is 0.5 + SH(d). For a glossy surface with normal n the eye sees
+what arrives from d - 2(d·n)n; that, tone-mapped, is sampled at many d from which the splat can be seen
+at all and fitted by weighted least squares, so that none of the 16 coefficients is spent on views from
+inside the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..gaussians import SH_COEFFICIENTS, Gaussians
+from ..sh import sh_basis
+from .light import film
+from .noise import fbm
+from .shapes import discs, sphere_points, sunflower, unit
+
+VIEWS = 144
+"""Directions over the whole sphere that a fit samples; about half can see a given splat."""
+
+RIDGE = 0.004
+"""Weight that keeps coefficients small where no view constrains them."""
+
+BATCH = 4096
+
+Radiance = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(origins (N, 3), unit directions (N, 3)) -> what arrives from there (N, 3)."""
+
+
+def fit_sh(
+    colours: np.ndarray, directions: np.ndarray, weights: np.ndarray, *, degree: int = 3
+) -> np.ndarray:
+    """SH coefficients (N, K, 3) that best give display `colours` (N, D, 3) at `directions` (D, 3).
+
+    Directions run from the eye to the splat; `weights` (N, D) are at least 0. The mean colour is not
+    held back by the ridge, only how it varies.
+    """
+    basis = sh_basis(directions, degree)
+    squared = np.einsum("nd,dk,dl->nkl", weights, basis, basis, optimize=True)
+    target = np.einsum("nd,dk,ndc->nkc", weights, basis, colours - 0.5, optimize=True)
+    ridge = np.full(SH_COEFFICIENTS[degree], RIDGE)
+    ridge[0] = 1e-9
+    squared += np.diag(ridge) * weights.sum(1)[:, None, None]
+    return np.linalg.solve(squared, target)
+
+
+def reflecting(
+    points: np.ndarray,
+    normals: np.ndarray,
+    base: np.ndarray,
+    tint: np.ndarray,
+    fresnel: float,
+    arriving: Radiance,
+    *,
+    grazing: float = 1.0,
+) -> np.ndarray:
+    """SH (N, 16, 3) of a polished surface: `base` (N, 3) radiance plus reflections times `tint` (3,).
+
+    `fresnel` is the reflectance face on, in [0, 1] (Schlick 1994); it rises to 1 at the rim. `grazing`
+    above 1 gives views from the side more weight: right for water, which nobody sees from above.
+    """
+    directions = sphere_points(VIEWS)
+    sh = np.empty((len(points), SH_COEFFICIENTS[3], 3))
+    for start in range(0, len(points), BATCH):
+        batch = slice(start, start + BATCH)
+        n = normals[batch]
+        facing = -(n @ directions.T)
+        weights = np.where(facing > 0, np.clip(facing, 0.1, 1) ** (1 / grazing), 0)
+        who, view = np.nonzero(facing > 0)
+        cosine = facing[who, view]
+        mirrored = directions[view] + 2 * cosine[:, None] * n[who]
+        share = fresnel + (1 - fresnel) * (1 - cosine) ** 5
+        light = base[batch][who] * (1 - share)[:, None]
+        light = light + arriving(points[batch][who], mirrored) * share[:, None] * tint
+        colours = np.full((len(n), VIEWS, 3), 0.5)
+        colours[who, view] = film(light)
+        sh[batch] = fit_sh(colours, directions, weights)
+    return sh
+
+
+def sphere(count: int, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, normals (N, 3) and spacing (N,) of a sphere."""
+    normals = sphere_points(count)
+    return centre + radius * normals, normals, np.full(count, radius * np.sqrt(4 * np.pi / count))
+
+
+def knot(count: int, centre: np.ndarray, size: float, thickness: float):
+    """Points, normals (N, 3) and spacing (N,) of a trefoil knot that stands upright."""
+
+    def curve(t: np.ndarray) -> np.ndarray:
+        return size * np.stack(
+            [
+                (np.sin(t) + 2 * np.sin(2 * t)) / 3,
+                (np.cos(t) - 2 * np.cos(2 * t)) / 3,
+                -np.sin(3 * t) / 2.2,
+            ],
+            axis=1,
+        )
+
+    around = max(8, round(np.sqrt(count * thickness * 2 * np.pi / (7.0 * size))))
+    along = max(16, count // around)
+    t = (np.arange(along * around) + 0.5) / around / along * 2 * np.pi
+    angle = np.arange(along * around) * 2 * np.pi / around
+    line = curve(t)
+    tangent = unit(curve(t + 1e-3) - curve(t - 1e-3))
+    side = unit(np.cross(tangent, (0.1, 0.3, 1.0)))
+    normals = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(tangent, side)
+    points = centre + line + thickness * normals
+    spacing = np.full(len(points), 2 * np.pi * thickness / around)
+    return points, normals, spacing
+
+
+def pond(count: int, ground, level: float, half_size: tuple[float, float]) -> Gaussians:
+    """Water that mirrors the mountains and the sky; clear at the shore, ruffled a little."""
+    rank, angle = sunflower(count)
+    radius = np.sqrt(rank)
+    x, z = half_size[0] * radius * np.cos(angle), half_size[1] * radius * np.sin(angle)
+    points = np.stack([x, np.full(count, level), z], axis=1)
+    depth = level - ground.smooth_at(ground.heights, points)
+    points, depth = points[depth > -0.02], depth[depth > -0.02]
+    ripple = np.stack([fbm(points[:, ::2] * (2.5, 5.0), seed, octaves=3) for seed in (301, 307)], axis=1)
+    normals = unit(np.stack([0.02 * ripple[:, 0], np.ones(len(points)), 0.05 * ripple[:, 1]], axis=1))
+    deep = np.clip(depth / 0.35, 0, 1)[:, None]
+    base = np.array((0.05, 0.075, 0.05)) * (1 - deep) + np.array((0.012, 0.035, 0.045)) * deep
+    sh = reflecting(points, normals, base, np.ones(3), 0.06, ground.seen, grazing=4.0)
+    spacing = np.full(len(points), np.sqrt(np.pi * half_size[0] * half_size[1] / count))
+    opacity = np.clip(0.35 + 4.0 * depth, 0.30, 0.96)
+    return discs(points, normals, spacing * 1.1, sh, opacity=opacity)
