@@ -183,11 +183,27 @@ def differentiate_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixel
         store(sums, (first_row + j) * SUMS, total)
 
 
+@inline
+def add_background(pixels, d_background):
+    """Writes the sum of the light left times the gradient by colour over a tile to d_background (3,)."""
+    red = green = blue = spread(pixels.dtype.type(0))
+    for base in range(0, PIXELS, PIXEL_VECTORS * LANES):
+        light = load(pixels, base)
+        red = fma(light, load(pixels, base + 2 * LANES), red)
+        green = fma(light, load(pixels, base + 3 * LANES), green)
+        blue = fma(light, load(pixels, base + 4 * LANES), blue)
+    total = aligned(LANES, pixels.dtype)
+    store(total, 0, sum_lanes((red, green, blue)))
+    for channel in range(3):
+        d_background[channel] = total[channel]
+
+
 @kernel
 def differentiate_tiles(
-    start, stop, offsets, base, lists, records, view, stop_below, image, d_image, sums, walked
+    start, stop, offsets, base, lists, records, view, stop_below, image, d_image, sums, walked, d_background
 ):
-    """Writes the sums of the pairs of tiles [start, stop), and how many pairs of each tile have any.
+    """Writes the sums of the pairs of tiles [start, stop), how many pairs of each tile have any, and each
+    tile's gradient by the background, d_background (tiles, 3) float64.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
     records (N, RECORD), image and d_image (H, W, 4) and sums (pairs·SUMS,) in one dtype.
@@ -211,6 +227,7 @@ def differentiate_tiles(
             )
             position += count
         walked[tile] = position + base - offsets[tile]
+        add_background(pixels, d_background[tile])
 
 
 @kernel
@@ -224,30 +241,27 @@ def gather_pairs(
     first_tile,
     end_tile,
     offsets,
+    base,
     walked,
     sums,
     splat_sums,
     again,
 ):
     """Adds up the sums of each splat of order[start:stop] over tiles [first_tile, end_tile), in the order
-    of the tiles, into splat_sums (N, SUMS); `again` says that rows hold sums of earlier tiles.
+    of the tiles, into splat_sums (N·SUMS,); `again` says that rows hold sums of earlier tiles.
 
     The pairs are found as they were written: positions (tiles,) int64 says where, and is used up.
     """
-    total = np.empty(SUMS, np.float64)
+    nothing = spread(sums.dtype.type(0))
     for k in range(start, stop):
         splat = order[k]
-        total[:] = 0
+        total = nothing
+        if again:
+            total = load(splat_sums, splat * SUMS)
         for span in range(spans_of[splat, 0], spans_of[splat, 1]):
             for tile in range(max(spans[span, 0], first_tile), min(spans[span, 1], end_tile)):
                 position = positions[tile]
-                positions[tile] += 1
+                positions[tile] = position + 1
                 if position - offsets[tile] < walked[tile]:
-                    row = (position - offsets[first_tile]) * SUMS
-                    for i in range(SUMS):
-                        total[i] += sums[row + i]
-        if again:
-            for i in range(SUMS):
-                total[i] += splat_sums[splat, i]
-        for i in range(SUMS):
-            splat_sums[splat, i] = total[i]
+                    total = total + load(sums, (position - base) * SUMS)
+        store(splat_sums, splat * SUMS, total)

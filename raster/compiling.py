@@ -80,14 +80,19 @@ def _remove_cache(folder: Path) -> None:
 _cached = _prepare_cache()
 
 
+_kernels: list[Any] = []
+
+
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles an entry point: called from Python, releases the GIL, cached on disk."""
     before = config.CACHE_DIR
     config.CACHE_DIR = str(CACHE)
     try:
-        return numba.njit(nogil=True, cache=_cached, error_model="numpy")(function)
+        compiled = numba.njit(nogil=True, cache=_cached, error_model="numpy")(function)
     finally:
         config.CACHE_DIR = before
+    _kernels.append(compiled)
+    return compiled
 
 
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -96,5 +101,8 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def will_compile() -> bool:
-    """Whether the next picture has to wait for the compiler (nothing cached by this version yet)."""
-    return not _cached or not any(CACHE.rglob("*.nbc"))
+    """Whether the first picture has to wait some seconds for the compiler: nothing of this version of the
+    sources is in memory or on disk yet."""
+    if any(compiled.signatures for compiled in _kernels):
+        return False
+    return not (_cached and any(CACHE.rglob("*.nbc")))

@@ -171,8 +171,9 @@ def shrink_alive(pixels, stop_below, alive):
 
 @inline
 def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
-    """Blends gathered splats over the pixels of a tile, in their order."""
+    """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
     number = gathered.dtype.type
+    blocks = 0
     for j in range(count):
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
@@ -187,6 +188,7 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
             x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
             adx = spread(gathered[G_A * CHUNK + j]) * (column_centres(red) - spread(x_mean))
             dy = y_centres + fill(red, first * BLOCK_HEIGHT)
+            blocks += max(last - first + 1, 0)
             for block in range(first, last + 1):
                 u, v = fma(b, dy, adx), c * dy
                 dy = dy + step
@@ -199,6 +201,7 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
                 store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
                 store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
                 store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
+    return blocks
 
 
 @inline
@@ -217,7 +220,8 @@ def write_pixels(pixels, left, top, background, image):
 
 @kernel
 def draw_tiles(start, stop, offsets, base, lists, records, view, background, stop_below, image):
-    """Draws tiles [start, stop), numbered by rows, into image (H, W, 4).
+    """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks
+    that were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
     records (N, RECORD), background (3,), stop_below (a number) and image share one dtype.
@@ -226,6 +230,7 @@ def draw_tiles(start, stop, offsets, base, lists, records, view, background, sto
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
+    blocks = 0
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         start_pixels(pixels, left, top, view)
@@ -236,6 +241,7 @@ def draw_tiles(start, stop, offsets, base, lists, records, view, background, sto
             count = min(end - position, CHUNK)
             gather(lists, position, count, end, records, left, top, gathered)
             touched_blocks(gathered, count, view.log2_cut, rows)
-            blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
+            blocks += blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
             position += count
         write_pixels(pixels, left, top, background, image)
+    return blocks

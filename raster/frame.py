@@ -15,6 +15,7 @@ from .forward import draw_tiles
 from .parameters import Parameters
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from .project import RECORD, project
+from .simd import LANES
 from .sort import key_scale, make_keys, radix_sort
 from .view import View
 from .workspace import Workspace
@@ -103,6 +104,8 @@ class Frame:
     bins: Bins
     lists: np.ndarray
     """(pairs,) int32 of the last band."""
+    pixel_splats: int
+    """Alphas evaluated: of a splat, those of all pixels of the blocks that it reaches."""
     workspace: Workspace
     milliseconds: dict[str, float]
     """Wall-clock time by stage."""
@@ -132,17 +135,20 @@ def draw(
         bins = _bin(order, runs, visible, records, view, workspace, threads)
     image = np.empty((view.height, view.width, 4), dtype)
     lists = np.empty(0, np.int32)
+    blocks = 0
     for band in bins.bands:
         with clock.stage("bin"):
             lists = bins.write(band, workspace)
         with clock.stage("forward"):
             base = int(bins.offsets[band[0]])
             stop_below = dtype.type(early_stop)
-            run(
-                draw_tiles,
-                tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                (bins.offsets, base, lists, records, view, background, stop_below, image),
-                threads,
+            blocks += sum(
+                run(
+                    draw_tiles,
+                    tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
+                    (bins.offsets, base, lists, records, view, background, stop_below, image),
+                    threads,
+                )
             )
     return Frame(
         view=view,
@@ -157,6 +163,7 @@ def draw(
         visible=visible,
         bins=bins,
         lists=lists,
+        pixel_splats=blocks * LANES,
         workspace=workspace,
         milliseconds=clock.milliseconds,
     )

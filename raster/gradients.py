@@ -49,27 +49,27 @@ def backward(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients
         raise ValueError("gradients need an image model with max_alpha below 1")
     d_image = np.ascontiguousarray(d_image)
     clock = StageClock()
-    splat_sums = _splat_sums(frame, d_image, clock)
+    splat_sums, background = _splat_sums(frame, d_image, clock)
     with clock.stage("project_backward"):
         gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums)
-        light = 1 - frame.image[..., 3:]
-        background = (light.astype(np.float64) * d_image[..., :3]).sum(axis=(0, 1)).astype(dtype)
     return Gradients(
         parameters=gradients,
         means2d=means2d,
         abs_means2d=abs_means2d,
-        background=background,
+        background=background.astype(dtype),
         pose=pose,
         milliseconds=clock.milliseconds,
     )
 
 
-def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> np.ndarray:
-    """(N, SUMS), see `backward`; rows of visible splats only."""
+def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[np.ndarray, np.ndarray]:
+    """(N, SUMS), see `backward`, rows of visible splats only; and the gradient by the background (3,)."""
     bins, workspace, threads = frame.bins, frame.workspace, frame.threads
     dtype = frame.image.dtype
-    splat_sums = workspace.take("splat_sums", (len(frame.records), SUMS), dtype)
-    walked = workspace.take("walked", (len(bins.offsets) - 1,), np.int64)
+    tiles = len(bins.offsets) - 1
+    splat_sums = workspace.take("splat_sums", (len(frame.records) * SUMS,), dtype)
+    walked = workspace.take("walked", (tiles,), np.int64)
+    d_background = np.empty((tiles, 3))
     cursors = workspace.take("cursors", bins.positions.shape, np.int64)
     bands = bands_of(bins.offsets, MAX_SUMMED_PAIRS)
     for number, band in enumerate(bands):
@@ -95,6 +95,7 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> np.ndar
                     d_image,
                     sums,
                     walked,
+                    d_background,
                 ),
                 threads,
             )
@@ -109,6 +110,7 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> np.ndar
                     bins.spans,
                     *band,
                     bins.offsets,
+                    base,
                     walked,
                     sums,
                     splat_sums,
@@ -116,7 +118,7 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> np.ndar
                 ),
                 threads,
             )
-    return splat_sums
+    return splat_sums.reshape(-1, SUMS), d_background.sum(axis=0)
 
 
 def _parameters(
