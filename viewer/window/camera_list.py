@@ -66,7 +66,10 @@ def camera_from_text(text: str) -> Camera:
         return Camera(
             width=int(data["width"]),
             height=int(data["height"]),
-            **{name: float(data[name]) for name in ("fx", "fy", "cx", "cy")},
+            fx=float(data["fx"]),
+            fy=float(data["fy"]),
+            cx=float(data["cx"]),
+            cy=float(data["cy"]),
             world_to_camera=np.array(data["world_to_camera"], dtype=np.float64),
         )
     except json.JSONDecodeError:

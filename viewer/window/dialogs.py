@@ -23,9 +23,13 @@ DIALOG_FLAGS = (
 )
 
 
+LOADING_SHOWN_AFTER = 0.3
+"""Seconds: what is quicker than this would only flicker."""
+
+
 def loading(core: Core) -> None:
     """Progress of the scene on its way, with a button to stop it."""
-    if core.loading is None:
+    if core.loading is None or core.now() - core.loading.began < LOADING_SHOWN_AFTER:
         return
     centred(24)
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)

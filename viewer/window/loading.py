@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...scene import Gaussians, InputError, concatenate
-from ...scene.effects import Effect, census
+from ...scene import Gaussians, InputError, RenderSettings, concatenate
+from ...scene.demo import demo_scene
+from ...scene.effects import Effect, census, settings_for
 from ...scene.files import LoadCancelled, load_scene
 from ...scene.framing import robust_bounds
 from ...scene.health import Finding, check
@@ -29,6 +30,8 @@ class LoadedScene:
     """(3,) float64, world: middle of where the splats are."""
     radius: float
     """World units, > 0: outliers left out."""
+    settings: RenderSettings
+    """What the scene itself calls for; the background apart."""
     effects: tuple[Effect, ...]
     findings: tuple[Finding, ...]
     seconds: float
@@ -43,6 +46,7 @@ class Loading:
 
     def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
         self.name = name
+        self.began = time.monotonic()
         self.progress = 0.0
         self.stage = "Reading"
         self.result: LoadedScene | None = None
@@ -80,6 +84,7 @@ class Loading:
             self._check_cancelled()
             centre, radius = robust_bounds(gaussians.means)
             effects = census(gaussians)
+            settings = settings_for(gaussians)
             self._check_cancelled()
             findings = check(gaussians)
             self._check_cancelled()
@@ -89,6 +94,7 @@ class Loading:
                 name=self.name,
                 centre=centre,
                 radius=radius if 0 < radius < np.inf else 1.0,
+                settings=settings,
                 effects=tuple(effects),
                 findings=tuple(findings),
                 seconds=time.perf_counter() - began,
@@ -136,7 +142,6 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
 
 def load_demo() -> Loading:
     """Starts to make the bundled scene, which the window opens with when it is given none."""
-    from ...scene.demo import demo_scene
 
     def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
         return demo_scene()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ...scene import InputError
+from ...scene.demo import demo_camera
 from ...scene.files import load_cameras
 from ...scene.framing import frame_camera
 from .bookmarks import load_bookmarks
@@ -100,6 +102,9 @@ def adopt(core: Core, scene: LoadedScene) -> None:
     """Makes `scene`, which the picture holds already, the open one."""
     same_place = core.scene is not None and scene.paths[:1] == core.scene.paths[:1]
     core.scene = scene
+    core.settings = replace(
+        scene.settings, background=core.preferences.background, blend=core.preferences.blend
+    )
     if not same_place:
         look_at_all_of(core, scene)
         core.bookmarks, core.bookmark_index = [], -1
@@ -112,14 +117,17 @@ def adopt(core: Core, scene: LoadedScene) -> None:
         core.preferences = with_recent(core.preferences, path)
     core.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
     for finding in scene.findings:
-        if finding.count:
-            core.tell(f"{scene.name}: {finding.count:,} splats: {finding.name}")
+        if finding.count and finding.culled:
+            core.tell(f"{scene.name}: {finding.count:,} splats are left out: {finding.name}")
 
 
 def look_at_all_of(core: Core, scene: LoadedScene) -> None:
     """The first view of a scene, upright as it seems to be."""
     width, height = core.picture_size
-    camera = frame_camera(scene.gaussians, width, height, fov_y=core.preferences.fov_y)
+    if scene.paths:
+        camera = frame_camera(scene.gaussians, width, height, fov_y=core.preferences.fov_y)
+    else:
+        camera = demo_camera(width, height)
     distance = max(float((scene.centre - camera.eye) @ camera.forward), 1e-3 * scene.radius)
     core.steer(view_from_camera(camera, distance=distance, up=nearest_axis(-camera.R_camera_world[1])))
 
@@ -135,7 +143,7 @@ def nearest_axis(direction: np.ndarray) -> np.ndarray:
 def open_camera_list(core: Core, path: Path) -> None:
     """Loads the cameras of `path` and jumps to the first."""
     try:
-        cameras = load_cameras(path)
+        cameras = load_cameras(path, on_note=lambda line: core.tell(f"{path.name}: {line}"))
     except InputError as error:
         core.complain(str(error))
         return

@@ -20,7 +20,7 @@ def wall(z: float, opacity_logit: float, *, size: int = 12) -> Gaussians:
     n = x.size
     return Gaussians(
         means=np.stack([x.ravel(), y.ravel(), np.full(n, z)], axis=1).astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
         log_scales=np.full((n, 3), np.log(0.12), np.float32),
         opacity_logits=np.full(n, opacity_logit, np.float32),
         sh=np.zeros((n, 1, 3), np.float32),

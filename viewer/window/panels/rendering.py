@@ -6,9 +6,10 @@ from dataclasses import replace
 
 from imgui_bundle import ImVec4, imgui
 
-from ....scene.image_model import BLUR, NEAR
+from ....scene.image_model import BLUR, ImageModel
 from ..actions import VISUAL_MODES, set_mode
 from ..core import Core
+from ..preferences import RANGES
 from . import widgets
 
 MODE_NAMES = {
@@ -40,8 +41,7 @@ def show(core: Core) -> None:
     scale = widgets.slider(
         "Resolution",
         core.preferences.resolution_scale,
-        0.25,
-        2.0,
+        *RANGES["resolution_scale"],
         "Rendered pixels for each pixel of the window, along each side. Half is about four times as fast; "
         "two smooths edges. Saved pictures are always at full resolution.",
         form="%.2f x",
@@ -131,10 +131,11 @@ def image_model(core: Core) -> None:
     )
     if blend is not None:
         core.prefer(blend=blend)
-    defaults = replace(core.settings, model=type(model)())
-    if defaults != core.settings:
+    called_for = core.scene.settings.model if core.scene else ImageModel()
+    if core.settings.model != called_for:
         widgets.button(
-            "Back to the defaults",
-            f"Antialiasing off, blur {BLUR} px², near {NEAR}: what scenes are trained with.",
-            lambda: setattr(core, "settings", defaults),
+            "As the scene calls for",
+            "Takes antialiasing, blur and near back to what the scene was trained with, as far as its file "
+            "says.",
+            lambda: setattr(core, "settings", replace(core.settings, model=called_for)),
         )

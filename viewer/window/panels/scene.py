@@ -48,13 +48,14 @@ def show(core: Core) -> None:
             imgui.text(effect.name)
             widgets.tooltip(effect.why)
     widgets.section("Health")
-    ill = [finding for finding in scene.findings if finding.count]
-    if not ill:
+    found = [finding for finding in scene.findings if finding.count]
+    if not found:
         widgets.note("No splat is ill.")
-    for finding in ill:
-        imgui.text_colored(theme.WARNING, f"{finding.count:,}")
+    for finding in found:
+        imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
         imgui.same_line(imgui.get_font_size() * 5)
         imgui.text(finding.name)
+        widgets.tooltip(finding.what)
     if gaussians.comments:
         widgets.section("Comments in the file")
         for comment in gaussians.comments:
