@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import moderngl
 
+from .context import describe
+
 FRAMES_IN_FLIGHT = 4
 """Results are read this many uses of a stage later: no driver queues more frames ahead by default."""
 
 
 class StageTimers:
-    """Timer queries (GL_TIME_ELAPSED) by stage name; stages do not nest (GL allows one at a time)."""
+    """Timer queries (GL_TIME_ELAPSED) by stage name; stages do not nest (GL allows one at a time).
+
+    Where GL is a software rasteriser, stages are timed by the clock on the wall, between two waits for
+    the queue to empty: the work is done by this process's own cores in any case, and llvmpipe's timer
+    queries see none of the compute dispatches (it answers 0 or 2³² - 1 ns).
+    """
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
+        self._by_wall_clock = describe(ctx).is_software
         self._pending: dict[str, deque[moderngl.Query]] = {}
         self._spare: list[moderngl.Query] = []
         self.latest: dict[str, float] = {}
@@ -25,6 +34,13 @@ class StageTimers:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Times the GL commands issued inside."""
+        if self._by_wall_clock:
+            self._ctx.finish()
+            began = time.perf_counter()
+            yield
+            self._ctx.finish()
+            self.latest[name] = (time.perf_counter() - began) * 1000
+            return
         pending = self._pending.setdefault(name, deque())
         if len(pending) >= FRAMES_IN_FLIGHT:
             self._collect(name)

@@ -1,0 +1,33 @@
+// One fragment a splat: footprint and colour, into textures that the draw fetches from. A culled splat
+// is discarded: its texels stay 0, and the query of samples passed counts the others.
+// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED.
+#include "legacy/texels.glsl"
+#include "common/projection.glsl"
+#include "common/sh.glsl"
+
+uniform sampler2D u_positions;  // xyz relative to the scene's centre, opacity
+uniform sampler2D u_quats;      // wxyz, raw
+uniform sampler2D u_scales;     // standard deviations
+uniform sampler2DArray u_sh;    // one layer a coefficient
+uniform int u_splats;
+
+layout(location = 0) out vec4 shape;   // mean.xy, a, b
+layout(location = 1) out vec4 bounds;  // c, minor axis, major axis.xy
+layout(location = 2) out vec4 colour;  // rgb, opacity
+
+vec3 sh_coefficient(uint splat, int index) { return texelFetch(u_sh, ivec3(texel_of(splat), index), 0).rgb; }
+
+void main() {
+    ivec2 texel = ivec2(gl_FragCoord.xy);
+    uint splat = uint(texel.y) * uint(TEXTURE_WIDTH) + uint(texel.x);
+    if (splat >= uint(u_splats)) discard;
+    vec4 position = texelFetch(u_positions, texel, 0);
+    Footprint f;
+    if (!project(position.xyz, texelFetch(u_quats, texel, 0), texelFetch(u_scales, texel, 0).xyz, position.w, f))
+        discard;
+    vec3 rgb = sh_colour(splat, f.direction);
+    if (!is_finite(rgb)) discard;
+    shape = vec4(f.mean, f.conic.xy);
+    bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);
+    colour = vec4(max(rgb, vec3(0.0)), f.opacity);
+}

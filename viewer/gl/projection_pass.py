@@ -1,0 +1,97 @@
+"""Projection without compute shaders: a pass of fragments, one a splat, into float textures."""
+
+from __future__ import annotations
+
+import moderngl
+
+from .programs import load_render_program
+from .scene_textures import TEXTURE_WIDTH, SceneTextures
+from .view_uniforms import Uniform, set_uniforms
+
+
+class ProjectionPass:
+    """Keeps the footprints of one view of a scene in three RGBA textures, laid out as the scene's are.
+
+    The draw could project by itself, but would do so for each of a quad's four vertices, and again for
+    every new order of the same view.
+    """
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._programs: dict[tuple[int, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._textures: tuple[moderngl.Texture, ...] = ()
+        self._framebuffer: moderngl.Framebuffer | None = None
+        self._passed = ctx.query(samples=True)
+        self._counting = False
+        self._visible = 0
+
+    def resize(self, rows: int) -> None:
+        """Makes room for a scene of `rows` rows of texels."""
+        self._release_sized()
+        self._textures = tuple(self._ctx.texture((TEXTURE_WIDTH, rows), 4, dtype="f4") for _ in range(3))
+        self._framebuffer = self._ctx.framebuffer(self._textures)
+
+    def run(
+        self, scene: SceneTextures, uniforms: dict[str, Uniform], *, sh_degree: int, antialiased: bool
+    ) -> None:
+        """Projects all splats; the textures are those of `use` afterwards."""
+        if self._framebuffer is None:
+            raise RuntimeError("resize() comes before run()")
+        program, triangle = self._program(min(sh_degree, scene.sh_degree), antialiased)
+        set_uniforms(program, uniforms)
+        for unit, (name, texture) in enumerate(
+            (
+                ("positions", scene.positions),
+                ("quats", scene.quats),
+                ("scales", scene.scales),
+                ("sh", scene.sh),
+            )
+        ):
+            texture.use(unit)
+            set_uniforms(program, {f"u_{name}": unit})
+        set_uniforms(program, {"u_splats": scene.splats})
+        self._framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        self._framebuffer.clear()
+        with self._passed:
+            triangle.render(moderngl.TRIANGLES, vertices=3)
+        self._counting = True
+
+    def use(self, program: moderngl.Program, first_unit: int) -> None:
+        """Binds the footprints for `program`: samplers u_shapes, u_bounds, u_colours."""
+        for unit, (name, texture) in enumerate(
+            zip(("u_shapes", "u_bounds", "u_colours"), self._textures, strict=True), start=first_unit
+        ):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+
+    def read_visible(self) -> int:
+        """Splats that the last `run` did not cull; waits for it."""
+        if self._counting:
+            self._visible = self._passed.samples
+            self._counting = False
+        return self._visible
+
+    def _program(self, sh_degree: int, antialiased: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        variant = (sh_degree, antialiased)
+        if variant not in self._programs:
+            flags = {"TEXTURE_WIDTH": TEXTURE_WIDTH, "SH_DEGREE": sh_degree, "ANTIALIASED": antialiased}
+            program = load_render_program(
+                self._ctx, "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
+            )
+            self._programs[variant] = (program, self._ctx.vertex_array(program, []))
+        return self._programs[variant]
+
+    def _release_sized(self) -> None:
+        if self._framebuffer is not None:
+            self._framebuffer.release()
+            self._framebuffer = None
+        for texture in self._textures:
+            texture.release()
+        self._textures = ()
+
+    def release(self) -> None:
+        self._release_sized()
+        for program, triangle in self._programs.values():
+            triangle.release()
+            program.release()
