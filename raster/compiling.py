@@ -88,7 +88,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     before = config.CACHE_DIR
     config.CACHE_DIR = str(CACHE)
     try:
-        compiled = numba.njit(nogil=True, cache=_cached, error_model="numpy")(function)
+        compiled = numba.njit(nogil=True, cache=_cached, error_model="numpy", fastmath={"contract"})(function)
     finally:
         config.CACHE_DIR = before
     _kernels.append(compiled)
@@ -97,7 +97,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles a helper that kernels call; LLVM folds it into them."""
-    return numba.njit(nogil=True, error_model="numpy")(function)
+    return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})(function)
 
 
 def will_compile() -> bool:

@@ -24,6 +24,7 @@ from ..scene.image_model import MIN_QUAT_COMPONENT
 from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 from .compiling import inline, kernel
+from .simd import exp
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY = range(13)
 RECORD = 16
@@ -77,7 +78,7 @@ def rotation_matrix(w, x, y, z):
 
 @inline
 def sigmoid(logit):
-    decay = math.exp(-abs(logit))
+    decay = exp(-abs(logit))
     return (1.0 if logit >= 0 else decay) / (1.0 + decay)
 
 
@@ -85,9 +86,10 @@ def sigmoid(logit):
 def image_axes(view, tx, ty, tz):
     """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
     r = view.rotation
-    u = min(max(tx / tz, view.min_u), view.max_u)
-    v = min(max(ty / tz, view.min_v), view.max_v)
-    fx, fy = view.fx / tz, view.fy / tz
+    nearness = 1 / tz
+    u = min(max(tx * nearness, view.min_u), view.max_u)
+    v = min(max(ty * nearness, view.min_v), view.max_v)
+    fx, fy = view.fx * nearness, view.fy * nearness
     return (
         fx * (r[0, 0] - u * r[2, 0]),
         fx * (r[0, 1] - u * r[2, 1]),
@@ -194,9 +196,9 @@ def project(
         )
         if not usable_quat(qw, qx, qy, qz):
             continue
-        sx = math.exp(np.float64(log_scales[i, 0]))
-        sy = math.exp(np.float64(log_scales[i, 1]))
-        sz = math.exp(np.float64(log_scales[i, 2]))
+        sx = exp(np.float64(log_scales[i, 0]))
+        sy = exp(np.float64(log_scales[i, 1]))
+        sz = exp(np.float64(log_scales[i, 2]))
         if not (is_finite(sx) and is_finite(sy) and is_finite(sz)):
             continue
 
@@ -211,14 +213,15 @@ def project(
             if not (opacity > 0 and opacity >= view.alpha_cut):
                 continue
         a = math.sqrt(yy / det)
-        b = -xy / yy * a
-        c = 1 / math.sqrt(yy)
-        x, y = view.fx * tx / tz + view.cx, view.fy * ty / tz + view.cy
+        inverse_yy = 1 / yy
+        b = -xy * inverse_yy * a
+        c = math.sqrt(inverse_yy)
+        x, y = view.fx * (tx / tz) + view.cx, view.fy * (ty / tz) + view.cy
         if not (is_finite(a) and is_finite(b) and is_finite(c) and is_finite(x) and is_finite(y)):
             continue
         log2_opacity = math.log2(opacity)
         # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
-        reach = (log2_opacity - view.log2_cut) / HALF_LOG2_E
+        reach = (log2_opacity - view.log2_cut) * (1 / HALF_LOG2_E)
         rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
         if not (
             x + rx >= 0.5 and x - rx <= view.width - 0.5 and y + ry >= 0.5 and y - ry <= view.height - 0.5

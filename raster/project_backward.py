@@ -25,6 +25,7 @@ from .project import (
     sigmoid,
     splat_axes,
 )
+from .simd import exp
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
@@ -182,9 +183,9 @@ def project_backward(
         shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         qw, qx, qy, qz = qw * shrink, qx * shrink, qy * shrink, qz * shrink
         r = rotation_matrix(qw, qx, qy, qz)
-        sx = math.exp(np.float64(log_scales[i, 0]))
-        sy = math.exp(np.float64(log_scales[i, 1]))
-        sz = math.exp(np.float64(log_scales[i, 2]))
+        sx = exp(np.float64(log_scales[i, 0]))
+        sy = exp(np.float64(log_scales[i, 1]))
+        sz = exp(np.float64(log_scales[i, 2]))
         p = image_axes(view, x, y, z)
         m = splat_axes(p, r, sx, sy, sz)
         _, xy, yy, det, unblurred = covariance(m, view.blur)

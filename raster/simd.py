@@ -11,6 +11,7 @@ false for NaN.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -55,8 +56,8 @@ def _float_type(context: Any, vector: Vector) -> ir.VectorType:
     return context.get_value_type(vector)
 
 
-def _constant(llvm_type: ir.VectorType, value: float) -> ir.Constant:
-    return ir.Constant(llvm_type, [value] * LANES)
+def _constant(llvm_type: Any, value: float) -> ir.Constant:
+    return ir.Constant(llvm_type, [value] * LANES if isinstance(llvm_type, ir.VectorType) else value)
 
 
 def _spread(builder: Any, scalar: Any) -> Any:
@@ -299,16 +300,18 @@ def exp2_coefficients(degree: int) -> list[float]:
     return polynomial.convert(kind=np.polynomial.Polynomial).coef.tolist()
 
 
+LOG2_E = math.log2(math.e)
+
 EXP2_DEGREE = {32: 4, 64: 11}
 """By bits of the float type: relative errors of 3e-6, a hundredth of a grey level's rounding, and 3e-16."""
 
 
-def _emit_polynomial(builder: Any, vector: Vector, x: Any, coefficients: list[float]) -> Any:
+def _emit_polynomial(builder: Any, suffix: str, x: Any, coefficients: list[float]) -> Any:
     """Estrin's scheme: pairs of terms side by side, so that latencies overlap where Horner's add up."""
     terms: list[Any] = [_constant(x.type, coefficient) for coefficient in coefficients]
     while len(terms) > 1:
         paired = [
-            _call(builder, f"llvm.fmuladd.{_suffix(vector)}", x.type, high, x, low)
+            _call(builder, f"llvm.fmuladd.{suffix}", x.type, high, x, low)
             for low, high in zip(terms[::2], terms[1::2], strict=False)
         ]
         terms = paired + terms[len(paired) * 2 :]
@@ -333,11 +336,41 @@ def exp2(typingctx: Any, x: Any) -> Any:
         shifted = builder.fadd(args[0], magic)
         fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
         coefficients = exp2_coefficients(EXP2_DEGREE[x.element.bitwidth])
-        power = _emit_polynomial(builder, x, fraction, coefficients)
+        power = _emit_polynomial(builder, _suffix(x), fraction, coefficients)
         exponent = builder.shl(builder.bitcast(shifted, ints), ir.Constant(ints, [mantissa] * LANES))
         return builder.bitcast(builder.add(builder.bitcast(power, ints), exponent), llvm_type)
 
     return x(x), codegen
+
+
+@intrinsic
+def _exp2_scalar(typingctx: Any, x: Any) -> Any:
+    """2^x of one float64 by the same polynomial; -1022 <= x <= 1023."""
+    if x != types.float64:
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        number, integer = ir.DoubleType(), ir.IntType(64)
+        magic = ir.Constant(number, 1.5 * 2.0**52)
+        shifted = builder.fadd(args[0], magic)
+        fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
+        power = _emit_polynomial(builder, "f64", fraction, exp2_coefficients(EXP2_DEGREE[64]))
+        exponent = builder.shl(builder.bitcast(shifted, integer), ir.Constant(integer, 52))
+        return builder.bitcast(builder.add(builder.bitcast(power, integer), exponent), number)
+
+    return types.float64(types.float64), codegen
+
+
+@inline
+def exp(x):
+    """e^x of one float64 to a few units in the last place, several times as fast as the C library's call.
+
+    At most 2^1023, at least 2^-1022, NaN for NaN.
+    """
+    power = x * LOG2_E
+    if not (power < 1023.0):
+        return x if x != x else 2.0**1023
+    return _exp2_scalar(max(power, -1022.0))
 
 
 @intrinsic
