@@ -79,6 +79,7 @@ class Window:
             params.app_shall_exit = True
             return
         opening.continue_loading(core)
+        opening.report_examination(core)
         core.run_posted()
         core.advance()
         core.note_statistics()

@@ -19,7 +19,7 @@ import numpy as np
 from ...scene import Camera, RenderSettings
 from ..gl import FrameStats, VisualMode
 from .bookmarks import Bookmark
-from .loading import LoadedScene, Loading
+from .loading import Examination, LoadedScene, Loading
 from .navigation import Transition, View
 from .navigation.view import look_from
 from .picture import Picture
@@ -50,6 +50,10 @@ class Core:
     """A scene on its way; the old one stays until it is here."""
     upload: Generator[float] | None = None
     """Its last stage, advanced a little in every frame."""
+    examination: Examination | None = None
+    """What is found out about the scene after it is shown."""
+    examined: bool = True
+    """Whether that has been reported."""
     stats: FrameStats | None = None
     """Of the picture, read once a frame."""
 
@@ -154,7 +158,9 @@ class Core:
     @property
     def waiting(self) -> bool:
         """Whether something is on its way that the next frames should show."""
-        return self.loading is not None or (self.picture is not None and self.picture.busy)
+        return (
+            self.loading is not None or not self.examined or (self.picture is not None and self.picture.busy)
+        )
 
     # ---- statistics
 

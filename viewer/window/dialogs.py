@@ -35,7 +35,8 @@ def loading(core: Core) -> None:
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
     imgui.text_unformatted(f"{core.loading.stage} {core.loading.name}")
     progress = core.loading.progress
-    imgui.progress_bar(progress, (imgui.get_font_size() * 22, 0), f"{progress:.0%}")
+    share, text = (-imgui.get_time(), "") if progress is None else (progress, f"{progress:.0%}")
+    imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
     widgets.action_button(core, "Cancel", "cancel")
     imgui.end()
 

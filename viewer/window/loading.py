@@ -20,7 +20,7 @@ from ...scene.health import Finding, check
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LoadedScene:
-    """A scene and all that is found out about it before it is shown."""
+    """A scene and what must be known about it before it is shown."""
 
     gaussians: Gaussians
     paths: tuple[Path, ...]
@@ -32,8 +32,6 @@ class LoadedScene:
     """World units, > 0: outliers left out."""
     settings: RenderSettings
     """What the scene itself calls for; the background apart."""
-    effects: tuple[Effect, ...]
-    findings: tuple[Finding, ...]
     seconds: float
     """How long loading took."""
 
@@ -47,7 +45,8 @@ class Loading:
     def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
         self.name = name
         self.began = time.monotonic()
-        self.progress = 0.0
+        self.progress: float | None = 0.0
+        """Share done; None where nobody knows."""
         self.stage = "Reading"
         self.result: LoadedScene | None = None
         self.error: str | None = None
@@ -74,32 +73,25 @@ class Loading:
         self._thread.join(timeout)
 
     def _advance(self, share: float) -> None:
-        self.progress = min(max(share, self.progress), 1.0)
+        self.progress = min(max(share, self.progress or 0.0), 1.0)
 
     def _run(self) -> None:
         began = time.perf_counter()
         try:
             gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
-            self.stage = "Examining"
-            self._check_cancelled()
+            if self._cancelled.is_set():
+                return
             centre, radius = robust_bounds(gaussians.means)
-            effects = census(gaussians)
             settings = settings_for(gaussians)
-            self._check_cancelled()
-            findings = check(gaussians)
-            self._check_cancelled()
             self.result = LoadedScene(
                 gaussians=gaussians,
                 paths=self._paths,
                 name=self.name,
                 centre=centre,
-                radius=radius if 0 < radius < np.inf else 1.0,
+                radius=radius,
                 settings=settings,
-                effects=tuple(effects),
-                findings=tuple(findings),
                 seconds=time.perf_counter() - began,
             )
-            self.progress = 1.0
         except LoadCancelled:
             self._cancelled.set()
         except InputError as error:
@@ -110,9 +102,27 @@ class Loading:
             # Whatever a reader did not foresee: the window and the old scene must survive it.
             self.error = f"{self.name}: cannot be opened ({type(error).__name__}: {error})"
 
-    def _check_cancelled(self) -> None:
-        if self._cancelled.is_set():
-            raise LoadCancelled
+
+class Examination:
+    """The effects census and health check of a scene that is already shown; takes a second for a million."""
+
+    def __init__(self, gaussians: Gaussians):
+        self.effects: tuple[Effect, ...] = ()
+        self.findings: tuple[Finding, ...] = ()
+        self._gaussians = gaussians
+        self._thread = threading.Thread(target=self._run, name="splatview-examine", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    def join(self, timeout: float) -> None:
+        self._thread.join(timeout)
+
+    def _run(self) -> None:
+        self.effects = tuple(census(self._gaussians))
+        self.findings = tuple(check(self._gaussians))
 
 
 def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
@@ -146,4 +156,6 @@ def load_demo() -> Loading:
     def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
         return demo_scene()
 
-    return Loading("Demo", (), read)
+    made = Loading("Demo", (), read)
+    made.stage, made.progress = "Making", None
+    return made

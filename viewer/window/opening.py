@@ -16,7 +16,7 @@ from ...scene.framing import frame_camera
 from .bookmarks import load_bookmarks
 from .camera_list import go_to_camera
 from .core import Core
-from .loading import LoadedScene, load_demo, load_files
+from .loading import Examination, LoadedScene, load_demo, load_files
 from .navigation import view_from_camera
 from .preferences import with_recent
 
@@ -116,9 +116,17 @@ def adopt(core: Core, scene: LoadedScene) -> None:
     for path in reversed(scene.paths):
         core.preferences = with_recent(core.preferences, path)
     core.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
-    for finding in scene.findings:
+    core.examination, core.examined = Examination(scene.gaussians), False
+
+
+def report_examination(core: Core) -> None:
+    """Called every frame: says once which splats of a new scene are left out."""
+    if core.examination is None or core.examined or not core.examination.done:
+        return
+    core.examined = True
+    for finding in core.examination.findings:
         if finding.count and finding.culled:
-            core.tell(f"{scene.name}: {finding.count:,} splats are left out: {finding.name}")
+            core.tell(f"{finding.count:,} splats are left out: {finding.name}")
 
 
 def look_at_all_of(core: Core, scene: LoadedScene) -> None:

@@ -231,7 +231,7 @@ def trouble(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, An
 
     slow_down()
     hand.drop(options["slow"])
-    hand.wait(lambda: core.loading is not None and core.loading.progress > 0.05, "progress")
+    hand.wait(lambda: core.loading is not None and (core.loading.progress or 0) > 0.05, "progress")
     before = imgui.get_frame_count()
     hand.frames(10)
     found["frames_while_loading"] = imgui.get_frame_count() - before

@@ -230,3 +230,21 @@ def test_the_demo_opens_without_a_file(core, wait_for_loading):
     assert len(core.scene.gaussians) > 1000
     assert core.scene_path is None
     assert core.preferences.recent == ()
+
+
+def test_a_shown_scene_is_examined_and_ill_splats_are_told(
+    core, tmp_path, random_gaussians, wait_for_loading
+):
+    scene = random_gaussians(30)
+    scene.means[:4] = np.nan
+    save_scene(scene, tmp_path / "ill.ply")
+    open_paths(core, [tmp_path / "ill.ply"])
+    wait_for_loading(core)
+    assert core.scene is not None
+    core.examination.join(30)
+    opening.report_examination(core)
+    opening.report_examination(core)
+    told = [message.text for message in core.messages if "left out" in message.text]
+    assert len(told) == 1
+    assert told[0].startswith("4 splats")
+    assert any(effect.name.startswith("SH band") for effect in core.examination.effects)

@@ -12,6 +12,8 @@ from PIL import Image
 from splatview.measure.metrics import psnr
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.files import save_scene
+from splatview.viewer.gl import make_renderer
+from splatview.viewer.gl.context import create_headless_context
 
 
 @pytest.fixture
@@ -28,7 +30,7 @@ def files(tmp_path, scene, random_gaussians) -> tuple[Path, Path]:
     return first, second
 
 
-def test_a_tour_of_the_window(drive, files, scene, tmp_path, ctx):
+def test_a_tour_of_the_window(drive, files, scene, tmp_path):
     first, second = files
     found = drive("tour", first, drop=str(second))
     assert found["first"] == "first.ply"
@@ -77,7 +79,7 @@ def test_a_tour_of_the_window(drive, files, scene, tmp_path, ctx):
     picture = np.asarray(Image.open(tmp_path / "second.png"), np.float32) / 255
     camera = Camera(**{**found["camera"], "world_to_camera": np.array(found["camera"]["world_to_camera"])})
     assert picture.shape == (camera.height, camera.width, 3)
-    headless = headless_picture(ctx, scene, camera)
+    headless = headless_picture(scene, camera)
     assert psnr(picture, np.round(headless[..., :3].clip(0, 1) * 255) / 255) >= 50
     assert picture.std() > 0.05, "not an empty one"
 
@@ -91,14 +93,12 @@ def test_a_tour_of_the_window(drive, files, scene, tmp_path, ctx):
     assert not list(tmp_path.glob("*.ini")), "no layout file in the working directory"
 
 
-def headless_picture(ctx, scene: Gaussians, camera: Camera) -> np.ndarray:
-    from splatview.viewer.gl import make_renderer
-
-    renderer = make_renderer(ctx)
+def headless_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
+    ctx = create_headless_context()
     try:
-        return renderer.render(scene, camera, RenderSettings())
+        return make_renderer(ctx).render(scene, camera, RenderSettings())
     finally:
-        renderer.release()
+        ctx.release()
 
 
 def test_trouble_is_told_and_survived(drive, files, tmp_path):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import ImVec4, imgui
 
 from .. import theme
 from ..core import Core
+from ..loading import Examination
 from . import widgets
 
 
@@ -38,25 +39,34 @@ def show(core: Core) -> None:
     )
     widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
 
-    if scene.effects:
-        widgets.section("Effects")
-        for effect in scene.effects:
-            imgui.text_colored(
-                imgui.ImVec4(*theme.ACCENT, 1) if effect.on else theme.QUIET, "on" if effect.on else "off"
-            )
-            imgui.same_line(imgui.get_font_size() * 2.6)
-            imgui.text(effect.name)
-            widgets.tooltip(effect.why)
-    widgets.section("Health")
-    found = [finding for finding in scene.findings if finding.count]
-    if not found:
-        widgets.note("No splat is ill.")
-    for finding in found:
-        imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
-        imgui.same_line(imgui.get_font_size() * 5)
-        imgui.text(finding.name)
-        widgets.tooltip(finding.what)
+    if core.examination is not None:
+        examination(core.examination)
     if gaussians.comments:
         widgets.section("Comments in the file")
         for comment in gaussians.comments:
             widgets.note(comment)
+
+
+def examination(found: Examination) -> None:
+    """Effects with their evidence, and splats that are ill."""
+    if not found.done:
+        widgets.section("Effects")
+        widgets.note("Looking at the splats...")
+        return
+    widgets.section("Effects")
+    for effect in found.effects:
+        imgui.text_colored(
+            ImVec4(*theme.ACCENT, 1) if effect.on else theme.QUIET, "on" if effect.on else "off"
+        )
+        imgui.same_line(imgui.get_font_size() * 2.6)
+        imgui.text(effect.name)
+        widgets.tooltip(effect.why)
+    widgets.section("Health")
+    ill = [finding for finding in found.findings if finding.count]
+    if not ill:
+        widgets.note("No splat is ill.")
+    for finding in ill:
+        imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
+        imgui.same_line(imgui.get_font_size() * 5)
+        imgui.text(finding.name)
+        widgets.tooltip(finding.what)
