@@ -36,7 +36,7 @@ def expand(name: str, version: str, flags: Mapping[str, float | bool]) -> tuple[
     lines = [f"#version {version}"]
     lines += [f"#define {flag} {_literal(value)}" for flag, value in sorted(flags.items())]
     origins = [("(flags)", number) for number in range(1, len(lines) + 1)]
-    _append(name, set(), lines, origins)
+    _append(name, "(loader)", set(), lines, origins)
     return "\n".join(lines) + "\n", origins
 
 
@@ -45,16 +45,19 @@ def _literal(value: float | bool) -> str:
     return repr(float(value)) if isinstance(value, float) else str(int(value))
 
 
-def _append(name: str, seen: set[str], lines: list[str], origins: list[Origin]) -> None:
+def _append(name: str, includer: str, seen: set[str], lines: list[str], origins: list[Origin]) -> None:
     seen.add(name)
-    source = resources.files(shaders).joinpath(name).read_text(encoding="utf8")
+    try:
+        source = resources.files(shaders).joinpath(name).read_text(encoding="utf8")
+    except FileNotFoundError as error:
+        raise ShaderError(f"{includer}: there is no shader file {name}") from error
     for number, line in enumerate(source.splitlines(), start=1):
         match = INCLUDE.match(line)
         if match is None:
             lines.append(line)
             origins.append((name, number))
         elif match[1] not in seen:
-            _append(match[1], seen, lines, origins)
+            _append(match[1], f"{name}:{number}", seen, lines, origins)
 
 
 def _version(ctx: moderngl.Context) -> str:

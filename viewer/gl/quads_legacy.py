@@ -27,6 +27,9 @@ from .view_uniforms import set_uniforms, view_uniforms
 
 OLDEST = 330
 
+FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
+"""The target's alpha is the transmittance T: rgb += T·(alpha·colour), T *= 1 - alpha."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Wish:
@@ -192,8 +195,8 @@ class LegacyQuadsRenderer:
         exact = self._order.view == ViewLine.of(wish.camera)
         ordered = self._order.before_eye if exact else len(self._order.order)
         ctx.enable_only(moderngl.BLEND)
-        ctx.blend_equation = moderngl.FUNC_ADD
-        ctx.blend_func = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
+        ctx.blend_equation = moderngl.FUNC_ADD  # pyright: ignore[reportAttributeAccessIssue]
+        ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
         self._order_texture.use(0)
         self._projection.use(self._draw_splats, 1)
         set_uniforms(self._draw_splats, {**uniforms, "u_order": 0, "u_ordered": ordered})

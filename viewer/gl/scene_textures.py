@@ -105,15 +105,15 @@ def _allocate(ctx: moderngl.Context, gaussians: Gaussians) -> SceneTextures:
             scales=ctx.texture(size, 3, dtype="f4"),
             sh=ctx.texture_array((*size, coefficients), 3, dtype="f4"),
         )
-        short_of_memory = ctx.error == "GL_OUT_OF_MEMORY"
-    except moderngl.Error:
-        short_of_memory = True
-    if short_of_memory:
+        if ctx.error == "GL_OUT_OF_MEMORY":
+            scene.release()
+            raise MemoryError
+    except (moderngl.Error, MemoryError) as error:
         needed = TEXTURE_WIDTH * rows * 4 * (4 + 4 + 3 + 3 * coefficients)
         raise InputError(
             f"{n:,} splats need {needed >> 20:,} MiB of graphics memory, more than there is:"
             " use --renderer cpu or fewer splats"
-        )
+        ) from error
     return scene
 
 
