@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import moderngl
@@ -14,14 +15,17 @@ from ... import raster
 from ...scene import Camera, Gaussians, RenderSettings
 from . import FrameStats
 
-REST_SECONDS = 0.15
+REST_SECONDS = 0.25
 """A camera that has not changed for so long rests: the next picture may take its time."""
 
-SLOW_MS, QUICK_MS = 60.0, 30.0
-"""A moving picture slower than this gets fewer pixels, a quicker one more."""
+MOVING_MS = 50.0
+"""What a picture may take while the camera moves: 20 a second."""
 
-LEAST_SCALE = 1 / 8
-"""Below this nothing can be recognised."""
+LEAST_SCALE = 1 / 4
+"""Of the picture's sides; below this nothing can be recognised."""
+
+PIXEL_STAGES = ("bin", "forward")
+"""Stages whose time grows with the pixels; the others cost the same at any size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +171,9 @@ class CpuTexture:
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
-        began = time.perf_counter()
         frame = raster.draw_frame(
             raster.parameters_of(wish.gaussians), camera, wish.settings, workspace, threads=self._threads
         )
-        milliseconds = (time.perf_counter() - began) * 1000
         self.status = ""
         visible = sum(stop - start for start, stop in frame.runs)
         with self._change:
@@ -188,9 +190,19 @@ class CpuTexture:
             )
             if not moving:
                 self._finished = wish
-            if moving or milliseconds < SLOW_MS:
-                # A quick full picture makes the moving ones full too.
-                if milliseconds > SLOW_MS:
-                    self._moving_scale = max(self._moving_scale * 0.8, LEAST_SCALE)
-                elif milliseconds < QUICK_MS:
-                    self._moving_scale = min(self._moving_scale * 1.2, 1.0)
+            self._moving_scale = affordable_scale(frame.milliseconds, camera.width / wish.camera.width)
+
+
+def affordable_scale(milliseconds: Mapping[str, float], scale: float) -> float:
+    """The scale of the next moving picture, from the stages' times of one drawn at `scale`.
+
+    Pixels get what is left of MOVING_MS, but at least as much as the stages that do not depend on them
+    take: where those are slow already, fewer pixels would hardly be quicker.
+    """
+    of_pixels = sum(milliseconds.get(stage, 0.0) for stage in PIXEL_STAGES)
+    fixed = sum(milliseconds.values()) - of_pixels
+    whole = of_pixels / scale**2
+    allowed = max(MOVING_MS - fixed, fixed, MOVING_MS / 4)
+    affordable = math.sqrt(allowed / whole) if whole > 0 else 1.0
+    # In eighths: a size that trembled with every measurement would be seen.
+    return min(1.0, max(LEAST_SCALE, math.floor(affordable * 8) / 8))

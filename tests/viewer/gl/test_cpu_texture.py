@@ -1,0 +1,161 @@
+"""The CPU renderer's texture: never waits, coarse when moving, exact at rest, and survives trouble."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from splatview import raster
+from splatview.scene import RenderSettings, look_at
+from splatview.viewer.gl import cpu_texture
+from splatview.viewer.gl.cpu_texture import LEAST_SCALE, MOVING_MS, CpuTexture, affordable_scale
+
+SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
+
+
+def camera(angle: float = 0.0, width: int = 96, height: int = 64):
+    eye = (3 * np.sin(angle), 0.5, -3 * np.cos(angle))
+    return look_at(eye, (0, 0, 0), width=width, height=height)
+
+
+@pytest.fixture
+def texture(ctx) -> Iterator[CpuTexture]:
+    made = CpuTexture(ctx, threads=1)
+    yield made
+    made.release()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.002)
+
+
+def rest(texture: CpuTexture, view, settings=SETTINGS) -> np.ndarray:
+    """Asks for the same picture until it is the final one."""
+
+    def final() -> bool:
+        texture.draw(view, settings)
+        return not texture.busy
+
+    until(final)
+    width, height = texture.texture.size
+    return np.frombuffer(texture.texture.read(), np.float32).reshape(height, width, 4)
+
+
+def test_at_rest_it_is_the_rasterisers_picture(texture, random_gaussians):
+    scene = random_gaussians(500)
+    texture.load(scene)
+    shown = rest(texture, camera())
+    np.testing.assert_array_equal(shown, raster.render(scene, camera(), SETTINGS))
+    assert texture.stats.splats == 500
+    assert 0 < texture.stats.visible <= 500
+    assert set(texture.stats.ms) >= {"project", "sort", "forward"}
+
+
+def test_nothing_is_drawn_again_while_nothing_changes(texture, random_gaussians):
+    texture.load(random_gaussians(200))
+    rest(texture, camera())
+    before = texture.stats.drawn
+    for _ in range(50):
+        texture.draw(camera(), SETTINGS)
+        time.sleep(0.001)
+    assert texture.stats.drawn == before
+    rest(texture, camera(0.1))
+    assert texture.stats.drawn > before
+
+
+def test_drawing_never_waits_and_the_latest_wish_wins(texture, random_gaussians, monkeypatch):
+    texture.load(random_gaussians(300))
+    rest(texture, camera())
+    gate, entered, angles = threading.Event(), threading.Event(), []
+    real = raster.draw_frame
+
+    def held(splats, view, *args, **options):
+        angles.append(round(float(np.arctan2(view.eye[0], -view.eye[2])), 3))
+        entered.set()
+        assert gate.wait(60)
+        return real(splats, view, *args, **options)
+
+    monkeypatch.setattr(raster, "draw_frame", held)
+    texture.draw(camera(0.1), SETTINGS)
+    assert entered.wait(60)
+    for step in range(2, 9):
+        texture.draw(camera(step / 10), SETTINGS)
+    assert texture.busy
+    gate.set()
+    rest(texture, camera(0.8))
+    assert set(angles) == {0.1, 0.8}, "wishes overtaken meanwhile are never drawn"
+
+
+def test_moving_pictures_are_smaller_where_pixels_are_dear(texture, random_gaussians, monkeypatch):
+    scene = random_gaussians(300)
+    texture.load(scene)
+    monkeypatch.setattr(cpu_texture, "affordable_scale", lambda *_: 0.5)
+    rest(texture, camera())
+    before = texture.stats.drawn
+    texture.draw(camera(0.2), SETTINGS)
+    until(lambda: texture.stats.drawn > before)
+    texture.draw(camera(0.2), SETTINGS)
+    assert texture.texture.size == (48, 32)
+    assert texture.busy, "the sharp one is still to come"
+    np.testing.assert_array_equal(rest(texture, camera(0.2)), raster.render(scene, camera(0.2), SETTINGS))
+
+
+def test_a_new_scene_makes_the_old_picture_stale(texture, random_gaussians):
+    first, second = random_gaussians(100), random_gaussians(100, seed=9)
+    texture.load(first)
+    rest(texture, camera())
+    texture.load(second)
+    np.testing.assert_array_equal(rest(texture, camera()), raster.render(second, camera(), SETTINGS))
+
+
+def test_a_failure_is_told_and_the_next_picture_comes(texture, random_gaussians, monkeypatch):
+    texture.load(random_gaussians(100))
+    rest(texture, camera())
+
+    def fail(*_, **__):
+        raise MemoryError("no room")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(raster, "draw_frame", fail)
+        rest(texture, camera(0.3))
+        assert texture.problem is not None
+        assert "no room" in texture.problem
+    assert np.isfinite(rest(texture, camera(0.4))).all()
+
+
+def test_ready_pictures_wake_the_window(ctx, random_gaussians):
+    woken = threading.Event()
+    texture = CpuTexture(ctx, threads=1, on_ready=woken.set)
+    try:
+        texture.load(random_gaussians(50))
+        texture.draw(camera(), SETTINGS)
+        assert woken.wait(60)
+    finally:
+        texture.release()
+
+
+def test_it_ends_while_a_picture_is_under_way(ctx, random_gaussians):
+    texture = CpuTexture(ctx, threads=1)
+    texture.load(random_gaussians(2000))
+    texture.draw(camera(width=640, height=480), SETTINGS)
+    texture.release()
+    assert not any(thread.name == "splatview-cpu" and thread.is_alive() for thread in threading.enumerate())
+
+
+def test_the_scale_follows_the_price_of_pixels():
+    quick = {"project": 1.0, "sort": 1.0, "bin": 2.0, "forward": 6.0}
+    assert affordable_scale(quick, 1.0) == 1.0
+    slow = {"project": 10.0, "sort": 0.0, "bin": 0.0, "forward": 160.0}
+    assert affordable_scale(slow, 1.0) == 0.5, f"a quarter of the pixels cost what is left of {MOVING_MS} ms"
+    assert affordable_scale({**slow, "forward": 40.0}, 0.5) == 0.5, "and the estimate is stable there"
+    assert affordable_scale({**slow, "forward": 1e6}, 1.0) == LEAST_SCALE
+    heavy = {"project": 400.0, "forward": 400.0}
+    assert affordable_scale(heavy, 1.0) == 1.0, "fewer pixels would not help"
+    assert affordable_scale({}, 1.0) == 1.0
