@@ -1,0 +1,84 @@
+"""`splatview [SCENE ...]`: the window, or a preview picture where there is no display."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from ...scene import InputError, concatenate
+from ...scene.effects import settings_for
+from ...scene.files import load_scene
+from ...scene.framing import frame_camera
+from .arguments import DEFAULT_SIZE, Parser
+from .pictures import check_output, write_picture
+from .renderers import Cpu, HeadlessRenderer, Quads
+
+DEFAULT_PREVIEW = Path("splatview-preview.png")
+
+
+def run(arguments: list[str]) -> int:
+    parser = Parser("", "Opens scenes in a window.", usage="splatview [SCENE ...] [options]")
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE")
+    parser.add_argument("--renderer", choices=("auto", "quads", "cpu"), default="auto")
+    parser.add_argument("-o", "--output", type=Path, default=DEFAULT_PREVIEW, metavar="FILE.png")
+    args = parser.parse(arguments)
+    if args is None:
+        return 0
+    for path in args.scenes:
+        # os.path: unlike Path.exists it takes names that no file system would.
+        if not os.path.lexists(path):
+            hint = "" if path.suffix or len(path.parts) > 1 else ", nor a command; see splatview --help"
+            raise InputError(f"{path}: no such file{hint}")
+    problem = no_window()
+    if problem is None:
+        from ..window.app import run_window
+
+        return run_window(args.scenes, renderer=args.renderer)
+    check_output(args.output, (".png",))
+    print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)
+    write_preview(args.scenes, args.output, args.renderer)
+    return 0
+
+
+def no_window() -> str | None:
+    """One line on why no window can be opened, or None."""
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        # Known without loading the window's libraries.
+        return "no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
+    from ..window.display import display_problem
+
+    return display_problem()
+
+
+def write_preview(paths: list[Path], output: Path, renderer: str) -> None:
+    """The first view of the scenes, merged, or of the demo."""
+    width, height = DEFAULT_SIZE
+    if paths:
+        gaussians = concatenate([load_scene(path) for path in paths])
+        camera = frame_camera(gaussians, width, height)
+    else:
+        from ...scene.demo import demo_camera, demo_scene
+
+        gaussians, camera = demo_scene(), demo_camera(width, height)
+    settings = settings_for(gaussians)
+    drawing = preview_renderer(renderer)
+    write_picture(drawing.draw(gaussians, camera, settings), output)
+    print(f"{output}: {width}x{height}, by {drawing.name}", file=sys.stderr)
+
+
+def preview_renderer(renderer: str) -> HeadlessRenderer:
+    """`quads` by EGL unless `cpu` is asked for; where there is no EGL, `cpu`, saying so."""
+    if renderer == "cpu":
+        return Cpu()
+    from ..gl.context import create_headless_context
+
+    try:
+        return Quads(create_headless_context())
+    except InputError as error:
+        if renderer == "quads":
+            raise
+        print(f"splatview: {error}; rendering on the CPU", file=sys.stderr)
+        return Cpu()

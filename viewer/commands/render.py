@@ -1,0 +1,158 @@
+"""`splatview render`: a scene to a picture file, headless."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...scene import Gaussians, InputError, RenderSettings
+from ...scene.effects import settings_for
+from ...scene.files import load_scene
+from .arguments import Parser, colour, count, not_negative, number, positive
+from .cameras import Orbit, add_camera_options, check_camera_options, chosen_orbit
+from .pictures import check_output, write_picture
+from .renderers import RENDERERS, HeadlessRenderer, make_headless
+
+MODES = ("splats", "points", "ellipsoids", "depth", "overdraw")
+
+WARM_UP_TURN = -1.0
+"""Degrees by which the frame before the measured ones differs, so that nothing of it can be kept."""
+
+
+def make_parser() -> Parser:
+    parser = Parser(
+        "render",
+        "Renders SCENE without a window.\n\n"
+        "A .png is 8-bit RGB; a .npy is float32 (height, width, 4), RGB over the background and alpha.\n"
+        "What the scene calls for (antialiased opacity, SH degree) is read from it; options override.",
+    )
+    parser.add_argument("scene", metavar="SCENE")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
+    add_camera_options(parser)
+    group = parser.add_argument_group("picture")
+    group.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default: 0,0,0)")
+    group.add_argument(
+        "--alpha", action="store_true", help="a .png with transparency instead of a background"
+    )
+    group.add_argument("--renderer", choices=RENDERERS, default="auto")
+    group.add_argument("--mode", choices=MODES, default="splats", help="other than splats: quads only")
+    group.add_argument("--sh-degree", type=int, choices=range(4), metavar="D", help="at most D, 0 to 3")
+    group.add_argument("--blend", choices=("float16", "float32"), help="target of quads (default: float16)")
+    group.add_argument(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="opacity made up for the blur (default: as the file says)",
+    )
+    group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
+    group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
+    group = parser.add_argument_group("measuring")
+    group.add_argument("--stats", action="store_true", help="print times and counts as one JSON object")
+    group.add_argument("--frames", type=count, default=1, metavar="N", help="render N frames, write the last")
+    group.add_argument(
+        "--turn", type=number, default=0.0, metavar="DEG", help="turn the eye about the target before each"
+    )
+    return parser
+
+
+def run(arguments: list[str]) -> int:
+    args = make_parser().parse(arguments)
+    if args is None:
+        return 0
+    check_camera_options(args)
+    check_picture_options(args)
+    gaussians = load_scene(args.scene)
+    settings = chosen_settings(args, gaussians)
+    orbit = chosen_orbit(args, gaussians)
+    renderer = make_headless(args.renderer, mode=args.mode)
+    image, stats = render_frames(args, renderer, gaussians, orbit, settings)
+    if args.output:
+        write_picture(image, args.output, alpha=args.alpha)
+        print(f"{args.output}: {image.shape[1]}x{image.shape[0]}, by {renderer.name}", file=sys.stderr)
+    if args.stats:
+        print(json.dumps(stats))
+    return 0
+
+
+def check_picture_options(args: argparse.Namespace) -> None:
+    """Raises InputError for what cannot work, before anything is loaded."""
+    if args.output is None and not args.stats:
+        raise InputError("nothing to do: give -o OUT.png or --stats (see splatview render --help)")
+    if args.output is not None:
+        check_output(args.output)
+    if args.alpha:
+        if args.output is None or args.output.suffix.lower() != ".png":
+            raise InputError("--alpha is for .png files; a .npy always has alpha")
+        if args.background is not None:
+            raise InputError("--alpha leaves the background out; drop --background or --alpha")
+    if args.mode != "splats" and args.renderer not in ("auto", "quads"):
+        raise InputError(f"--mode {args.mode} needs --renderer quads")
+
+
+def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSettings:
+    """What the scene calls for, with the options' changes."""
+    settings = settings_for(gaussians)
+    changes: dict[str, Any] = {
+        name: value
+        for name, value in (
+            ("antialiased", args.antialiased),
+            ("blur", args.blur),
+            ("near", args.near),
+        )
+        if value is not None
+    }
+    settings = replace(settings, model=replace(settings.model, **changes))
+    if args.sh_degree is not None:
+        settings = replace(settings, sh_degree=args.sh_degree)
+    if args.blend is not None:
+        settings = replace(settings, blend=args.blend)
+    return replace(settings, background=args.background or (0.0, 0.0, 0.0))
+
+
+def render_frames(
+    args: argparse.Namespace,
+    renderer: HeadlessRenderer,
+    gaussians: Gaussians,
+    orbit: Orbit,
+    settings: RenderSettings,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The last picture, and the figures of all. Times are wall-clock up to the pixels in memory.
+
+    With --stats one frame is drawn first and not counted: it compiles and allocates.
+    """
+    if args.stats:
+        renderer.draw(gaussians, orbit.turned(WARM_UP_TURN), settings, args.mode)
+    image = np.empty(0, np.float32)
+    totals: list[float] = []
+    stages: dict[str, list[float]] = {}
+    visible = 0
+    for frame in range(1, args.frames + 1):
+        camera = orbit.turned(args.turn * frame) if args.turn else orbit.camera
+        start = time.perf_counter()
+        image = renderer.draw(gaussians, camera, settings, args.mode)
+        totals.append(1e3 * (time.perf_counter() - start))
+        if args.stats:
+            visible, milliseconds = renderer.stats()
+            for stage, value in milliseconds.items():
+                stages.setdefault(stage, []).append(value)
+    ms = {
+        "total": statistics.median(totals),
+        "min": min(totals),
+        "max": max(totals),
+        "stages": {stage: statistics.median(values) for stage, values in stages.items()},
+    }
+    return image, {
+        "renderer": renderer.name,
+        "size": [orbit.camera.width, orbit.camera.height],
+        "splats": len(gaussians),
+        "visible": visible,
+        "frames": args.frames,
+        "ms": ms,
+    }

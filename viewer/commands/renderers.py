@@ -1,0 +1,148 @@
+"""Renderers without a window, by name, behind one small face."""
+
+from __future__ import annotations
+
+import sys
+import time
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ...scene import Camera, Gaussians, InputError, RenderSettings
+
+if TYPE_CHECKING:
+    import moderngl
+
+    from ..gl import VisualMode
+
+RENDERERS = ("auto", "quads", "cpu", "reference")
+
+
+class HeadlessRenderer(Protocol):
+    """One scene, many pictures."""
+
+    name: str
+
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
+    ) -> np.ndarray:
+        """The picture (H, W, 4) float32."""
+        ...
+
+    def stats(self) -> tuple[int, dict[str, float]]:
+        """Of the last picture: splats that reached it, and milliseconds by stage."""
+        ...
+
+
+class Quads:
+    """The GL renderer on a context without a window."""
+
+    name = "quads"
+
+    def __init__(self, ctx: moderngl.Context):
+        from ..gl import make_renderer
+
+        self._renderer: Any = make_renderer(ctx)
+        self._loaded: Gaussians | None = None
+
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
+    ) -> np.ndarray:
+        if gaussians is not self._loaded:
+            self._renderer.load(gaussians)
+            self._loaded = gaussians
+        self._renderer.draw(camera, settings, mode=mode)
+        return self._renderer.read()
+
+    def stats(self) -> tuple[int, dict[str, float]]:
+        stats = self._renderer.finished_stats()
+        return stats.visible, dict(stats.ms)
+
+
+class Cpu:
+    """The numba rasteriser."""
+
+    name = "cpu"
+
+    def __init__(self) -> None:
+        from ...raster import Workspace, will_compile
+
+        if will_compile():
+            print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
+        self._workspace = Workspace()
+        self._last: tuple[int, dict[str, float]] = (0, {})
+
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
+    ) -> np.ndarray:
+        from ...raster import draw_frame, parameters_of
+
+        frame = draw_frame(parameters_of(gaussians), camera, settings, self._workspace)
+        visible = sum(int(stop - start) for start, stop in frame.runs)
+        self._last = visible, dict(frame.milliseconds)
+        return frame.image
+
+    def stats(self) -> tuple[int, dict[str, float]]:
+        return self._last
+
+
+class Reference:
+    """The image model in float64: the truth, slowly."""
+
+    name = "reference"
+
+    def __init__(self) -> None:
+        self._last: tuple[Gaussians, Camera, RenderSettings] | None = None
+        self._milliseconds = 0.0
+
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
+    ) -> np.ndarray:
+        from ...scene import reference
+
+        self._last = gaussians, camera, settings
+        start = time.perf_counter()
+        image = reference.render(gaussians, camera, settings).astype(np.float32)
+        self._milliseconds = 1e3 * (time.perf_counter() - start)
+        return image
+
+    def stats(self) -> tuple[int, dict[str, float]]:
+        from ...scene.projection import project
+
+        visible = len(project(*self._last).indices) if self._last else 0
+        return visible, {"render": self._milliseconds}
+
+
+def make_headless(name: str, *, mode: VisualMode = "splats") -> HeadlessRenderer:
+    """The renderer called `name`; "auto" takes `cpu` where GL is absent or only software, else `quads`.
+
+    Raises:
+        InputError: it does not work here, or cannot show `mode`.
+    """
+    if name == "auto":
+        name = "quads" if mode != "splats" else automatic_choice()[0]
+    if mode != "splats" and name != "quads":
+        raise InputError(f"--mode {mode} needs --renderer quads")
+    if name == "cpu":
+        return Cpu()
+    if name == "reference":
+        return Reference()
+    from ..gl.context import create_headless_context
+
+    return Quads(create_headless_context())
+
+
+def automatic_choice() -> tuple[str, str]:
+    """What "auto" takes here, and why."""
+    from ..gl.context import create_headless_context, describe
+
+    try:
+        ctx = create_headless_context()
+    except InputError as error:
+        return "cpu", str(error)
+    info = describe(ctx)
+    ctx.release()
+    if info.is_software and find_spec("numba") is not None:
+        return "cpu", f"OpenGL is only software here ({info.renderer})"
+    return "quads", f"OpenGL runs on {info.renderer}"
