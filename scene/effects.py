@@ -167,7 +167,7 @@ def _centred(gaussians: Gaussians) -> Effect:
     return Effect(
         name="float64-centred positions",
         on=bool(spacing > FAR_SPACING * size) or gaussians.means.dtype == np.float64,
-        why=f"positions are {stored} and reach {furthest:.4g}, where float32 moves in steps of {spacing:.2g}; "
+        why=f"positions are {stored} and reach {furthest:.4g}, where float32 has steps of {spacing:.2g}; "
         f"the median splat measures {size:.2g}",
     )
 

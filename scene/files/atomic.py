@@ -26,6 +26,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         target = path.resolve()
         if target.is_dir():
             raise InputError(f"{path}: is a folder; name a file in it")
+        if target.exists() and not target.is_file():
+            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
         if not target.parent.is_dir():
             raise InputError(f"{path}: the folder {target.parent} does not exist; make it first")
         # In the same folder, for a rename between file systems would be a copy.
