@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from ...scene import InputError, concatenate
+from ...scene import Camera, Gaussians, InputError, concatenate
 from ...scene.effects import settings_for
 from ...scene.files import load_scene
 from ...scene.framing import frame_camera
@@ -36,8 +36,11 @@ def run(arguments: list[str]) -> int:
 
         return run_window(args.scenes, renderer=args.renderer)
     check_output(args.output, (".png",))
+    gaussians, camera = first_view(args.scenes)
     print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)
-    write_preview(args.scenes, args.output, args.renderer)
+    drawing = preview_renderer(args.renderer)
+    write_picture(drawing.draw(gaussians, camera, settings_for(gaussians)), args.output)
+    print(f"{args.output}: {camera.width}x{camera.height}, by {drawing.name}", file=sys.stderr)
     return 0
 
 
@@ -53,20 +56,15 @@ def no_window() -> str | None:
     return display_problem()
 
 
-def write_preview(paths: list[Path], output: Path, renderer: str) -> None:
-    """The first view of the scenes, merged, or of the demo."""
+def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
+    """The scenes, merged, or the demo; and the camera that shows them first."""
     width, height = DEFAULT_SIZE
-    if paths:
-        gaussians = concatenate([load_scene(path) for path in paths])
-        camera = frame_camera(gaussians, width, height)
-    else:
+    if not paths:
         from ...scene.demo import demo_camera, demo_scene
 
-        gaussians, camera = demo_scene(), demo_camera(width, height)
-    settings = settings_for(gaussians)
-    drawing = preview_renderer(renderer)
-    write_picture(drawing.draw(gaussians, camera, settings), output)
-    print(f"{output}: {width}x{height}, by {drawing.name}", file=sys.stderr)
+        return demo_scene(), demo_camera(width, height)
+    gaussians = concatenate([load_scene(path) for path in paths])
+    return gaussians, frame_camera(gaussians, width, height)
 
 
 def preview_renderer(renderer: str) -> HeadlessRenderer:
