@@ -213,33 +213,21 @@ def test_unread_scenes_at_hand_are_refused(data_file):
 SEEDS = ("binary_little_endian", "binary_big_endian", "ascii")
 TOKENS = st.sampled_from(
     [
-        "vertex",
-        "face",
-        "-1",
-        "0",
-        "1",
-        "9",
-        "11",
-        "99999999999",
-        "float",
-        "double",
-        "uchar",
-        "list",
-        "int",
-        "x",
-        "y",
-        "opacity",
-        "rot_0",
-        "f_rest_0",
-        "scale_2",
-        "comment",
-        "property",
-        "element",
-        "format",
-        "ascii",
-        "binary_little_endian",
-        "binary_big_endian",
-        "end_header",
+        *(
+            "vertex",
+            "face",
+            "x",
+            "y",
+            "opacity",
+            "rot_0",
+            "f_rest_0",
+            "scale_2",
+            "list",
+            "comment",
+            "end_header",
+        ),
+        *("-1", "0", "1", "9", "11", "99999999999", "float", "double", "uchar", "int"),
+        *("property", "element", "format", "ascii", "binary_little_endian", "binary_big_endian"),
     ]
 )
 
@@ -269,7 +257,7 @@ def mutate(data: bytes, changes: list[tuple]) -> bytes:
         else:
             head, mark, body = data.partition(b"end_header")
             words = head.replace(b"\n", b" \n ").split(b" ")
-            i = args[0] % len(words)
+            i = int(args[0]) % len(words)
             if kind == "word":
                 words[i] = args[1].encode()
             else:
