@@ -77,7 +77,7 @@ class ProjectionPass:
         if variant not in self._programs:
             flags = {"TEXTURE_WIDTH": TEXTURE_WIDTH, "SH_DEGREE": sh_degree, "ANTIALIASED": antialiased}
             program = load_render_program(
-                self._ctx, "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
+                self._ctx, "legacy/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
             )
             self._programs[variant] = (program, self._ctx.vertex_array(program, []))
         return self._programs[variant]

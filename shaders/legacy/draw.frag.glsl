@@ -1,0 +1,17 @@
+// One splat at one pixel. The target holds the colour gathered so far and, in alpha, the transmittance T:
+// blended front to back by rgb += T·(alpha·colour), T *= 1 - alpha.
+uniform float u_alpha_cut;
+uniform float u_max_alpha;
+
+flat in vec4 v_shape;
+flat in float v_c;
+flat in vec4 v_colour;
+out vec4 colour;
+
+void main() {
+    vec2 d = gl_FragCoord.xy - v_shape.xy;
+    vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c * d.y);
+    float alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+    if (!(alpha >= u_alpha_cut)) discard;
+    colour = vec4(v_colour.rgb * alpha, alpha);
+}
