@@ -8,6 +8,7 @@ from typing import Any
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui, implot  # before glfw: it says which library that is
+from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip
 
@@ -45,6 +46,7 @@ class Window:
         self.dialogs = FileDialogs()
         self.core.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
+        self._title = ""
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
@@ -88,13 +90,18 @@ class Window:
             core.clipboard_write = None
         if core.scene_path is not None and self.dialogs.folder is None:
             self.dialogs.folder = core.scene_path.parent
-        params.app_window_params.window_title = layout.title(core)
+        self._show_title(layout.title(core))
         layout.hide_or_show_panels(core)
         flying = keys.held_step() is not None
         params.fps_idling.enable_idling = not (core.transition or flying)
         params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else IDLE_FPS
         if core.quitting:
             params.app_shall_exit = True
+
+    def _show_title(self, title: str) -> None:
+        if title != self._title:
+            self._title = title
+            glfw.set_window_title(glfw_window_hello_imgui(), title)
 
     def frame(self) -> None:
         """Drawn over the docks: dialogs, and the keys that work everywhere."""

@@ -54,6 +54,7 @@ def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams
         params.ini_disable = True
         core.tell(f"{config_folder()}: cannot be made ({error.strerror}); the layout will not be kept")
 
+    params.callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
     params.callbacks.show_menus = partial(menus.show, core)
     params.callbacks.show_status = partial(overlays.status_bar, core)
     params.docking_params = docking(core)
@@ -69,7 +70,7 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     flags = tidy.no_window_menu_button | tidy.no_close_button
     params.docking_splits = [
         split("MainDockSpace", "Upper", imgui.Dir.right, 0.27, flags),
-        split("Upper", "Lower", imgui.Dir.down, 0.42, flags),
+        split("Upper", "Lower", imgui.Dir.down, 0.45, flags),
     ]
     view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
     # hello_imgui would add padding around the picture; the window is begun by hand instead.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 
 from . import gizmo, theme
-from .actions import NAVIGATION_MODES
+from .actions import NAVIGATION_MODES, VISUAL_MODES, set_mode
 from .core import Core
 from .panels import widgets
 from .panels.camera import NAVIGATION_NAMES
+from .panels.rendering import MODE_NAMES, MODE_TIP
 from .shortcuts import keys_of
 
 HINTS = {
@@ -28,11 +29,13 @@ def over_picture(core: Core) -> None:
         if i:
             imgui.same_line()
         chosen = core.preferences.navigation == mode
-        fill = imgui.ImVec4(*theme.ACCENT, 0.75) if chosen else imgui.ImVec4(0.1, 0.1, 0.11, 0.7)
+        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
         imgui.push_style_color(imgui.Col_.button, fill)
         widgets.action_button(core, NAVIGATION_NAMES[mode], f"navigate_{mode}")
         imgui.pop_style_color()
     imgui.pop_style_var()
+    imgui.same_line()
+    mode_chooser(core)
     width = imgui.get_window_width()
     gizmo.show(core, ImVec2(corner.x + width - margin, corner.y + margin))
     if core.picture is not None and core.picture.status:
@@ -46,6 +49,21 @@ def over_picture(core: Core) -> None:
         imgui.text_colored(theme.QUIET, text)
 
 
+def mode_chooser(core: Core) -> None:
+    """What is shown, as one small list; bright where it is not the picture itself."""
+    usual = core.mode == "splats"
+    fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
+    imgui.push_style_color(imgui.Col_.frame_bg, fill)
+    imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
+    imgui.set_next_item_width(imgui.get_font_size() * 7)
+    names = [MODE_NAMES[mode] for mode in VISUAL_MODES]
+    changed, index = imgui.combo("##mode", VISUAL_MODES.index(core.mode), names)
+    imgui.pop_style_color(2)
+    widgets.tooltip(MODE_TIP)
+    if changed:
+        core.post(set_mode, VISUAL_MODES[index])
+
+
 def status_bar(core: Core) -> None:
     if core.messages:
         latest = core.messages[-1]
@@ -53,6 +71,11 @@ def status_bar(core: Core) -> None:
             imgui.text_colored(theme.ERROR, latest.text)
         else:
             imgui.text_unformatted(latest.text)
+    imgui.same_line()
     hint = HINTS[core.preferences.navigation]
-    imgui.same_line(imgui.get_window_width() - imgui.calc_text_size(hint).x - imgui.get_font_size())
+    start = imgui.get_window_width() - imgui.calc_text_size(hint).x - imgui.get_font_size()
+    if start < imgui.get_cursor_pos_x():
+        imgui.new_line()
+        return
+    imgui.same_line(start)
     imgui.text_colored(theme.QUIET, hint)

@@ -12,6 +12,7 @@ from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ..gl import FrameStats, VisualMode, make_renderer
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
+from ..gl.quads_legacy import LegacyQuadsRenderer
 
 
 class Picture(Protocol):
@@ -69,7 +70,8 @@ class GpuPicture:
 
     def __init__(self, ctx: moderngl.Context):
         self._renderer = make_renderer(ctx)
-        self.name = f"quads (OpenGL {ctx.version_code // 100}.{ctx.version_code // 10 % 10})"
+        legacy = isinstance(self._renderer, LegacyQuadsRenderer)
+        self.name = f"quads (OpenGL {'3.3' if legacy else '4.3'})"
         self._renderer.load(EMPTY)
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
@@ -92,7 +94,8 @@ class GpuPicture:
 
     @property
     def busy(self) -> bool:
-        return False
+        # The renderer for old GL sorts in a thread; the other one never has anything outstanding.
+        return isinstance(self._renderer, LegacyQuadsRenderer) and self._renderer.busy
 
     @property
     def stats(self) -> FrameStats:

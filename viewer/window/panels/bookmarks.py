@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from ..actions import delete_bookmark, go_to_bookmark, rename_bookmark
@@ -38,11 +39,11 @@ def bookmark_row(core: Core, index: int, name: str) -> None:
         core.post(go_to_bookmark, index)
     widgets.tooltip("Go to this view")
     imgui.same_line()
-    if imgui.small_button("..."):
+    if imgui.small_button(icons.ICON_FA_PEN):
         imgui.open_popup("rename")
     widgets.tooltip("Rename")
     imgui.same_line()
-    if imgui.small_button("x"):
+    if imgui.small_button(icons.ICON_FA_TRASH):
         core.post(delete_bookmark, index)
     widgets.tooltip("Delete this bookmark")
     if imgui.begin_popup("rename"):

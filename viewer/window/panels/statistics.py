@@ -39,9 +39,9 @@ def show(core: Core) -> None:
         f"{total:.2f} ms",
         "Sum of the stages, measured where they run. Nothing is drawn while nothing changes.",
     )
+    history(core)
     for stage, milliseconds in stats.ms.items():
         widgets.fact(stage.capitalize(), f"{milliseconds:.2f} ms", STAGES.get(stage, ""))
-    history(core)
 
 
 def history(core: Core) -> None:
