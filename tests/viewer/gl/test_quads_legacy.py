@@ -95,7 +95,7 @@ def test_odd_sizes_and_the_eye_inside(renderer, random_gaussians, size):
 
 def test_an_empty_scene_is_the_background(renderer, random_gaussians):
     image = renderer.render(random_gaussians(0), CAMERA, RenderSettings(background=(0.25, 0.5, 1)))
-    assert np.array_equal(image, np.broadcast_to(np.float32([0.25, 0.5, 1, 0]), image.shape))
+    assert np.array_equal(image, np.broadcast_to(np.array([0.25, 0.5, 1, 0], np.float32), image.shape))
     assert renderer.stats.visible == 0
 
 

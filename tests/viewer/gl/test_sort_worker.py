@@ -63,14 +63,14 @@ def test_front_to_back_then_what_is_behind(rng, size, dtype):
 
 
 def test_ties_go_by_index():
-    means = np.tile(np.float32([0, 0, 2]), (5000, 1))
+    means = np.tile(np.array([0, 0, 2], np.float32), (5000, 1))
     means[::2, 2] = 1
     order = depth_order(means, AHEAD, Workspace()).order
     np.testing.assert_array_equal(order, [*range(0, 5000, 2), *range(1, 5000, 2)])
 
 
 def test_splats_without_a_depth_come_last():
-    depths = np.float32([np.nan, 3, -np.inf, 1, np.inf, -np.nan, 2, -1])
+    depths = np.array([np.nan, 3, -np.inf, 1, np.inf, -np.nan, 2, -1], np.float32)
     means = np.stack([np.zeros_like(depths), np.zeros_like(depths), depths], axis=1)
     result = depth_order(means, ViewLine((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), Workspace())
     # 0 times infinity is not a number: infinite means have no depth in any direction but their own
