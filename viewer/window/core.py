@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
@@ -103,11 +104,19 @@ class Core:
         self._posted.append((command, args))
 
     def run_posted(self) -> int:
-        """Runs what was posted, what that posts included; returns how many commands ran."""
+        """Runs what was posted, what that posts included; returns how many commands ran.
+
+        A command that fails is told of, with a traceback on standard error, and the window goes on: the
+        user's unsaved state is worth more than a clean end.
+        """
         ran = 0
         while self._posted:
             command, args = self._posted.popleft()
-            command(self, *args)
+            try:
+                command(self, *args)
+            except Exception as error:
+                traceback.print_exc()
+                self.complain(f"That failed inside the program: {type(error).__name__}: {error}")
             ran += 1
         return ran
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...scene import InputError
+from ...scene import Camera, InputError
 from ...scene.demo import demo_camera
 from ...scene.files import load_cameras
 from ...scene.framing import frame_camera
@@ -22,6 +22,12 @@ from .preferences import with_recent
 
 CAMERA_SUFFIXES = {".json", ".bin", ".txt"}
 """A dropped file with one of these is a camera list."""
+
+UPLOAD_SECONDS = 0.012
+"""Of each frame's time; the rest keeps the window alive."""
+
+LEAST_CAMERAS_FOR_UP = 3
+"""Fewer photos may all have been taken at a slant."""
 
 
 def open_paths(core: Core, paths: Sequence[Path]) -> None:
@@ -75,10 +81,6 @@ def continue_loading(core: Core) -> None:
     if upload_for(core, UPLOAD_SECONDS):
         core.upload = core.loading = None
         adopt(core, loading.result)
-
-
-UPLOAD_SECONDS = 0.012
-"""Of each frame's time; the rest keeps the window alive."""
 
 
 def upload_for(core: Core, seconds: float) -> bool:
@@ -157,7 +159,17 @@ def open_camera_list(core: Core, path: Path) -> None:
         return
     core.cameras, core.camera_index = cameras, -1
     core.tell(f"{path.name}: {len(cameras)} cameras")
+    up = common_up(cameras)
+    if up is not None:
+        core.steer(replace(core.destination, up=up))
     go_to_camera(core, 0)
+
+
+def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
+    """What is up in most pictures, since people hold cameras upright: (3,) float64 unit; None if they differ."""
+    mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean / length if len(cameras) >= LEAST_CAMERAS_FOR_UP and length > 0.5 else None
 
 
 def choose_scene(core: Core) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import moderngl
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 
 from .actions import focus_at
 from .core import Core
@@ -45,7 +45,19 @@ def show(core: Core) -> None:
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
     steer_by_mouse(core, corner, width, height, scale)
     steer_by_keys(core)
+    turning = imgui.is_item_active()
     draw_picture(core, corner, width, height)
+    if turning and core.preferences.navigation != "fly":
+        mark_target(core, corner, width, height)
+
+
+def mark_target(core: Core, corner: ImVec2, width: int, height: int) -> None:
+    """A small ring about the turning point, while the user turns."""
+    camera = core.view.camera(width, height)
+    place = ImVec2(corner.x + camera.cx, corner.y + camera.cy)
+    draw, radius = imgui.get_window_draw_list(), imgui.get_font_size() * 0.35
+    draw.add_circle(place, radius, imgui.get_color_u32(ImVec4(0, 0, 0, 0.5)), 0, 3)
+    draw.add_circle(place, radius, imgui.get_color_u32(ImVec4(1, 1, 1, 0.8)), 0, 1.5)
 
 
 def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:

@@ -59,6 +59,20 @@ def test_posted_commands_run_in_order_and_may_post_more(core):
     assert done == [1, 2, 3]
 
 
+def test_a_command_that_fails_is_told_and_the_rest_runs(core, capsys):
+    done = []
+
+    def fail(core):
+        raise ZeroDivisionError("a bug")
+
+    core.post(fail)
+    core.post(lambda core: done.append(1))
+    core.run_posted()
+    assert done == [1]
+    assert "a bug" in core.problem
+    assert "Traceback" in capsys.readouterr().err
+
+
 def test_a_jump_is_a_motion_unless_switched_off(opened):
     clock = [10.0]
     opened.now = lambda: clock[0]

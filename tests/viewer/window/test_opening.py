@@ -11,7 +11,7 @@ import pytest
 from splatview.scene import look_at
 from splatview.scene.files import LoadCancelled, save_camera, save_scene
 from splatview.viewer.window import loading, opening
-from splatview.viewer.window.opening import begin, cancel_loading, nearest_axis, open_paths
+from splatview.viewer.window.opening import begin, cancel_loading, common_up, nearest_axis, open_paths
 
 
 @pytest.fixture
@@ -201,6 +201,17 @@ def test_a_dropped_camera_is_gone_to(core, ply, wait_for_loading, tmp_path):
     )
     assert core.camera.fy == pytest.approx(camera.fy)
     assert core.scene.name == "a.ply", "the scene stays"
+
+
+def test_a_camera_lists_common_up_becomes_the_up_axis(core, tmp_path, wait_for_loading):
+    up = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+    around = [look_at((3 * np.cos(a), 3 * np.sin(a), 1), (0, 0, 0.3), up=up) for a in np.arange(0, 6.28, 0.5)]
+    found = common_up(around)
+    assert found is not None
+    assert float(found @ up) > 0.99
+    assert common_up(around[:2]) is None, "too few to tell"
+    rolled = [look_at((0, 0, -3), (0, 0, 0), up=(np.cos(a), np.sin(a), 0)) for a in np.arange(0, 6.28, 0.5)]
+    assert common_up(rolled) is None, "they do not agree"
 
 
 def test_a_folder_without_cameras_is_refused_in_one_line(core, tmp_path):

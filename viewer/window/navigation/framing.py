@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....scene.image_model import NEAR
 from .moves import MIN_DISTANCE
 from .rotations import unit
 from .view import Lens, View, look_from
@@ -35,7 +36,8 @@ def frame(view: View, centre: np.ndarray, radius: float, *, aspect: float = 1.0)
     return replace(
         view,
         target=np.asarray(centre, dtype=np.float64),
-        distance=max(distance, MIN_DISTANCE),
+        # A scene of millimetres must not end up before the near plane.
+        distance=max(distance, radius + 2 * NEAR),
         lens=Lens(fov_y=view.lens.fov_y),
     )
 
