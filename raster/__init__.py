@@ -12,7 +12,7 @@ from ..scene.gaussians import SH_COEFFICIENTS
 from .compiling import will_compile
 from .forward import EARLY_STOP
 from .frame import Frame, draw
-from .gradients import Gradients, backward
+from .gradients import Gradients, differentiate
 from .parameters import Parameters, check_parameters, parameters_of
 from .pool import available_threads
 from .view import make_view
@@ -25,8 +25,8 @@ __all__ = [
     "Parameters",
     "Workspace",
     "available_threads",
-    "backward",
     "check_parameters",
+    "differentiate",
     "draw_frame",
     "parameters_of",
     "render",
@@ -77,7 +77,7 @@ def draw_frame(
     early_stop: float = EARLY_STOP,
     threads: int | None = None,
 ) -> Frame:
-    """Draws a picture in `dtype`, float32 or float64, and keeps what `backward` needs.
+    """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
     `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
 

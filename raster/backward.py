@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .bins import AHEAD, ask_ahead
 from .compiling import inline, kernel
 from .forward import (
     BLOCKS,
@@ -54,6 +55,7 @@ from .simd import (
     load,
     minimum,
     negate,
+    prefetch,
     reciprocal,
     row_centres,
     spread,
@@ -254,6 +256,12 @@ def gather_pairs(
     """
     nothing = spread(sums.dtype.type(0))
     for k in range(start, stop):
+        ask_ahead(k, stop, order, spans_of, spans)
+        if k + AHEAD < stop:
+            soon = order[k + AHEAD]
+            prefetch(splat_sums, soon * SUMS)
+            if spans_of[soon, 0] < spans_of[soon, 1]:
+                prefetch(sums, (positions[spans[spans_of[soon, 0], 0]] - base) * SUMS)
         splat = order[k]
         total = nothing
         if again:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings, look_at
-from . import Parameters, Workspace, available_threads, backward, draw_frame, parameters_of
+from . import Parameters, Workspace, available_threads, differentiate, draw_frame, parameters_of
 from .compiling import kernel
 from .pool import run
 from .simd import LANES, fill, fma, load, store
@@ -105,11 +105,11 @@ def measure(
     weights = np.random.default_rng(1).normal(size=(camera.height, camera.width, 4)).astype(np.float32)
     samples: list[dict[str, float]] = []
     frame = draw_frame(splats, camera, RenderSettings(), workspace, threads=threads)
-    backward(splats, frame, weights)  # compiles, and finds its memory
+    differentiate(splats, frame, weights)  # compiles, and finds its memory
     deadline = time.perf_counter() + seconds
     while len(samples) < MIN_REPEATS or (time.perf_counter() < deadline and len(samples) < MAX_REPEATS):
         frame = draw_frame(splats, camera, RenderSettings(), workspace, threads=threads)
-        gradients = backward(splats, frame, weights)
+        gradients = differentiate(splats, frame, weights)
         samples.append({**frame.milliseconds, **gradients.milliseconds})
     times = np.array([[sample.get(stage, 0.0) for stage in STAGES] for sample in samples])
     return {

@@ -1,7 +1,8 @@
-"""How the kernels are compiled: without the GIL, cached on disk, and with a word to the user first.
+"""How kernels are compiled: without the GIL, cached on disk, and with a word to the user first.
 
 numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
-into. Here every source of this package is part of the cache's path, so a kernel can never be stale.
+into. Here all sources of this package, and of the package that a kernel is in, are part of the cache's
+path, so a kernel can never be stale.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,9 @@ BOUNDSCHECK = bool(config.BOUNDSCHECK)
 """Whether every array access of the kernels is checked (environment variable NUMBA_BOUNDSCHECK=1)."""
 
 KEEP_DAYS = 30
-"""Caches of other versions of these sources are removed after so long without use."""
+"""Caches of other versions of the sources are removed after so long without use."""
 
-_sources = hashlib.sha256(str((numba.__version__, BOUNDSCHECK)).encode())
-for _file in sorted(Path(__file__).parent.glob("*.py")):
-    _sources.update(_file.read_bytes())
+_HERE = Path(__file__).parent
 
 
 def _cache_root() -> Path:
@@ -39,56 +39,58 @@ def _cache_root() -> Path:
     return Path(base) / "splatview" / "kernels"
 
 
-CACHE = _cache_root() / _sources.hexdigest()[:16]
-"""Where compiled kernels of exactly these sources lie."""
-
-
-def _prepare_cache() -> bool:
-    """Makes the folder and drops long unused neighbours; False where the disk may not be written."""
+@cache
+def _cache_folder(package: Path) -> Path | None:
+    """Where kernels of exactly these sources lie; None where the disk may not be written."""
+    stamp = hashlib.sha256(str((numba.__version__, BOUNDSCHECK)).encode())
+    for folder in dict.fromkeys((_HERE, package)):
+        for file in sorted(folder.glob("*.py")):
+            stamp.update(file.read_bytes())
     try:
-        CACHE.mkdir(parents=True, exist_ok=True)
-        os.utime(CACHE)
-        writable = os.access(CACHE, os.W_OK)
-    except OSError:
-        return False
-    for other in CACHE.parent.iterdir():
-        if (
-            other != CACHE
-            and len(other.name) == 16
-            and time.time() - other.stat().st_mtime > KEEP_DAYS * 86400
-        ):
-            _remove_cache(other)
-    return writable
+        folder = _cache_root() / stamp.hexdigest()[:16]
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        return folder if os.access(folder, os.W_OK) else None
+    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        return None
 
 
-def _remove_cache(folder: Path) -> None:
-    """Removes compiled files (.nbi, .nbc) and the folders that this leaves empty; nothing else."""
-    for path in sorted(folder.rglob("*"), reverse=True):
-        try:
-            if path.suffix in (".nbi", ".nbc"):
-                path.unlink()
-            elif path.is_dir():
-                path.rmdir()
-        except OSError:
+def _remove_old_caches(root: Path) -> None:
+    """Removes compiled files (.nbi, .nbc) long unused, and the folders that this leaves empty; no others."""
+    oldest = time.time() - KEEP_DAYS * 86400
+    for folder in root.iterdir():
+        if folder.is_symlink() or not folder.is_dir() or folder.stat().st_mtime > oldest:
             continue
+        for path in sorted(folder.rglob("*"), reverse=True):
+            if path.suffix in (".nbi", ".nbc"):
+                path.unlink(missing_ok=True)
+            elif path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+        if not any(folder.iterdir()):
+            folder.rmdir()
+
+
+_CACHE = _cache_folder(_HERE)
+if _CACHE is not None:
     try:
-        folder.rmdir()
-    except OSError:
-        return
-
-
-_cached = _prepare_cache()
-
+        _remove_old_caches(_CACHE.parent)
+    except OSError:  # another process tidies up at the same time, or owns them
+        pass
 
 _kernels: list[Any] = []
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles an entry point: called from Python, releases the GIL, cached on disk."""
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(CACHE)
+    """Compiles an entry point: called from Python, releases the GIL, cached on disk.
+
+    Sums may be contracted to fused multiply-adds; nothing else is taken lightly, NaN least of all.
+    """
+    folder, before = _cache_folder(Path(function.__code__.co_filename).parent), config.CACHE_DIR
+    config.CACHE_DIR = str(folder or "")
     try:
-        compiled = numba.njit(nogil=True, cache=_cached, error_model="numpy", fastmath={"contract"})(function)
+        compiled = numba.njit(
+            nogil=True, cache=folder is not None, error_model="numpy", fastmath={"contract"}
+        )(function)
     finally:
         config.CACHE_DIR = before
     _kernels.append(compiled)
@@ -105,4 +107,4 @@ def will_compile() -> bool:
     sources is in memory or on disk yet."""
     if any(compiled.signatures for compiled in _kernels):
         return False
-    return not (_cached and any(CACHE.rglob("*.nbc")))
+    return _CACHE is None or not any(_CACHE.rglob("*.nbc"))

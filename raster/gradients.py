@@ -34,7 +34,7 @@ class Gradients:
     """Wall-clock time by stage."""
 
 
-def backward(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
+def differentiate(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
     """Gradients from `d_image` (H, W, 4), dL/d(image) in the picture's dtype, alpha included.
 
     `splats` must be what the frame was drawn from, and its workspace not used since.

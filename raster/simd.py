@@ -407,15 +407,19 @@ def sum_lanes(typingctx: Any, vectors: Any) -> Any:
 
 
 @intrinsic
-def prefetch(typingctx: Any, array: Any, row: Any) -> Any:
-    """Asks for the memory of array[row] (2-D, C-contiguous) ahead of its use. `row` must be valid."""
-    if not (isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C"):
+def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
+    """Asks for the memory of array[index], a number or a row, ahead of its use; C-contiguous, 1-D or 2-D.
+
+    Nothing is read: an index beyond the array does no harm.
+    """
+    if not (isinstance(array, types.Array) and array.ndim in (1, 2) and array.layout == "C"):
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         values = context.make_array(array)(context, builder, args[0])
-        index = builder.mul(args[1], cgutils.unpack_tuple(builder, values.shape, 2)[1])
-        pointer = builder.bitcast(builder.gep(values.data, [index]), ir.IntType(8).as_pointer())
+        step = cgutils.unpack_tuple(builder, values.strides, array.ndim)[0]
+        address = builder.add(builder.ptrtoint(values.data, step.type), builder.mul(args[1], step))
+        pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
         read, keep, data = (ir.Constant(ir.IntType(32), value) for value in (0, 3, 1))
         _call(builder, "llvm.prefetch.p0", ir.VoidType(), pointer, read, keep, data)
         return context.get_dummy_value()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..raster import EARLY_STOP, Frame, Parameters, Workspace, backward, check_parameters, draw_frame
+from ..raster import EARLY_STOP, Frame, Parameters, Workspace, check_parameters, differentiate, draw_frame
 from ..raster.project import RX, RY
 from ..scene import Camera, RenderSettings
 
@@ -174,7 +174,7 @@ class _Render(torch.autograd.Function):
         if held.frame is None:
             raise RuntimeError("a picture can be differentiated once; render it again")
         d_image = grad_outputs[0].detach().contiguous().numpy()
-        gradients = backward(held.splats, held.frame, d_image)
+        gradients = differentiate(held.splats, held.frame, d_image)
         held.release()
         ctx.visibility.means2d = torch.from_numpy(gradients.means2d)
         ctx.visibility.abs_means2d = torch.from_numpy(gradients.abs_means2d)

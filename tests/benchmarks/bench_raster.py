@@ -36,12 +36,13 @@ def table(results: list[dict[str, Any]]) -> dict[str, Any]:
         width, height = result["size"]
         rate = [f"{result['gpixel_splats_per_s']:.1f}", f"{result['share_of_peak']:.0%}"]
         rows.append([f"{result['splats']:,}", f"{width}x{height}", *times, f"{result['pairs']:,}", *rate])
-    threads, peak = results[0]["threads"], max(result["peak_gflops"] for result in results)
+    threads = results[0]["threads"]
+    peak = max(result["peak_gflops"] for result in results)
     return {
         "columns": ["splats", "size", *COLUMNS, "pairs", "10⁹ pixel-splats/s", "of FMA peak"],
         "rows": rows,
-        "note": f"Median ms by stage on {threads} threads; float32 FMA peak in the same run {peak:.0f} GFLOP/s, "
-        f"{FLOPS_PER_PIXEL_SPLAT} operations a pixel-splat.",
+        "note": f"Median ms by stage on {threads} threads; float32 FMA peak in the same run {peak:.0f} "
+        f"GFLOP/s, {FLOPS_PER_PIXEL_SPLAT} operations a pixel-splat.",
     }
 
 

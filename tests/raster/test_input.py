@@ -128,7 +128,7 @@ def test_wrong_gradient_is_named(random_gaussians, d_image):
     scene = raster.parameters_of(random_gaussians(3))
     frame = raster.draw_frame(scene, CAMERA, RenderSettings(), raster.Workspace())
     with pytest.raises(ValueError, match="d_image"):
-        raster.backward(scene, frame, d_image)
+        raster.differentiate(scene, frame, d_image)
 
 
 def anything(*shape: int):
@@ -142,7 +142,7 @@ def test_any_bits_make_a_finite_picture_and_finite_gradients(means, quats, log_s
     scene = raster.check_parameters(means, quats, log_scales, logits, np.where(np.abs(sh) > 1e30, np.nan, sh))
     frame = raster.draw_frame(scene, CAMERA, RenderSettings(), raster.Workspace(), threads=1)
     assert np.isfinite(frame.image).all()
-    gradients = raster.backward(scene, frame, np.ones_like(frame.image))
+    gradients = raster.differentiate(scene, frame, np.ones_like(frame.image))
     for name, gradient in gradients.parameters._asdict().items():
         assert np.isfinite(gradient).all(), name
 
@@ -170,7 +170,7 @@ for dtype in (np.float32, np.float64):
                 frame = raster.draw_frame(
                     scene, camera, RenderSettings(), workspace, dtype=dtype, threads=threads
                 )
-                raster.backward(scene, frame, np.ones_like(frame.image))
+                raster.differentiate(scene, frame, np.ones_like(frame.image))
 
 # Vectors reach memory by address; the check beside them must work too.
 from splatview.raster.compiling import inline

@@ -33,7 +33,7 @@ def test_workspace_per_splat_and_per_pair(random_gaussians):
     fixed = 64 * tiles + 2 * frame.bins.positions.nbytes + 20_000
     allowed = BYTES_A_SPLAT * len(scene) + BYTES_A_PAIR * pairs + 8 * extra_rows + fixed
     assert workspace.nbytes <= allowed
-    raster.backward(splats, frame, np.ones_like(frame.image))
+    raster.differentiate(splats, frame, np.ones_like(frame.image))
     allowed += BYTES_A_SPLAT_BACKWARD * len(scene) + BYTES_A_PAIR_BACKWARD * pairs
     assert workspace.nbytes <= allowed
 
@@ -60,7 +60,7 @@ frame = raster.draw_frame(splats, camera, RenderSettings(), workspace)
 scene_bytes = sum(array.nbytes for array in splats)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 print(len(frame.bins.order), int(frame.bins.offsets[-1]), scene_bytes, workspace.nbytes, peak)
-raster.backward(splats, frame, np.ones_like(frame.image))
+raster.differentiate(splats, frame, np.ones_like(frame.image))
 print(workspace.nbytes, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 
