@@ -226,7 +226,7 @@ TOKENS = st.sampled_from(
             "comment",
             "end_header",
         ),
-        *("-1", "0", "1", "9", "11", "99999999999", "float", "double", "uchar", "int"),
+        *("-1", "0", "1", "9", "11", "99999999999", "float", "double", "uchar", "int", "end_header"),
         *("property", "element", "format", "ascii", "binary_little_endian", "binary_big_endian"),
     ]
 )
