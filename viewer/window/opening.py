@@ -166,7 +166,7 @@ def open_camera_list(core: Core, path: Path) -> None:
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """What is up in most pictures, since people hold cameras upright: (3,) float64 unit; None if they differ."""
+    """What is up in most pictures, which people take upright: (3,) float64 unit; None if they differ."""
     mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     return mean / length if len(cameras) >= LEAST_CAMERAS_FOR_UP and length > 0.5 else None

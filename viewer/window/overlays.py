@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from . import gizmo, theme
+from . import frusta, gizmo, theme
 from .actions import NAVIGATION_MODES, VISUAL_MODES, set_mode
 from .core import Core
 from .panels import widgets
@@ -22,6 +22,8 @@ HINTS = {
 def over_picture(core: Core) -> None:
     """The tools in the picture's corner, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
+    if core.preferences.show_cameras and core.cameras:
+        frusta.show(core, corner)
     margin = imgui.get_font_size() * 0.6
     imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 2))

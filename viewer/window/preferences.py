@@ -33,6 +33,8 @@ class Preferences:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     blend: BlendPrecision = "float16"
     resolution_scale: float = 1.0
+    show_cameras: bool = False
+    """Whether loaded cameras are drawn into the view."""
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 

@@ -33,7 +33,11 @@ def show(core: Core) -> None:
 
 def bookmark_row(core: Core, index: int, name: str) -> None:
     imgui.push_id(index)
-    buttons = 2 * (imgui.get_frame_height() + imgui.get_style().item_spacing.x)
+    style = imgui.get_style()
+    signs = (icons.ICON_FA_PEN, icons.ICON_FA_TRASH)
+    buttons = sum(
+        imgui.calc_text_size(sign).x + 2 * style.frame_padding.x + style.item_spacing.x for sign in signs
+    )
     width = max(imgui.get_content_region_avail().x - buttons, imgui.get_font_size())
     if imgui.selectable(name, index == core.bookmark_index, 0, (width, 0))[0]:
         core.post(go_to_bookmark, index)
@@ -62,6 +66,11 @@ def cameras(core: Core) -> None:
     widgets.action_button(core, "Previous", "previous_camera")
     imgui.same_line()
     widgets.action_button(core, "Next", "next_camera")
+    imgui.same_line()
+    changed, shown = imgui.checkbox("In the view", core.preferences.show_cameras)
+    widgets.tooltip("Draws each camera as a small pyramid that opens the way it looks.")
+    if changed:
+        core.prefer(show_cameras=shown)
     clipper = imgui.ListClipper()
     clipper.begin(len(core.cameras))
     while clipper.step():
