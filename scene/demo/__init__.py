@@ -14,20 +14,28 @@ from ..camera import Camera, look_at
 from ..errors import InputError
 from ..gaussians import Gaussians, concatenate
 from ..sh import sh_basis
-from .gloss import knot, pond, reflecting, sphere
+from .gloss import column, hides, knot, pond, reflecting, sphere
 from .haze import dome, mist
 from .light import film, lit, sky
+from .noise import fbm
 from .plants import forest, fur, grass, plant, reeds
 from .shapes import balls, discs, pack
 from .terrain import WATER_LEVEL, height, surface, survey
 
-DEFAULT_SPLATS = 180_000
+DEFAULT_SPLATS = 190_000
 """Enough that the first view shows no holes at 1280x720."""
 
 COMMENT = "Made by splatview: demo scene"
 
-MONUMENT = np.array([1.02, 0.0, 0.62])
-GOLD = np.array([1.0, 0.72, 0.32])
+MONUMENT = np.array([0.95, -0.30, 0.45])
+"""Where its column stands on the bottom of the pond."""
+
+KNOT = MONUMENT + np.array((0, 0.92, 0))
+KNOT_SIZE = 0.42
+BALL = np.array([-1.25, 0.0, 1.78])
+BALL_RADIUS = 0.27
+STONE = np.array([0.30, 0.27, 0.235])
+GOLD = np.array([1.30, 0.84, 0.32])
 
 
 def demo_scene(name: str = "landscape", *, splats: int | None = None, seed: int = 0) -> Gaussians:
@@ -61,13 +69,17 @@ def landscape(count: int, rng: np.random.Generator) -> Gaussians:
     ground = survey(trees.canopy)
 
     def share(fraction: float) -> int:
-        return max(4, round(count * fraction))
+        return max(8, round(count * fraction))
+
+    def mirrored_in_water(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        golden = hides(KNOT, KNOT_SIZE, origins, directions)[:, None]
+        return np.where(golden, 0.75 * GOLD, ground.seen(origins, directions))
 
     return concatenate(
         [
-            dome(share(0.028)),
-            surface(share(0.45), ground),
-            pond(share(0.055), ground, WATER_LEVEL, (3.3, 2.3)),
+            dome(share(0.032)),
+            surface(share(0.47), ground),
+            pond(share(0.055), ground, WATER_LEVEL, (3.3, 2.3), mirrored_in_water),
             monument(share(0.055), ground),
             forest(share(0.25), trees, ground, rng),
             grass(share(0.20), trees, ground, rng),
@@ -78,18 +90,27 @@ def landscape(count: int, rng: np.random.Generator) -> Gaussians:
 
 
 def monument(count: int, ground) -> Gaussians:
-    """A golden knot over the water and a silver ball beside it."""
-    centre = MONUMENT + (0, 0.62, 0)
-    gold = knot(count * 3 // 4, centre, 0.42, 0.085)
-    ball = sphere(count - count * 3 // 4, np.array((-1.55, 0.26, 1.15)), 0.26)
-    parts = []
+    """A golden knot on a column in the water, and a silver ball in the grass."""
+    lawn = float(ground.smooth_at(ground.heights, BALL[None])[0])
+    gold = knot(count * 6 // 10, KNOT, KNOT_SIZE, 0.085)
+    ball = sphere(count * 2 // 10, BALL + np.array((0, lawn + 0.85 * BALL_RADIUS, 0)), BALL_RADIUS)
+    stone, up, spacing = column(count * 2 // 10, MONUMENT, 0.17, 0.42)
+    grain = 1 + 0.35 * fbm(stone * 9.0, 401)[:, None]
+    shade = lit(STONE * grain, up, ground.sunlight(stone), 0.85)
+    parts = [discs(stone, up, spacing, film(shade))]
     for (points, normals, spacing), tint, reflectance in (
         (gold, GOLD, 0.78),
         (ball, np.array((0.92, 0.95, 1.0)), 0.72),
     ):
-        base = lit(np.tile(0.18 * tint, (len(points), 1)), normals, ground.sunlight(points), 0.8)
+        sun = ground.sunlight(points)
+        base = lit(np.tile(0.18 * tint, (len(points), 1)), normals, sun, 0.8)
         parts.append(
-            discs(points, normals, spacing, reflecting(points, normals, base, tint, reflectance, ground.seen))
+            discs(
+                points,
+                normals,
+                spacing,
+                reflecting(points, normals, base, tint, reflectance, ground.seen, sun),
+            )
         )
     return concatenate(parts)
 

@@ -14,12 +14,15 @@ import numpy as np
 
 from ..gaussians import SH_COEFFICIENTS, Gaussians
 from ..sh import sh_basis
-from .light import film
+from .light import SUN, SUN_COLOUR, film
 from .noise import fbm
 from .shapes import discs, sphere_points, sunflower, unit
 
 VIEWS = 144
 """Directions over the whole sphere that a fit samples; about half can see a given splat."""
+
+SUN_LOBE = 16.0
+"""How narrow the sun's highlight is, exp(SUN_LOBE·(cos - 1)): about what degree 3 can follow."""
 
 RIDGE = 0.004
 """Weight that keeps coefficients small where no view constrains them."""
@@ -54,15 +57,19 @@ def reflecting(
     tint: np.ndarray,
     fresnel: float,
     arriving: Radiance,
+    sunlight: np.ndarray | float = 1.0,
     *,
     grazing: float = 1.0,
 ) -> np.ndarray:
     """SH (N, 16, 3) of a polished surface: `base` (N, 3) radiance plus reflections times `tint` (3,).
 
-    `fresnel` is the reflectance face on, in [0, 1] (Schlick 1994); it rises to 1 at the rim. `grazing`
-    above 1 gives views from the side more weight: right for water, which nobody sees from above.
+    `fresnel` is the reflectance face on, in [0, 1] (Schlick 1994); it rises to 1 at the rim.
+    `sunlight` (N,) in [0, 1] scales the highlight of the sun, which is too small for SH and is shown as a
+    wider lobe. `grazing` above 1 gives views from the side more weight: right for water, which nobody
+    sees from above.
     """
     directions = sphere_points(VIEWS)
+    sunlight = np.broadcast_to(sunlight, len(points))
     sh = np.empty((len(points), SH_COEFFICIENTS[3], 3))
     for start in range(0, len(points), BATCH):
         batch = slice(start, start + BATCH)
@@ -75,6 +82,8 @@ def reflecting(
         share = fresnel + (1 - fresnel) * (1 - cosine) ** 5
         light = base[batch][who] * (1 - share)[:, None]
         light = light + arriving(points[batch][who], mirrored) * share[:, None] * tint
+        highlight = np.exp(SUN_LOBE * (mirrored @ SUN - 1)) * sunlight[batch][who] * share
+        light += highlight[:, None] * SUN_COLOUR * tint
         colours = np.full((len(n), VIEWS, 3), 0.5)
         colours[who, view] = film(light)
         sh[batch] = fit_sh(colours, directions, weights)
@@ -100,10 +109,13 @@ def knot(count: int, centre: np.ndarray, size: float, thickness: float):
             axis=1,
         )
 
-    around = max(8, round(np.sqrt(count * thickness * 2 * np.pi / (7.0 * size))))
-    along = max(16, count // around)
-    t = (np.arange(along * around) + 0.5) / around / along * 2 * np.pi
-    angle = np.arange(along * around) * 2 * np.pi / around
+    lap = curve(np.linspace(0, 2 * np.pi, 400))
+    length = np.linalg.norm(np.diff(lap, axis=0), axis=1).sum()
+    around = max(3, round(np.sqrt(count * 2 * np.pi * thickness / length)))
+    along = max(3, count // around)
+    # One helix wound round the whole knot: no rings, no seam.
+    t = np.arange(along * around) / (along * around) * 2 * np.pi
+    angle = np.arange(along * around) * 2 * np.pi * (along + 0.5) / along / around
     line = curve(t)
     tangent = unit(curve(t + 1e-3) - curve(t - 1e-3))
     side = unit(np.cross(tangent, (0.1, 0.3, 1.0)))
@@ -113,8 +125,28 @@ def knot(count: int, centre: np.ndarray, size: float, thickness: float):
     return points, normals, spacing
 
 
-def pond(count: int, ground, level: float, half_size: tuple[float, float]) -> Gaussians:
-    """Water that mirrors the mountains and the sky; clear at the shore, ruffled a little."""
+def column(count: int, foot: np.ndarray, radius: float, tall: float):
+    """Points, normals (N, 3) and spacing (N,) of an upright cylinder with a lid."""
+    lid = round(count * radius / (radius + 2 * tall))
+    rank, angle = sunflower(lid)
+    top = np.stack([np.sqrt(rank) * np.cos(angle), np.zeros(lid), np.sqrt(rank) * np.sin(angle)], axis=1)
+    rank, angle = sunflower(count - lid)
+    round_it = np.stack([np.cos(angle), np.zeros(count - lid), np.sin(angle)], axis=1)
+    points = np.concatenate([radius * top + (0, tall, 0), radius * round_it + rank[:, None] * (0, tall, 0)])
+    normals = np.concatenate([np.tile((0.0, 1.0, 0.0), (lid, 1)), round_it])
+    area = np.pi * radius * (radius + 2 * tall)
+    return foot + points, normals, np.full(count, np.sqrt(area / count))
+
+
+def hides(centre: np.ndarray, radius: float, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Whether rays (N, 3) pass through a ball, (N,) bool."""
+    offset = centre - origins
+    along = (offset * directions).sum(1)
+    return (along > 0) & ((offset**2).sum(1) - along**2 < radius**2)
+
+
+def pond(count: int, ground, level: float, half_size: tuple[float, float], arriving: Radiance) -> Gaussians:
+    """Water that mirrors what is round it; clear at the shore, ruffled a little."""
     rank, angle = sunflower(count)
     radius = np.sqrt(rank)
     x, z = half_size[0] * radius * np.cos(angle), half_size[1] * radius * np.sin(angle)
@@ -125,7 +157,9 @@ def pond(count: int, ground, level: float, half_size: tuple[float, float]) -> Ga
     normals = unit(np.stack([0.02 * ripple[:, 0], np.ones(len(points)), 0.05 * ripple[:, 1]], axis=1))
     deep = np.clip(depth / 0.35, 0, 1)[:, None]
     base = np.array((0.05, 0.075, 0.05)) * (1 - deep) + np.array((0.012, 0.035, 0.045)) * deep
-    sh = reflecting(points, normals, base, np.ones(3), 0.06, ground.seen, grazing=4.0)
+    sh = reflecting(
+        points, normals, base, np.ones(3), 0.22, arriving, 0.5 * ground.sunlight(points), grazing=4.0
+    )
     spacing = np.full(len(points), np.sqrt(np.pi * half_size[0] * half_size[1] / count))
     opacity = np.clip(0.35 + 4.0 * depth, 0.30, 0.96)
     return discs(points, normals, spacing * 1.1, sh, opacity=opacity)

@@ -13,10 +13,10 @@ SKY_RADIUS = 70.0
 
 
 def dome(count: int) -> Gaussians:
-    """The sky as discs far away, down to a little below the horizon; clouds are painted on."""
-    directions = sphere_points(int(count / 0.58))
-    directions = directions[directions[:, 1] > -0.16]
+    """The sky as discs far away; clouds are painted on. Below the horizon it fades into a pale depth."""
+    directions = sphere_points(count)
     colour = sky(np.maximum(directions, (-1, 0.0, -1)))
+    colour = mix(colour, (0.20, 0.23, 0.30), smoothstep(0.0, -0.75, directions[:, 1]))
     # Clouds lie in a plane overhead: streaks that crowd towards the horizon.
     rise = np.clip(directions[:, 1], 0, None) + 0.10
     plane = directions[:, ::2] / rise[:, None]
@@ -24,9 +24,9 @@ def dome(count: int) -> Gaussians:
     cover = smoothstep(0.02, 0.50, density) * smoothstep(0.03, 0.22, directions[:, 1])
     thick = smoothstep(0.15, 0.75, density)
     white = 0.55 * SUN_COLOUR * (0.55, 0.62, 0.75) * (1 - 0.35 * thick)[:, None]
-    colour = mix(colour, 0.45 * colour + white * (0.72, 0.64, 0.60), 0.72 * cover)
-    spacing = np.full(len(directions), SKY_RADIUS * np.sqrt(4 * np.pi / (count / 0.58)))
-    return discs(SKY_RADIUS * directions, -directions, spacing * 1.15, film(colour), opacity=0.98)
+    colour = mix(colour, 0.45 * colour + white * (0.95, 0.82, 0.76), 0.92 * cover)
+    spacing = np.full(len(directions), SKY_RADIUS * np.sqrt(4 * np.pi / count))
+    return discs(SKY_RADIUS * directions, -directions, spacing * 1.4, film(colour), opacity=0.98)
 
 
 def mist(count: int, rng: np.random.Generator, height) -> Gaussians:
@@ -42,7 +42,7 @@ def veil(count: int, rng: np.random.Generator) -> Gaussians:
         [rng.uniform(0.35, 0.9, count), rng.uniform(0.03, 0.08, count), rng.uniform(0.2, 0.5, count)], axis=1
     )
     colour = film(np.tile((1.10, 0.98, 0.86), (count, 1)) * rng.uniform(0.8, 1.1, (count, 1)))
-    return balls(points, scales, colour, opacity=rng.uniform(0.02, 0.07, count))
+    return balls(points, scales, colour, opacity=rng.uniform(0.012, 0.05, count))
 
 
 def banks(count: int, rng: np.random.Generator, height) -> Gaussians:

@@ -19,7 +19,7 @@ BOUNCE = np.array([0.22, 0.19, 0.11])
 
 
 def sky(directions: np.ndarray) -> np.ndarray:
-    """Radiance (N, 3) that arrives from unit `directions` (N, 3): blue above, peach below, gold at the sun."""
+    """Radiance (N, 3) from unit `directions` (N, 3): blue above, peach below, gold at the sun."""
     height = np.clip(directions[:, 1], 0, 1)
     towards_sun = directions @ SUN
     colour = mix(HORIZON, ZENITH, 1 - (1 - height) ** 3.2)

@@ -56,18 +56,18 @@ def plant(rng: np.random.Generator, *, candidates: int = 9000) -> Trees:
     angle = rng.uniform(0, 2 * np.pi, candidates)
     x, z = radius * np.cos(angle), radius * np.sin(angle)
     h = terrain.height(x, z)
-    normals = terrain.surface_normals(x, z, h)
+    normals = terrain.surface_normals(x, z)
     grove = fbm(np.stack([x, z], axis=1) * 0.33, 91, octaves=3)
     fits = (h > 0.16) & (h < 2.7) & (normals[:, 1] > 0.80) & (grove > 0.12 - 0.035 * (radius - 4))
     along = np.clip((x * CLEARING[0] + z * CLEARING[1]) / (CLEARING @ CLEARING), 0, 1.4)
     aside = np.hypot(x - along * CLEARING[0], z - along * CLEARING[1])
     fits &= ~((z > 0) & (aside < 1.5 + 0.34 * z))
-    order = np.flatnonzero(fits)
+    order = np.flatnonzero(fits).tolist()
     chosen: list[int] = []
     for i in order:
         apart = 0.42 + 0.012 * radius[i]
         taken = np.array(chosen, dtype=int)
-        if not len(taken) or np.hypot(x[taken] - x[i], z[taken] - z[i]).min() > apart:
+        if not taken.size or np.hypot(x[taken] - x[i], z[taken] - z[i]).min() > apart:
             chosen.append(i)
     x, z, h = x[chosen], z[chosen], h[chosen]
     kind = noise(np.stack([x, z], axis=1) * 0.55, 97) + rng.normal(0, 0.25, len(x))
@@ -116,7 +116,7 @@ def pine_needles(which, size, trees: Trees, ground: Ground, rng: np.random.Gener
     place = feet + tall[:, None] * (
         spoke * (skirt * out)[:, None] + sag + np.array((0, 1.0, 0)) * up[:, None]
     )
-    direction = unit(spoke + (0, -0.28, 0) + rng.normal(0, 0.30, (n, 3)))
+    direction = unit(spoke + np.array((0, -0.28, 0)) + rng.normal(0, 0.30, (n, 3)))
     length = tall * size * 0.105 * (0.55 + 0.6 * (1 - up))
     green = (
         mix((0.030, 0.062, 0.030), (0.085, 0.125, 0.040), rng.random(n))
@@ -167,7 +167,7 @@ def grass(count: int, trees: Trees, ground: Ground, rng: np.random.Generator) ->
     stands = np.flatnonzero((feet[:, 1] > 0.055) & (tufts + rng.normal(0, 0.22, tries) > -0.08))[:count]
     feet, tufts = feet[stands], tufts[stands]
     n = len(feet)
-    normals = terrain.surface_normals(feet[:, 0], feet[:, 2], feet[:, 1])
+    normals = terrain.surface_normals(feet[:, 0], feet[:, 2])
     long = (0.055 + 0.075 * rng.random(n) ** 2) * (1 + 0.9 * np.clip(tufts, 0, 1))
     wind = np.array((0.30, 0, 0.12)) * noise(feet[:, ::2] * 0.8, 103)[:, None]
     lean = rng.normal(0, 0.30, (n, 3)) * (1, 0, 1) + wind
@@ -191,7 +191,7 @@ def grass(count: int, trees: Trees, ground: Ground, rng: np.random.Generator) ->
             needles(feet, tips, 0.0036 + 0.0016 * tone, film(light), opacity=0.90),
             discs(
                 tips[flowers] + (0, 0.01, 0),
-                unit(rng.normal(0, 0.4, (len(flowers), 3)) + (0, 1, 0)),
+                unit(rng.normal(0, 0.4, (len(flowers), 3)) + np.array((0, 1, 0))),
                 np.full(len(flowers), 0.020),
                 film(bloom),
             ),
@@ -213,7 +213,7 @@ def reeds(count: int, ground: Ground, rng: np.random.Generator) -> Gaussians:
     tips = feet + (np.array((0, 1.0, 0)) + lean) * long[:, None]
     colour = mix((0.16, 0.17, 0.05), (0.40, 0.32, 0.12), rng.random(n))
     sun = ground.sunlight(feet, lift=0.2)
-    stems = film(lit(colour, unit(lean + (-0.3, 0.5, 0.4)), sun, 0.85, wrap=0.5))
+    stems = film(lit(colour, unit(lean + np.array((-0.3, 0.5, 0.4))), sun, 0.85, wrap=0.5))
     heads = np.flatnonzero(rng.random(n) < 0.33)
     brown = lit(
         np.tile((0.15, 0.075, 0.035), (len(heads), 1)),

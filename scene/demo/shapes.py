@@ -7,7 +7,7 @@ import numpy as np
 from ..gaussians import Gaussians
 from ..sh import rgb_to_sh
 
-DISC_SIGMA = 0.62
+DISC_SIGMA = 0.60
 """Standard deviation of a disc in units of the spacing: smaller shows holes, larger blurs."""
 
 DISC_THICKNESS = 0.08

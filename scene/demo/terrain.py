@@ -11,19 +11,16 @@ from .light import SUN, film, lit, sky
 from .noise import fbm, mix, noise, ridged, smoothstep
 from .shapes import discs, sunflower, unit
 
-RADIUS = 21.0
+RADIUS = 19.0
 """Where the ground ends, behind the crests."""
 
 CORE = 4.2
 """Splats are densest within this radius; beyond it the spacing grows with the distance."""
 
-SLOPE_STEP = 0.02
-"""Distance in world units over which slopes are measured."""
-
 WATER_LEVEL = 0.0
 
-GRASS = np.array([0.150, 0.185, 0.040])
-DRY_GRASS = np.array([0.33, 0.25, 0.075])
+GRASS = np.array([0.105, 0.165, 0.040])
+DRY_GRASS = np.array([0.28, 0.225, 0.070])
 EARTH = np.array([0.17, 0.115, 0.065])
 SAND = np.array([0.36, 0.28, 0.18])
 ROCK = np.array([0.23, 0.205, 0.185])
@@ -42,16 +39,16 @@ def height(x: np.ndarray, z: np.ndarray) -> np.ndarray:
 
     # Mountains all round, lower towards +z where the first camera stands.
     away = smoothstep(-0.9, 0.75, -z / np.maximum(radius, 1e-9))
-    foot = smoothstep(6.5, 16.5, radius + 1.6 * fbm(here * 0.16, 31, octaves=2))
-    crests = ridged(here * 0.135 + 0.25 * noise(here * 0.1, 41)[:, None], 43, octaves=6)
-    return ground + foot * (0.6 + (1.3 + 4.7 * away) * crests**1.35)
+    foot = smoothstep(6.5, 15.0, radius + 1.6 * fbm(here * 0.16, 31, octaves=2))
+    crests = ridged(here * 0.115 + 0.35 * noise(here * 0.1, 41)[:, None], 43, octaves=5)
+    return ground + foot * (0.6 + (1.1 + 4.3 * away) * crests**1.15)
 
 
-def surface_normals(x: np.ndarray, z: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Unit normals (N, 3) of the ground; `h` (N,) is its height there."""
-    slope_x = (height(x + SLOPE_STEP, z) - h) / SLOPE_STEP
-    slope_z = (height(x, z + SLOPE_STEP) - h) / SLOPE_STEP
-    return unit(np.stack([-slope_x, np.ones_like(h), -slope_z], axis=1))
+def surface_normals(x: np.ndarray, z: np.ndarray, step: float | np.ndarray = 0.02) -> np.ndarray:
+    """Unit normals (N, 3) of the ground at x, z (N,); slopes are taken over `step` (N,) world units."""
+    slope_x = (height(x + step / 2, z) - height(x - step / 2, z)) / step
+    slope_z = (height(x, z + step / 2) - height(x, z - step / 2)) / step
+    return unit(np.stack([-slope_x, np.ones_like(x), -slope_z], axis=1))
 
 
 def albedo(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -65,8 +62,8 @@ def albedo(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     steep = smoothstep(0.86, 0.70, normals[:, 1] + 0.06 * fine + 0.04 * patches)
     high = smoothstep(1.7, 3.2, points[:, 1] + 0.7 * patches)
     colour = mix(earth, rock, np.clip(steep + 0.75 * high, 0, 1))
-    snow = smoothstep(2.1, 3.0, points[:, 1] + 0.9 * patches) * smoothstep(
-        0.52, 0.74, normals[:, 1] + 0.08 * fine
+    snow = smoothstep(1.9, 2.8, points[:, 1] + 0.9 * patches) * smoothstep(
+        0.45, 0.64, normals[:, 1] + 0.08 * fine
     )
     colour = mix(colour, SNOW, snow)
     wet = smoothstep(0.10, 0.03, points[:, 1] + 0.02 * fine)
@@ -105,7 +102,7 @@ class Ground:
         top = grid[j, i] * (1 - u) + grid[j, i + 1] * u
         return top * (1 - v) + (grid[j + 1, i] * (1 - u) + grid[j + 1, i + 1] * u) * v
 
-    def sunlight(self, points: np.ndarray, *, lift: float = 0.03) -> np.ndarray:
+    def sunlight(self, points: np.ndarray, *, lift: float | np.ndarray = 0.03) -> np.ndarray:
         """How much of the sun reaches `points` (N, 3), in [0, 1]: penumbrae widen with the distance."""
         light = np.ones(len(points))
         for distance in 0.06 * 1.17 ** np.arange(36):
@@ -183,17 +180,18 @@ def surface(count: int, ground: Ground) -> Gaussians:
     keep = h > -0.3
     x, z, h, spacing = x[keep], z[keep], h[keep], spacing[keep]
     points = np.stack([x, h, z], axis=1)
-    normals = surface_normals(x, z, h)
+    # Finer slopes than the discs can show would only make them bristle.
+    normals = surface_normals(x, z, 1.6 * spacing)
     radiance = lit(
         albedo(points, normals), normals, ground.sunlight(points), ground.smooth_at(ground.openness, points)
     )
-    downhill = np.cross(np.cross(normals, (0.0, 1.0, 0.0)) + (0, 0, 1e-9), normals)
+    downhill = np.cross(np.cross(normals, (0.0, 1.0, 0.0)) + np.array((0, 0, 1e-9)), normals)
     return discs(
         points,
         normals,
         spacing,
         film(distance_haze(points, radiance)),
         tangents=unit(downhill),
-        stretch=1 / np.clip(normals[:, 1], 0.35, 1),
+        stretch=1 / np.clip(normals[:, 1], 0.45, 1),
         opacity=0.985,
     )
