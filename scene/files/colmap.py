@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,32 +94,44 @@ def load_colmap_cameras(path: Path, on_note: Callable[[str], None]) -> list[Came
     images = read_images(images_path)
     cameras = []
     for image in images:
-        lens = intrinsics.get(image.camera_id)
-        if lens is None:
-            raise InputError(
-                f"{images_path}: image {excerpt(image.name)} has camera {image.camera_id}, which is not in "
-                f"{cameras_path.name}; both files must come from the same model"
-            )
-        try:
-            matrix = np.eye(4)
-            matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
-            matrix[:3, 3] = image.translation
-            camera = Camera(
-                width=lens.width,
-                height=lens.height,
-                fx=lens.fx,
-                fy=lens.fy,
-                cx=lens.cx,
-                cy=lens.cy,
-                world_to_camera=matrix,
-                name=image.name,
-            )
-        except ValueError as error:
-            raise InputError(f"{images_path}: image {excerpt(image.name)}: {error}") from None
-        cameras.append(camera)
+        lens = image_lens(image, intrinsics, (cameras_path, images_path))
+        cameras.append(image_camera(image, lens, images_path))
     for note in _distortion_notes(intrinsics, images):
         on_note(f"{cameras_path}: {note}")
     return sorted(cameras, key=lambda camera: camera.name)
+
+
+def image_lens(
+    image: ColmapImage, intrinsics: Mapping[int, ColmapCamera], paths: tuple[Path, Path]
+) -> ColmapCamera:
+    """The image's camera; `paths` are those of `find_model`. Raises InputError where there is none."""
+    lens = intrinsics.get(image.camera_id)
+    if lens is None:
+        raise InputError(
+            f"{paths[1]}: image {excerpt(image.name)} has camera {image.camera_id}, which is not in "
+            f"{paths[0].name}; both files must come from the same model"
+        )
+    return lens
+
+
+def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
+    """The pinhole part of the lens at the image's pose. Raises InputError, naming `path`."""
+    try:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
+        matrix[:3, 3] = image.translation
+        return Camera(
+            width=lens.width,
+            height=lens.height,
+            fx=lens.fx,
+            fy=lens.fy,
+            cx=lens.cx,
+            cy=lens.cy,
+            world_to_camera=matrix,
+            name=image.name,
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
 
 
 def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[ColmapImage]) -> list[str]:

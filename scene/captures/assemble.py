@@ -1,0 +1,184 @@
+"""From poses to a capture: reads the photos, holds some out, and makes up what is missing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..files.progress import Watch
+from .capture import Capture, Photo, Pixels
+from .lens import undistort
+from .photos import downscaled_size, read_pixels
+from .posed import PosedPhotos, Shot
+from .start_points import MIN_POINTS, random_points
+
+HOLD_OUT_EVERY = 8
+"""By sorted name, starting with the first: the usual split since Barron et al. 2022."""
+
+KEEP_BYTES = 2 << 30
+"""Of pixels in memory; photos beyond are read from their files each time."""
+
+MAX_READERS = 8
+"""Threads that decode; each holds a full photo."""
+
+NAMES_SHOWN = 5
+
+LOSS_TO_MENTION = 0.05
+"""Share of a photo that its undistorted picture does not show."""
+
+
+def assemble(
+    posed: PosedPhotos,
+    *,
+    name: str,
+    downscale: int,
+    background: tuple[float, float, float],
+    watch: Watch,
+) -> Capture:
+    """Raises InputError, LoadCancelled."""
+    shots, twice = _unique(posed.shots)
+    _check_count(posed, shots)
+    held_out = _held_out(shots)
+    if all(held_out):
+        raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
+
+    photos, transparent, kept = [], 0, 0
+    for shot, is_held_out, (pixels, is_transparent) in zip(
+        shots, held_out, _read_all(shots, downscale, background, watch), strict=True
+    ):
+        transparent += is_transparent
+        kept += pixels.image.nbytes + (0 if pixels.mask is None else pixels.mask.nbytes)
+        photos.append(
+            Photo(
+                name=shot.name,
+                camera=_resized(shot, downscale),
+                held_out=is_held_out,
+                pixels=_in_memory(pixels) if kept <= KEEP_BYTES else _on_demand(shot, downscale, background),
+            )
+        )
+
+    warnings = list(posed.warnings)
+    if posed.missing:
+        total = len(posed.missing) + len(posed.shots)
+        warnings.append(
+            f"{len(posed.missing)} of {total} photos are not in {posed.images} and are left out: "
+            f"{_some(posed.missing)}"
+        )
+    if twice:
+        warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
+    warnings += _lens_notes(shots)
+    finite = np.isfinite(posed.points).all(axis=1)
+    points, colours = posed.points[finite], posed.point_colours[finite]
+    if not finite.all():
+        warnings.append(f"{(~finite).sum()} of {len(finite)} points are not finite and are left out")
+    if len(points) < MIN_POINTS:
+        points, colours = random_points([photo.camera for photo in photos if not photo.held_out])
+        warnings.append(
+            f"the capture has no points on the surfaces; training starts from {len(points)} random ones"
+        )
+    return Capture(
+        name=name,
+        photos=tuple(photos),
+        points=np.ascontiguousarray(points, dtype=np.float64),
+        point_colours=np.ascontiguousarray(colours),
+        background=background if transparent else None,
+        warnings=tuple(warnings),
+    )
+
+
+def _unique(shots: Sequence[Shot]) -> tuple[list[Shot], list[str]]:
+    """Sorted by name, and the names that came again."""
+    by_name: dict[str, Shot] = {}
+    twice = [shot.name for shot in shots if by_name.setdefault(shot.name, shot) is not shot]
+    return [by_name[name] for name in sorted(by_name)], twice
+
+
+def _check_count(posed: PosedPhotos, shots: Sequence[Shot]) -> None:
+    if not shots:
+        if not posed.missing:
+            raise InputError(f"{posed.source}: names no photos")
+        raise InputError(
+            f"{posed.source}: none of its {len(posed.missing)} photos is in {posed.images} "
+            f"(the first is {_some(posed.missing[:1])}); put them there"
+        )
+    if len(shots) == 1:
+        raise InputError(
+            f"{posed.source}: only one photo ({shots[0].name}) is left to learn from; at least two are needed"
+        )
+
+
+def _held_out(shots: Sequence[Shot]) -> list[bool]:
+    if any(shot.held_out is not None for shot in shots):
+        return [bool(shot.held_out) for shot in shots]
+    return [i % HOLD_OUT_EVERY == 0 for i in range(len(shots))]
+
+
+def _resized(shot: Shot, downscale: int):
+    camera = replace(shot.camera, name=shot.name)
+    width, height = downscaled_size(camera.width, camera.height, downscale)
+    if not (width >= 1 and height >= 1):
+        raise InputError(
+            f"{shot.path}: at {camera.width}x{camera.height} pixels nothing is left of it after "
+            f"downscaling by {downscale}"
+        )
+    return camera.resized(width, height)
+
+
+def _read_all(shots: Sequence[Shot], downscale: int, background: tuple[float, float, float], watch: Watch):
+    """Yields `read_pixels` of each shot in turn."""
+    for shot in shots:
+        _resized(shot, downscale)
+    readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
+    pool = ThreadPoolExecutor(readers, thread_name_prefix="photos")
+    try:
+        watch.step(0.0)
+        # Only a few ahead: what is read and waits is held in memory.
+        pending = [pool.submit(read_pixels, shot, downscale, background) for shot in shots[: 2 * readers]]
+        for i in range(len(shots)):
+            result = pending[i].result()
+            watch.step((i + 1) / len(shots))
+            if len(pending) < len(shots):
+                pending.append(pool.submit(read_pixels, shots[len(pending)], downscale, background))
+            yield result
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _in_memory(pixels: Pixels) -> Callable[[], Pixels]:
+    return lambda: pixels
+
+
+def _on_demand(shot: Shot, downscale: int, background: tuple[float, float, float]) -> Callable[[], Pixels]:
+    return lambda: read_pixels(shot, downscale, background)[0]
+
+
+def _some(names: Sequence[str]) -> str:
+    shown = ", ".join(ascii(name)[1:-1] for name in names[:NAMES_SHOWN])
+    return shown + (", ..." if len(names) > NAMES_SHOWN else "")
+
+
+def _lens_notes(shots: Sequence[Shot]) -> list[str]:
+    """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
+    notes = []
+    for lens in dict.fromkeys(shot.lens for shot in shots if any(shot.lens.distortion)):
+        x, y = (np.linspace(0.5, size - 0.5, 25) for size in (lens.width, lens.height))
+        grid = np.stack(np.meshgrid((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy), axis=-1)
+        there = undistort(grid, lens) * (lens.fx, lens.fy) + (lens.cx, lens.cy)
+        with np.errstate(invalid="ignore"):
+            shown = ((there >= 0) & (there <= (lens.width, lens.height))).all(axis=-1)
+        lost = 1 - shown.mean()
+        if lost > LOSS_TO_MENTION:
+            notes.append(
+                f"{lost:.0%} of each {lens.model} photo lies outside its undistorted picture and is not used"
+            )
+    return notes
+
+
+def capture_name(path: Path) -> str:
+    return path.absolute().name or "capture"

@@ -1,0 +1,155 @@
+"""COLMAP captures: a model of cameras, images and points, and a folder of photos.
+
+Format: COLMAP documentation, "Output Format". Files that older versions do not have (rigs, frames) say
+nothing about single photos and are not read.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..files.colmap import find_model, image_camera, image_lens, read_cameras, read_images
+from ..files.excerpt import excerpt
+from .posed import PosedPhotos, Shot, find_mask, find_photo, tidy_name
+
+MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
+
+MAX_TEXT_BYTES = 1 << 31
+
+_POINT = np.dtype(
+    [("number", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"), ("track", "<u8")]
+)
+"""Fixed part of a point; two uint32 for each image in its track follow."""
+
+
+def find_colmap(folder: Path) -> Path | None:
+    """The folder of the model in a capture's folder; None where there is none."""
+    for name in MODEL_FOLDERS:
+        if any((folder / name / f"images{suffix}").is_file() for suffix in (".bin", ".txt")):
+            return folder / name
+    return None
+
+
+def read_colmap(folder: Path, model: Path) -> PosedPhotos:
+    """The capture in `folder` whose model is in `model`, a folder. Raises InputError."""
+    paths = find_model(model)
+    intrinsics = read_cameras(paths[0])
+    images = read_images(paths[1])
+    if not images:
+        raise InputError(f"{paths[1]}: holds no images: the reconstruction found no poses")
+    root, photos = _photo_folder(folder, model, [image.name for image in images])
+    held_out = _held_out_names(model)
+    shots, missing = [], []
+    for image in images:
+        path = find_photo(photos, image.name)
+        name = tidy_name(image.name)
+        if path is None:
+            missing.append(name)
+            continue
+        lens = image_lens(image, intrinsics, paths)
+        shots.append(
+            Shot(
+                name=name,
+                path=path,
+                camera=image_camera(image, lens, paths[1]),
+                lens=lens,
+                mask=find_mask(root, name),
+                held_out=None if held_out is None else name in held_out,
+            )
+        )
+    points, colours = _points(model)
+    return PosedPhotos(
+        source=paths[1],
+        images=photos,
+        shots=shots,
+        missing=missing,
+        points=points,
+        point_colours=colours,
+    )
+
+
+def _photo_folder(folder: Path, model: Path, names: list[str]) -> tuple[Path, Path]:
+    """(capture, photos): the folder of the capture and where in it the first photo is that there is at all.
+
+    The user may have named the capture or, deeper, its model.
+    """
+    roots = list(dict.fromkeys((folder, model, *model.absolute().parents[:2])))
+    for root in roots:
+        for photos in (root / "images", root / "input", root):
+            if any(find_photo(photos, name) for name in names):
+                return root, photos
+    return folder, folder / "images"
+
+
+def _held_out_names(model: Path) -> set[str] | None:
+    """Of ``test.txt`` beside the model: one photo a line, held out instead of every 8th."""
+    path = model / "test.txt"
+    if not path.is_file():
+        return None
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return {tidy_name(line.strip()) for line in text.splitlines() if line.strip()}
+
+
+def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
+    """``points3D`` as (P, 3) float64 and (P, 3) uint8; empty where the model has none. Raises InputError."""
+    for suffix, parse in ((".bin", _points_binary), (".txt", _points_text)):
+        path = model / f"points3D{suffix}"
+        if path.is_file():
+            try:
+                return parse(path)
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return np.empty((0, 3)), np.empty((0, 3), dtype=np.uint8)
+
+
+def _points_binary(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    raw = path.read_bytes()
+    cut = InputError(f"{path}: is truncated; copy or export it again")
+    if len(raw) < 8:
+        raise cut
+    (count,) = struct.unpack_from("<Q", raw)
+    if not count * _POINT.itemsize <= len(raw) - 8:
+        raise cut
+    starts = np.empty(count, dtype=np.int64)
+    at, track_at = 8, _POINT.fields["track"][1] if _POINT.fields else 0
+    unpack = struct.Struct("<Q").unpack_from
+    for i in range(count):
+        if at + _POINT.itemsize > len(raw):
+            raise cut
+        starts[i] = at
+        at += _POINT.itemsize + 8 * unpack(raw, at + track_at)[0]
+    if at > len(raw):
+        raise cut
+    table = np.frombuffer(raw, dtype=np.uint8)[starts[:, None] + np.arange(_POINT.itemsize)]
+    points = table.reshape(-1).view(_POINT)
+    return points["position"].astype(np.float64), points["colour"].copy()
+
+
+def _points_text(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    if path.stat().st_size > MAX_TEXT_BYTES:
+        raise InputError(f"{path}: is too large for text; export the model as .bin")
+    positions, colours = [], []
+    with open(path, encoding="utf-8", errors="replace") as file:
+        for line in file:
+            words = line.split(maxsplit=7)
+            if not words or words[0].startswith("#"):
+                continue
+            try:
+                position, colour = [float(word) for word in words[1:4]], [int(word) for word in words[4:7]]
+                if not (len(colour) == 3 and all(0 <= value <= 255 for value in colour)):
+                    raise ValueError
+            except ValueError:
+                raise InputError(f"{path}: the line {excerpt(line.strip())} is no point") from None
+            positions.append(position)
+            colours.append(colour)
+    return (
+        np.array(positions, dtype=np.float64).reshape(-1, 3),
+        np.array(colours, dtype=np.uint8).reshape(-1, 3),
+    )

@@ -1,0 +1,80 @@
+"""Points to start from where no reconstruction gives any: random ones where the cameras look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..camera import Camera
+
+MIN_POINTS = 4
+"""A point and its three nearest neighbours, which give a splat its size."""
+
+RANDOM_POINTS = 20_000
+
+GREY = 128
+
+BALL_OF_DISTANCE = 0.5
+"""Radius of the ball around what all cameras look at, in cameras' distances from it."""
+
+FACING = 0.8
+"""Share of the cameras that must have that point before them for it to count."""
+
+NEAR_OF_EXTENT, FAR_OF_EXTENT = 0.2, 5.0
+"""Depths of points in front of cameras that look different ways, in the cameras' own spread."""
+
+
+def random_points(
+    cameras: Sequence[Camera], count: int = RANDOM_POINTS, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """(count, 3) float64 and (count, 3) uint8 grey; equal arguments give equal points.
+
+    In a ball around the point nearest to all optical axes where the cameras look at one thing; elsewhere
+    (a room from within, a row of parallel views) in front of the cameras, evenly in disparity.
+    """
+    rng = np.random.default_rng(seed)
+    eyes = np.array([camera.eye for camera in cameras])
+    axes = np.array([camera.forward for camera in cameras])
+    focus = _nearest_to_axes(eyes, axes)
+    facing = ((focus - eyes) * axes).sum(axis=1) > 0
+    if facing.mean() >= FACING and _is_bounded(axes):
+        radius = BALL_OF_DISTANCE * float(np.median(np.linalg.norm(eyes - focus, axis=1)))
+        direction = rng.normal(size=(count, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        points = focus + radius * direction * rng.uniform(size=(count, 1)) ** (1 / 3)
+    else:
+        points = _in_front(cameras, eyes, count, rng)
+    return points, np.full((count, 3), GREY, dtype=np.uint8)
+
+
+def _across(axes: np.ndarray) -> np.ndarray:
+    """(N, 3) unit -> (3, 3): the sum of the projections across the axes."""
+    return len(axes) * np.eye(3) - axes.T @ axes
+
+
+def _is_bounded(axes: np.ndarray) -> bool:
+    """Whether the axes differ enough (some 3° on average) that they say how far away they meet."""
+    return float(np.linalg.eigvalsh(_across(axes))[0]) > 0.0025 * len(axes)
+
+
+def _nearest_to_axes(eyes: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """The point with the least sum of squared distances to the lines eye + t·axis."""
+    offsets = eyes.sum(axis=0) - axes.T @ (axes * eyes).sum(axis=1)
+    return np.linalg.lstsq(_across(axes), offsets, rcond=None)[0]
+
+
+def _in_front(
+    cameras: Sequence[Camera], eyes: np.ndarray, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    extent = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) or 1.0
+    depth = 1 / rng.uniform(1 / (FAR_OF_EXTENT * extent), 1 / (NEAR_OF_EXTENT * extent), size=count)
+    pixel = rng.uniform(size=(count, 2))
+    points = np.empty((count, 3))
+    for i, camera in enumerate(cameras):
+        mine = slice(i, None, len(cameras))
+        x = (pixel[mine, 0] * camera.width - camera.cx) / camera.fx
+        y = (pixel[mine, 1] * camera.height - camera.cy) / camera.fy
+        rays = np.stack([x, y, np.ones_like(x)], axis=1) * depth[mine, None]
+        points[mine] = (rays - camera.t_camera_world) @ camera.R_camera_world
+    return points
