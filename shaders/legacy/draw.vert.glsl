@@ -1,5 +1,5 @@
 // quads/draw.vert.glsl for OpenGL 3.3: the same quads, fetched from textures.
-// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE.
+// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE, POINTS.
 #include "legacy/texels.glsl"
 
 uniform usampler2D u_order;    // splats, nearest first
@@ -14,6 +14,7 @@ flat out float v_c;
 flat out vec4 v_colour;   // rgb, opacity
 
 const float ROOT_HALF_LOG2_E = 0.84932180028801904;  // exp(-q/2) = exp2(-(0.849 sqrt q)²)
+const float POINT_REACH = 2.0;                         // px, a little over the radius in draw.frag.glsl
 const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
 
 void main() {
@@ -30,6 +31,9 @@ void main() {
     v_shape = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
     v_c = bound.x * ROOT_HALF_LOG2_E;
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
+#if POINTS
+    vec2 position = shape.xy + corner * POINT_REACH;
+#else
     vec2 major = bound.zw;
     float major_length = length(major);
     vec2 along = major / major_length;
@@ -42,5 +46,6 @@ void main() {
         vec2 extent = sqrt(min(major * major + minor * minor, vec2(1e36))) + 0.02;
         position = clamp(shape.xy + corner * extent, vec2(-1.0), u_size + 1.0);
     }
+#endif
     gl_Position = vec4(position / u_size * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -16,7 +16,7 @@ import numpy as np
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from .context import describe
 from .frame import FrameStats, VisualMode
-from .programs import load_render_program
+from .legacy_shaders import ModeShaders
 from .projection_pass import ProjectionPass
 from .projector import QUADS_PER_INSTANCE
 from .quads import quad_indices
@@ -31,6 +31,11 @@ OLDEST = 330
 FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
 """The target's alpha is the transmittance T: rgb += T·(alpha·colour), T *= 1 - alpha."""
 
+COUNTING = (moderngl.ONE, moderngl.ONE, moderngl.ONE, moderngl.ONE)
+
+DEPTH_RADII = 2.5
+"""Half the range of depth colours, in radii of the half of the splats that lie innermost."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Wish:
@@ -44,8 +49,8 @@ class _Wish:
         return (
             other is not None
             and self.camera.same_view(other.camera)
-            and (self.settings.model, self.settings.sh_degree)
-            == (other.settings.model, other.settings.sh_degree)
+            and (self.settings.model, self.settings.sh_degree, self.mode == "depth")
+            == (other.settings.model, other.settings.sh_degree, other.mode == "depth")
         )
 
     def same_picture(self, other: _Wish | None) -> bool:
@@ -81,17 +86,7 @@ class LegacyQuadsRenderer:
         self._order: DepthOrder | None = None
         """What `_order_texture` holds."""
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._draw_splats = load_render_program(
-            ctx,
-            "legacy/draw.vert.glsl",
-            "legacy/draw.frag.glsl",
-            {"TEXTURE_WIDTH": TEXTURE_WIDTH, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE},
-        )
-        self._quads = ctx.vertex_array(
-            self._draw_splats, [], index_buffer=self._indices, index_element_size=4
-        )
-        self._resolve = load_render_program(ctx, "legacy/fullscreen.vert.glsl", "legacy/resolve.frag.glsl")
-        self._triangle = ctx.vertex_array(self._resolve, [])
+        self._shaders: dict[VisualMode, ModeShaders] = {}
         self._gathered: ColourTarget | None = None
         self._shown: ColourTarget | None = None
         self._projected: _Wish | None = None
@@ -161,6 +156,7 @@ class LegacyQuadsRenderer:
                     uniforms,
                     sh_degree=3 if settings.sh_degree is None else settings.sh_degree,
                     antialiased=settings.model.antialiased,
+                    depth_range=self._depth_range(scene, wish.camera) if wish.mode == "depth" else None,
                 )
             self._projected = wish
             self._counters["projected"] += 1
@@ -198,12 +194,14 @@ class LegacyQuadsRenderer:
         ordered = self._order.before_eye if exact else len(self._order.order)
         ctx.enable_only(moderngl.BLEND)
         ctx.blend_equation = moderngl.FUNC_ADD  # pyright: ignore[reportAttributeAccessIssue]
-        ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
+        blend = COUNTING if wish.mode == "overdraw" else FRONT_TO_BACK
+        ctx.blend_func = blend  # pyright: ignore[reportAttributeAccessIssue]
+        shaders = self._mode_shaders(wish.mode)
         self._order_texture.use(0)
-        self._projection.use(self._draw_splats, 1)
-        set_uniforms(self._draw_splats, {**uniforms, "u_order": 0, "u_ordered": ordered})
+        self._projection.use(shaders.draw, 1)
+        set_uniforms(shaders.draw, {**uniforms, "u_order": 0, "u_ordered": ordered})
         if ordered:
-            self._quads.render(moderngl.TRIANGLES, instances=-(-ordered // QUADS_PER_INSTANCE))
+            shaders.quads.render(moderngl.TRIANGLES, instances=-(-ordered // QUADS_PER_INSTANCE))
 
     def _make_targets(self, wish: _Wish) -> ColourTarget:
         size, precision = (wish.camera.width, wish.camera.height), wish.settings.blend
@@ -219,8 +217,21 @@ class LegacyQuadsRenderer:
         self._target(self._shown).framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         self._target(self._gathered).texture.use(0)
-        set_uniforms(self._resolve, {"u_gathered": 0, "u_background": wish.settings.background})
-        self._triangle.render(moderngl.TRIANGLES, vertices=3)
+        shaders = self._mode_shaders(wish.mode)
+        set_uniforms(shaders.resolve, {"u_gathered": 0, "u_background": wish.settings.background})
+        shaders.triangle.render(moderngl.TRIANGLES, vertices=3)
+
+    def _mode_shaders(self, mode: VisualMode) -> ModeShaders:
+        if mode not in self._shaders:
+            self._shaders[mode] = ModeShaders.load(self._ctx, mode, self._indices)
+        return self._shaders[mode]
+
+    @staticmethod
+    def _depth_range(scene: SceneTextures, camera: Camera) -> tuple[float, float]:
+        """From the eye, or where the bulk of the scene begins, to where it ends."""
+        middle = float((scene.median - camera.eye) @ camera.forward)
+        near = max(0.0, middle - DEPTH_RADII * scene.radius)
+        return near, max(middle, near) + DEPTH_RADII * scene.radius
 
     @staticmethod
     def _target(target: ColourTarget | None) -> ColourTarget:
@@ -293,8 +304,9 @@ class LegacyQuadsRenderer:
         self._release_scene()
         self._release_targets()
         self._projection.release()
-        for thing in (self._quads, self._triangle, self._draw_splats, self._resolve, self._indices):
-            thing.release()
+        for shaders in self._shaders.values():
+            shaders.release()
+        self._indices.release()
 
     def _release_scene(self) -> None:
         if self._sorter is not None:

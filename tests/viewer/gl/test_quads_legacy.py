@@ -15,7 +15,8 @@ import pytest
 from splatview.measure.metrics import largest_error, psnr
 from splatview.scene import TEXTBOOK, Gaussians, ImageModel, InputError, RenderSettings, look_at, reference
 from splatview.scene.files import load_scene
-from splatview.viewer.gl import make_renderer, scene_textures, sort_worker
+from splatview.scene.sh import rgb_to_sh
+from splatview.viewer.gl import VisualMode, make_renderer, scene_textures, sort_worker
 from splatview.viewer.gl.context import describe
 from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
 from splatview.viewer.gl.scene_textures import TEXTURE_WIDTH
@@ -145,6 +146,86 @@ def test_same_pictures_as_the_compute_path(ctx, renderer, random_gaussians):
         assert largest_error(image, other.render(gaussians, CAMERA, settings)) <= 1e-3
     assert renderer.stats.visible == other.finished_stats().visible
     other.release()
+
+
+# ---- visual modes
+
+
+def balls(depths: list[float], *, radius: float = 0.3, opacity: float = 2.0) -> Gaussians:
+    """Grey balls on the axis that a camera at the origin looks along."""
+    n = len(depths)
+    means = np.zeros((n, 3), np.float32)
+    means[:, 2] = depths
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1
+    return Gaussians(
+        means=means,
+        quats=quats,
+        log_scales=np.full((n, 3), np.log(radius), np.float32),
+        opacity_logits=np.full(n, opacity, np.float32),
+        sh=np.full((n, 1, 3), rgb_to_sh(np.array(0.4)), np.float32),
+    )
+
+
+AXIS = look_at((0, 0, 0), (0, 0, 1), up=(0, -1, 0), width=63, height=63)
+
+
+def test_points_are_small_opaque_discs(renderer):
+    image = renderer.render(balls([3.0], opacity=-4.0), AXIS, FLOAT32, mode="points")
+    covered = image[..., 3] > 0
+    rows, columns = np.nonzero(covered)
+    assert 5 <= covered.sum() <= 12
+    assert np.abs(rows - 31).max() <= 1
+    assert np.abs(columns - 31).max() <= 1
+    assert np.allclose(image[covered], [0.4, 0.4, 0.4, 1], atol=1e-6)
+
+
+def test_ellipsoids_are_opaque_within_one_standard_deviation(renderer):
+    image = renderer.render(balls([3.0], opacity=-4.0), AXIS, FLOAT32, mode="ellipsoids")
+    rows, columns = np.indices((63, 63)) + 0.5
+    sigma = np.sqrt((0.3 * AXIS.fx / 3) ** 2 + 0.3)
+    distance = np.hypot(rows - 31.5, columns - 31.5) / sigma
+    assert (image[distance < 0.98][:, 3] == 1).all()
+    assert (image[distance > 1.02][:, 3] == 0).all()
+    assert image[31, 31, 0] == pytest.approx(0.4, abs=1e-3), "lit in full where it faces the eye"
+    rim = (distance > 0.9) & (distance < 0.98)
+    assert rim.any()
+    assert (image[rim][:, 0] < 0.32).all()
+
+
+def test_nearer_is_lighter_in_depth_colours(renderer):
+    lightness = []
+    for depth in (2.0, 3.0, 4.0):
+        scene = balls([depth, 2.9, 3.1])
+        moved = scene.means.copy()
+        moved[1:, 0] = 50  # out of sight: they keep the range of depths the same
+        image = renderer.render(replace(scene, means=moved), AXIS, FLOAT32, mode="depth")
+        shown = image[31, 31]
+        assert shown[3] > 0.8
+        lightness.append(shown[:3].sum() / shown[3])
+    assert lightness[0] > lightness[1] > lightness[2]
+
+
+def test_overdraw_counts_splats(renderer):
+    heat = [
+        renderer.render(balls([3.0] * count), AXIS, FLOAT32, mode="overdraw")[31, 31, :3].sum()
+        for count in (0, 1, 2, 8, 60, 255)
+    ]
+    assert heat == sorted(heat)
+    assert len(set(heat)) == len(heat)
+    assert heat[-1] == pytest.approx(0.99 + 1 + 0.64, abs=1e-3), "255 splats are the hottest colour"
+
+
+def test_every_mode_is_drawn_anew_and_back(renderer, random_gaussians):
+    gaussians = random_gaussians(300)
+    modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
+    images = [renderer.render(gaussians, CAMERA, FLOAT32, mode=mode) for mode in modes]
+    for i, image in enumerate(images):
+        assert np.isfinite(image).all()
+        assert not any(np.allclose(image, other, atol=0.01) for other in images[:i])
+    again = renderer.render(gaussians, CAMERA, FLOAT32)
+    assert np.array_equal(again, images[0])
+    assert renderer.stats.sorted == 1, "no mode needs another order"
 
 
 # ---- when things happen
