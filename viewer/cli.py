@@ -54,6 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
         return EXIT_BAD_INPUT
+    except MemoryError as error:
+        print(f"splatview: not enough memory ({error}); try a smaller scene or --size", file=sys.stderr)
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:

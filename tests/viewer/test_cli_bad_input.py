@@ -156,6 +156,19 @@ def test_output_that_is_a_folder(refused, scene, tmp_path):
     assert "is a folder" in refused("render", scene, "-o", tmp_path / "o.png")
 
 
+def test_pictures_larger_than_opengl_draws(refused, scene, tmp_path):
+    line = refused("render", scene, "-o", tmp_path / "o.png", "--renderer", "quads", "--size", "65536x8")
+    assert "not 65536x8; use --renderer cpu" in line
+
+
+def test_too_little_memory_is_said_in_one_line(refused, scene, monkeypatch):
+    def too_large(*_args: object) -> None:
+        raise MemoryError("Unable to allocate 9 TiB")
+
+    monkeypatch.setattr("splatview.viewer.commands.info.load_scene", too_large)
+    assert "9 TiB" in refused("info", scene)
+
+
 def test_choosing_a_camera_that_is_not_there(refused, scene, tmp_path):
     camera = {"width": 9, "height": 9, "fx": 9, "fy": 9, "cx": 4, "cy": 4, "name": "front"}
     camera["world_to_camera"] = np.eye(4).tolist()

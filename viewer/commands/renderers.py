@@ -44,11 +44,17 @@ class Quads:
         from ..gl import make_renderer
 
         self._renderer: Any = make_renderer(ctx)
+        self._largest: tuple[int, int] = ctx.info["GL_MAX_VIEWPORT_DIMS"]
         self._loaded: Gaussians | None = None
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
     ) -> np.ndarray:
+        if not (camera.width <= self._largest[0] and camera.height <= self._largest[1]):
+            raise InputError(
+                f"OpenGL draws at most {self._largest[0]}x{self._largest[1]} here, "
+                f"not {camera.width}x{camera.height}; use --renderer cpu or a smaller --size"
+            )
         if gaussians is not self._loaded:
             self._renderer.load(gaussians)
             self._loaded = gaussians
