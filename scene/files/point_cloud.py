@@ -101,12 +101,14 @@ def spacing(means: np.ndarray) -> np.ndarray:
     if len(points) > 1:
         order = np.argsort(morton_codes(points))
         along = points[order]
+        nearest = np.full(len(points), np.inf)
         for step in (1, 2):
             distances = np.linalg.norm(along[step:] - along[:-step], axis=1)
             # Copies of a point say nothing about the distance to its neighbours.
             distances[distances == 0] = np.inf
-            np.minimum.at(near, order[step:], distances)
-            np.minimum.at(near, order[:-step], distances)
+            np.minimum(nearest[step:], distances, out=nearest[step:])
+            np.minimum(nearest[:-step], distances, out=nearest[:-step])
+        near[order] = nearest
     known = near[np.isfinite(near)]
     median = float(np.median(known)) if len(known) else 0.01
     result = np.full(len(means), median)

@@ -18,9 +18,13 @@ class Watch:
     """Gets the share done, 0 to 1, never falling."""
     cancelled: Callable[[], bool] | None = None
 
-    def step(self, share: float) -> None:
+    def check(self) -> None:
         """Call between pieces of work of a few milliseconds. Raises LoadCancelled."""
         if self.cancelled is not None and self.cancelled():
             raise LoadCancelled
+
+    def step(self, share: float) -> None:
+        """As `check`, and tells that `share` of the work is done."""
+        self.check()
         if self.progress is not None:
             self.progress(min(share, 1.0))

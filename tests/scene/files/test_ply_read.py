@@ -195,6 +195,29 @@ def test_progress_rises_to_one(large_file):
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 
+def test_progress_never_falls_where_rows_are_walked(tmp_path, random_gaussians, columns_of, make_ply):
+    data = make_ply(columns_of(random_gaussians(9000, sh_degree=0)))
+    # A list of no items behind every row: its length is one more byte of zero.
+    head, _, body = data.partition(b"end_header\n")
+    rows = np.frombuffer(body, np.uint8).reshape(9000, -1)
+    body = np.pad(rows, ((0, 0), (0, 1))).tobytes()
+    path = tmp_path / "scene.ply"
+    path.write_bytes(head + b"property list uchar int tags\nend_header\n" + body)
+    shares: list[float] = []
+    assert len(load_scene(path, progress=shares.append)) == 9000
+    assert len(shares) == 3 and shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_cancel_is_heard_in_a_body_of_blank_lines(tmp_path, random_gaussians, columns_of, make_ply):
+    head = make_ply(columns_of(random_gaussians(1)), form="ascii").partition(b"end_header\n")[0]
+    path = tmp_path / "scene.ply"
+    path.write_bytes(head + b"end_header\n" + b"\n" * 20_000)
+    with pytest.raises(LoadCancelled):
+        load_scene(path, cancelled=lambda: True)
+    with pytest.raises(InputError, match="truncated"):
+        load_scene(path)
+
+
 def test_cancel_stops_at_the_next_piece(large_file):
     shares: list[float] = []
     with pytest.raises(LoadCancelled):
