@@ -7,6 +7,7 @@ path, so a kernel can never be stale.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import time
@@ -72,10 +73,8 @@ def _remove_old_caches(root: Path) -> None:
 
 _CACHE = _cache_folder(_HERE)
 if _CACHE is not None:
-    try:
+    with contextlib.suppress(OSError):  # another process tidies up at the same time, or owns them
         _remove_old_caches(_CACHE.parent)
-    except OSError:  # another process tidies up at the same time, or owns them
-        pass
 
 _kernels: list[Any] = []
 
