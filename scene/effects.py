@@ -10,7 +10,7 @@ import numpy as np
 
 from .framing import robust_bounds
 from .gaussians import Gaussians
-from .health import FAR_SPACING, check, sh_reach
+from .health import FAR_SPACING, Finding, check, sh_reach
 from .image_model import BLUR, ImageModel, RenderSettings
 from .projection import FLOAT32_MAX, sigmoid
 
@@ -42,15 +42,18 @@ class Effect:
     """The evidence, with numbers, and what it means."""
 
 
-def census(gaussians: Gaussians) -> list[Effect]:
-    """All effects, in a fixed order; SH bands only as far as the file has them."""
+def census(gaussians: Gaussians, *, findings: list[Finding] | None = None) -> list[Effect]:
+    """All effects, in a fixed order; SH bands only as far as the file has them.
+
+    `findings`: what `health.check` said of the scene, where that is known already.
+    """
     return [
         *_sh_bands(gaussians),
         _antialiased(gaussians),
         _flat(gaussians),
         _centred(gaussians),
         _transparency(gaussians),
-        *_left_out(gaussians),
+        *_left_out(gaussians, check(gaussians) if findings is None else findings),
         _sorting(gaussians),
     ]
 
@@ -183,8 +186,8 @@ def _transparency(gaussians: Gaussians) -> Effect:
     )
 
 
-def _left_out(gaussians: Gaussians) -> list[Effect]:
-    findings = {finding.name: finding for finding in check(gaussians)}
+def _left_out(gaussians: Gaussians, health: list[Finding]) -> list[Effect]:
+    findings = {finding.name: finding for finding in health}
     invisible = findings["invisible"].count
     ill = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
     ill_splats = len(np.unique(np.concatenate([finding.indices for finding in ill])))

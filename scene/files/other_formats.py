@@ -21,7 +21,6 @@ SUFFIXES = {
     ".sog": "an .sog file",
     ".splat": "a .splat file",
     ".ksplat": "a .ksplat file",
-    ".json": "an unpacked .sog, or a list of cameras",
 }
 
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,7 +32,10 @@ class Target:
 
 
 def check_size(header: Header, element: Element, file_bytes: int, path: object) -> None:
-    """Raises InputError where the file is too short for what its header promises, before memory is taken."""
+    """Raises InputError where a file is shorter than its header says, or larger than memory.
+
+    To be called before memory is taken.
+    """
     left = file_bytes - header.body_offset
     for earlier in header.elements:
         # In ascii every value has at least one digit and the blank or line end behind it (the last may not).
@@ -41,8 +46,24 @@ def check_size(header: Header, element: Element, file_bytes: int, path: object) 
                 f"{max(left, 0) // row_bytes:,} at most: it is truncated or damaged; copy or export it again"
             )
         if earlier is element:
-            return
+            break
         left -= earlier.count * row_bytes
+
+    # Files can be larger than memory, on purpose (sparse ones) or not.
+    needed = element.count * sum(prop.dtype.itemsize for prop in element.scalars)
+    if needed > physical_memory():
+        raise InputError(
+            f"{path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and this machine "
+            f"has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
+        )
+
+
+def physical_memory() -> float:
+    """Bytes of this machine; infinite where the system does not tell."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 def read_rows(

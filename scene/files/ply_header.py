@@ -105,8 +105,7 @@ def read_header(file: BinaryIO, path: object) -> Header:
     lines = _header_lines(file, path)
     body_offset = file.tell()
     byte_order = is_ascii = None
-    elements: list[Element] = []
-    properties: list[Property] = []
+    elements: list[tuple[str, int, list[Property]]] = []
     comments: list[str] = []
     for number, line in enumerate(lines, start=1):
         words = line.split()
@@ -128,11 +127,9 @@ def read_header(file: BinaryIO, path: object) -> Header:
             case ["element", name, count]:
                 if not re.fullmatch(r"[0-9]{1,18}", count):
                     raise fail("must end in a number of rows")
-                if any(element.name == name for element in elements):
+                if any(name == earlier for earlier, _, _ in elements):
                     raise fail(f"is a second element {excerpt(name)}")
-                properties = []
-                # The list is shared until the tuple is made below, when all properties are known.
-                elements.append(Element(name=name, count=int(count), properties=properties))  # type: ignore[arg-type]
+                elements.append((name, int(count), []))
             case ["property", *_] if not elements:
                 raise fail("is a property before any element")
             case ["property", *_] if byte_order is None:
@@ -141,12 +138,12 @@ def read_header(file: BinaryIO, path: object) -> Header:
                 count_dtype, dtype = _dtype(count_type, byte_order), _dtype(item_type, byte_order)
                 if dtype is None or count_dtype is None or count_dtype.kind not in "iu":
                     raise fail("has a type that .ply does not have")
-                properties.append(Property(name=name, dtype=dtype, count_dtype=count_dtype))
+                elements[-1][2].append(Property(name=name, dtype=dtype, count_dtype=count_dtype))
             case ["property", type_name, name] if type_name != "list":
                 dtype = _dtype(type_name, byte_order)
                 if dtype is None:
                     raise fail(f"has a type that .ply does not have: {excerpt(type_name)}")
-                properties.append(Property(name=name, dtype=dtype))
+                elements[-1][2].append(Property(name=name, dtype=dtype))
             case _:
                 raise fail("is not understood; the file is damaged or not a .ply")
     if is_ascii is None:
@@ -154,8 +151,8 @@ def read_header(file: BinaryIO, path: object) -> Header:
     return Header(
         is_ascii=is_ascii,
         elements=tuple(
-            Element(name=element.name, count=element.count, properties=tuple(element.properties))
-            for element in elements
+            Element(name=name, count=count, properties=tuple(properties))
+            for name, count, properties in elements
         ),
         comments=tuple(comments),
         body_offset=body_offset,

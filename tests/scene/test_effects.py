@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
 from splatview.scene.effects import VISIBLE, Effect, antialiasing, census, settings_for, used_sh_degree
+from splatview.scene.health import check
 from splatview.scene.reference import render
 
 
@@ -147,6 +148,14 @@ def test_counts_are_true(random_gaussians):
     assert effects["skip faint splats"].on and "7 of 200" in effects["skip faint splats"].why
     assert effects["skip ill splats"].on and "1 of 200" in effects["skip ill splats"].why
     assert "1 NaN opacities" in effects["skip ill splats"].why
+
+
+def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkeypatch):
+    scene = random_gaussians(30)
+    expected = census(scene)
+    findings = check(scene)
+    monkeypatch.setattr("splatview.scene.effects.check", None)
+    assert census(scene, findings=findings) == expected
 
 
 def test_none_and_one(random_gaussians):

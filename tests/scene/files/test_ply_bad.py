@@ -122,6 +122,17 @@ def test_header_that_promises_more_than_there_is(tmp_path, columns, make_ply, fo
     assert f"promises {count:,} rows of vertex" in message
 
 
+def test_more_than_memory(tmp_path, columns, make_ply):
+    """A sparse file is as large as it likes and takes no disk."""
+    path = tmp_path / "huge.ply"
+    path.write_bytes(make_ply(columns, count=10**10))
+    os.truncate(path, 3 * 10**12)
+    with pytest.raises(
+        InputError, match=r"huge\.ply: 10,000,000,000 rows of vertex need .* GiB, and this machine"
+    ):
+        load_scene(path)
+
+
 def test_an_earlier_element_that_promises_more_than_there_is(tmp_path, columns, make_ply):
     for header in (
         f"element tag {10**12}\nproperty double id",
