@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip
 
-from ...scene import InputError
 from ..gl.context import describe
 from . import keys, layout, opening, theme
 from .core import Core
@@ -116,9 +116,7 @@ class Window:
         core = self.core
         opening.cancel_loading(core, quiet=True)
         self.dialogs.close()
-        # The layout that is saved next has the panels open.
-        core.panels_hidden = False
-        layout.hide_or_show_panels(core)
+        core.prefer(closed_panels=layout.closed_panels(core))
         if core.picture is not None:
             core.picture.release()
             core.picture = None
@@ -126,9 +124,8 @@ class Window:
             try:
                 save_preferences(core.preferences)
             except OSError as error:
-                self.failure = InputError(
-                    f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
-                )
+                # Too late for the window; and no reason to call a good session a failure.
+                print(f"splatview: {config_folder()}: cannot be written ({error.strerror})", file=sys.stderr)
 
 
 def run_window(
@@ -201,6 +198,10 @@ class _Driven:
         test.test_func = self._run
         io = imgui.test_engine.get_io(engine)
         io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
+        # Only what goes wrong, with the steps that led to it.
+        io.config_log_to_tty = True
+        io.config_verbose_level = imgui.test_engine.TestVerboseLevel.error
+        io.config_verbose_level_on_error = imgui.test_engine.TestVerboseLevel.info
         imgui.test_engine.queue_test(engine, test)
 
     def _run(self, ctx: Any) -> None:

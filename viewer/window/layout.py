@@ -77,12 +77,25 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     view.call_begin_end = False
     view.include_in_view_menu = False
     # Assigned at once: the binding hands out copies of its lists.
-    params.dockable_windows = [
-        view,
-        *(hello_imgui.DockableWindow(name, dock, partial(contents, core)) for name, dock, contents in PANELS),
-    ]
+    params.dockable_windows = [view, *(panel(core, *entry) for entry in PANELS)]
     params.main_dock_space_node_flags = imgui.DockNodeFlags_.auto_hide_tab_bar
     return params
+
+
+def panel(core: Core, name: str, dock: str, contents: Callable[[Core], None]) -> hello_imgui.DockableWindow:
+    made = hello_imgui.DockableWindow(name, dock, partial(contents, core))
+    made.is_visible = name not in core.preferences.closed_panels
+    # hello_imgui would also remember that all were hidden for a moment.
+    made.remember_is_visible = False
+    return made
+
+
+def closed_panels(core: Core) -> tuple[str, ...]:
+    """Names of the panels that the user has closed, hidden ones not counted."""
+    windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
+    if core.open_panels is not None:
+        return tuple(window.label for window in windows if window.label not in core.open_panels)
+    return tuple(window.label for window in windows if not window.is_visible)
 
 
 def show_view(core: Core) -> None:

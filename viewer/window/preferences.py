@@ -35,6 +35,7 @@ class Preferences:
     resolution_scale: float = 1.0
     show_cameras: bool = False
     """Whether loaded cameras are drawn into the view."""
+    closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 
@@ -120,7 +121,7 @@ def checked(name: str, value: Any, default: Any) -> Any:
         return tuple(float(v) for v in value)
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
         raise ValueError(name)
-    return tuple(value[:MAX_RECENT])
+    return tuple(value[:MAX_RECENT] if name == "recent" else value)
 
 
 def save_preferences(preferences: Preferences) -> None:

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
-from splatview.viewer.window import dropping, keys, loading
+from splatview.viewer.window import dropping, file_dialogs, keys, layout, loading
 from splatview.viewer.window.app import run_window
 from splatview.viewer.window.core import Core
 
@@ -195,6 +195,68 @@ def tour(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any])
         "history": len(core.frame_history),
     }
     core.prefer(background=(0.25, 0.5, 0.75), fly_speed=3.0)
+
+
+def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """By menu and panel: open by a typed path, a picture at twice the size, every panel, every entry."""
+    file_dialogs.has_native_dialogs = lambda: False
+    hand.settle()
+    ctx = hand.ctx
+    ctx.set_ref("##MainMenuBar")
+    ctx.menu_click("File/Open...")
+    hand.frames(4)
+    ctx.key_chars_replace_enter(options["typed"])
+    hand.wait(lambda: core.scene is not None and core.scene.name == Path(options["typed"]).name, "the scene")
+    hand.settle()
+    found["opened"] = core.scene.name if core.scene else None
+    ctx.menu_click("File/Open...")
+    hand.frames(4)
+    ctx.item_click("//Open a scene/Cancel")
+    hand.frames(3)
+
+    ctx.menu_click("Camera/Trackball")
+    hand.frames(3)
+    found["navigation"] = core.preferences.navigation
+    ctx.menu_click("Camera/Up axis/+Z")
+    hand.settle()
+    found["up"] = core.view.up.tolist()
+
+    ctx.menu_click("File/Save a picture as...")
+    hand.frames(4)
+    ctx.item_click("//Save a picture/2 x")
+    ctx.item_click("//Save a picture/Beside the scene")
+    hand.settle()
+    found["picture_size"] = list(core.picture_size)
+
+    found["panels"] = []
+    for name, _, _ in layout.PANELS:
+        ctx.window_focus(f"//{name}")
+        hand.frames(2)
+        if ctx.get_window_by_ref(f"//{name}").active:
+            found["panels"].append(name)
+    ctx.window_focus("//Picture")
+    hand.frames(4)
+    ctx.item_click("//Picture/##Antialiased")
+    hand.settle()
+    found["antialiased"] = core.settings.model.antialiased
+    ctx.item_click("//Picture/As the scene calls for")
+    hand.settle()
+    found["antialiased_after"] = core.settings.model.antialiased
+
+    hand.press("H")
+    hand.frames(4)
+    wide = core.picture_size[0]
+    hand.press("H")
+    hand.frames(4)
+    found["widths"] = [wide, core.picture_size[0]]
+    hand.press("H")  # ends with the panels hidden: the next run must have them
+
+
+def second_look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    hand.settle()
+    windows = hello_imgui.get_runner_params().docking_params.dockable_windows
+    found["visible"] = [window.label for window in windows if window.is_visible]
+    found["navigation"] = core.preferences.navigation
 
 
 def idle_draws(core: Core, hand: Hand) -> int:

@@ -101,6 +101,24 @@ def headless_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
         ctx.release()
 
 
+def test_menus_and_panels(drive, files, tmp_path):
+    first, second = files
+    found = drive("menus", first, renderer="cpu", typed=str(second))
+    assert found["opened"] == "second.ply"
+    assert found["navigation"] == "trackball"
+    assert found["up"] == [0, 0, 1]
+    width, height = found["picture_size"]
+    assert Image.open(tmp_path / "second.png").size == (2 * width, 2 * height)
+    assert found["panels"] == ["Scene", "Picture", "Camera", "Views", "Statistics", "Messages"]
+    assert found["antialiased"] and not found["antialiased_after"]
+    hidden, shown = found["widths"]
+    assert hidden > shown + 100
+
+    again = drive("second_look", second, renderer="cpu")
+    assert again["visible"] == ["View", *found["panels"]]
+    assert again["navigation"] == "trackball"
+
+
 def test_trouble_is_told_and_survived(drive, files, tmp_path):
     first, second = files
     broken = tmp_path / "broken.ply"
