@@ -105,6 +105,11 @@ def _used_degree(reach: list[float]) -> int:
     return 0
 
 
+def _short(value: float) -> str:
+    """Two digits of a small number, all of a large one: 0.031, 2.4, 748."""
+    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+
+
 def _sh_bands(gaussians: Gaussians) -> list[Effect]:
     reach = _largest_reach(gaussians)
     used = _used_degree(reach)
@@ -112,7 +117,7 @@ def _sh_bands(gaussians: Gaussians) -> list[Effect]:
     for band in range(1, len(reach)):
         change = (
             f"the coefficients from this band up move a colour by at most {reach[band]:.2g} "
-            f"({reach[band] / GREY_LEVEL:.2g} grey levels)"
+            f"({_short(reach[band] / GREY_LEVEL)} grey levels)"
         )
         if not math.isfinite(reach[band]):
             change = "a coefficient from this band up is infinite, NaN or nearly so"

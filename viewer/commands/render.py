@@ -109,7 +109,8 @@ def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSet
         if value is not None
     }
     settings = replace(settings, model=replace(settings.model, **changes))
-    if args.sh_degree is not None:
+    # The truth leaves out nothing, not even what cannot be seen.
+    if args.sh_degree is not None or args.renderer == "reference":
         settings = replace(settings, sh_degree=args.sh_degree)
     if args.blend is not None:
         settings = replace(settings, blend=args.blend)
