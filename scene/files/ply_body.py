@@ -53,8 +53,8 @@ def check_size(header: Header, element: Element, file_bytes: int, path: object) 
     needed = element.count * sum(prop.dtype.itemsize for prop in element.scalars)
     if needed > physical_memory():
         raise InputError(
-            f"{path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and this machine "
-            f"has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
+            f"{path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and this "
+            f"machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
         )
 
 
