@@ -31,6 +31,8 @@ POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
 are the same on any number of threads."""
 
+PER_SCALE = 1 / CONIC_SCALE
+
 
 @inline
 def camera_to_world(view, x, y, z):
@@ -45,8 +47,7 @@ def camera_to_world(view, x, y, z):
 
 @inline
 def sh_basis_gradient(x, y, z, degree, gradient):
-    """Writes d basis / d direction to gradient (16, 3), rows of bands above `degree` apart."""
-    gradient[:] = 0
+    """Writes d basis / d direction to gradient (16, 3), zeros and rows of bands above `degree` apart."""
     if degree >= 1:
         gradient[1, 1] = -SH_C1
         gradient[2, 2] = SH_C1
@@ -82,17 +83,18 @@ def _set(rows, row, x, y, z):
 @inline
 def axes_gradient(m, xy, yy, det, unblurred, blur, antialiased, sums):
     """dL/dM (2, 3), row by row, from a splat's sums; m, xy, yy, det, unblurred as `covariance` has them."""
-    a = math.sqrt(yy / det)
-    b_by_a = -xy / yy
-    d_a, d_b, d_c = -sums[TUX] / CONIC_SCALE, -sums[TUY] / CONIC_SCALE, -sums[TVY] / CONIC_SCALE
+    inverse_det, inverse_yy = 1 / det, 1 / yy
+    a = math.sqrt(yy * inverse_det)
+    b_by_a = -xy * inverse_yy
+    d_a, d_b, d_c = -sums[TUX] * PER_SCALE, -sums[TUY] * PER_SCALE, -sums[TVY] * PER_SCALE
     # a = (yy/det)^½, b = -xy/yy·a, c = yy^-½
     d_a += d_b * b_by_a
-    d_xy = -d_b * a / yy
-    d_yy = (0.5 * a * d_a - b_by_a * a * d_b - 0.5 / math.sqrt(yy) * d_c) / yy
-    d_det = -0.5 * a / det * d_a
+    d_xy = -d_b * a * inverse_yy
+    d_yy = (0.5 * a * d_a - b_by_a * a * d_b - 0.5 * math.sqrt(inverse_yy) * d_c) * inverse_yy
+    d_det = -0.5 * a * inverse_det * d_a
     d_unblurred = 0.0
     if antialiased:  # the opacity's factor is (unblurred / det)^½
-        d_det -= 0.5 * sums[T] / det
+        d_det -= 0.5 * sums[T] * inverse_det
         d_unblurred = 0.5 * sums[T] / unblurred
     d_unblurred += d_det
     # unblurred = |n|², n = m0 x m1; det = unblurred + blur·(|m0|² + |m1|²) + blur²; yy = |m1|² + blur
@@ -152,13 +154,13 @@ def project_backward(
     by POSE_BLOCK splats: see `gradients`. Rows of splats that are not visible become 0.
     """
     basis = np.empty(16, np.float64)
-    basis_gradient = np.empty((16, 3), np.float64)
+    basis_gradient = np.zeros((16, 3), np.float64)
     coefficients = (degree + 1) * (degree + 1)
     at = run_start
     pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
     for i in range(start, stop):
-        d_sh[i] = 0
         if at >= run_stop or visible[at] != i:
+            d_sh[i] = 0
             d_means[i] = 0
             d_quats[i] = 0
             d_log_scales[i] = 0
@@ -227,33 +229,36 @@ def project_backward(
         )
 
         # Mean in the image, with a, b, c of `project` as float64 has them.
+        inverse_yy = 1 / yy
         a = math.sqrt(yy / det)
-        d_x2 = a * sums[TU] / CONIC_SCALE
-        d_y2 = (sums[TV] / math.sqrt(yy) - xy / yy * a * sums[TU]) / CONIC_SCALE
+        d_x2 = a * sums[TU] * PER_SCALE
+        d_y2 = (math.sqrt(inverse_yy) * sums[TV] - xy * inverse_yy * a * sums[TU]) * PER_SCALE
         d_means2d[i, 0], d_means2d[i, 1] = d_x2, d_y2
-        abs_means2d[i, 0] = a * sums[ABS_X] / CONIC_SCALE
-        abs_means2d[i, 1] = sums[ABS_Y] / (CONIC_SCALE * CONIC_SCALE)
-        fx, fy = view.fx / z, view.fy / z
+        abs_means2d[i, 0] = a * sums[ABS_X] * PER_SCALE
+        abs_means2d[i, 1] = sums[ABS_Y] * (PER_SCALE * PER_SCALE)
+        nearness = 1 / z
+        fx, fy = view.fx * nearness, view.fy * nearness
+        x_by_z, y_by_z = x * nearness, y * nearness
         tx, ty = fx * d_x2, fy * d_y2
-        tz = -(x * tx + y * ty) / z
+        tz = -(x_by_z * tx + y_by_z * ty)
 
         # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
         px0, px1, px2 = camera_point(view, d_p[0], d_p[1], d_p[2])
         py0, py1, py2 = camera_point(view, d_p[3], d_p[4], d_p[5])
-        u, v = min(max(x / z, view.min_u), view.max_u), min(max(y / z, view.min_v), view.max_v)
+        u, v = min(max(x_by_z, view.min_u), view.max_u), min(max(y_by_z, view.min_v), view.max_v)
         # J = [fx/z, 0, -fx·u/z; 0, fy/z, -fy·v/z]; u and v follow x/z and y/z where they are not clamped.
         d_u, d_v = -fx * px2, -fy * py2
-        tz += (-fx * px0 - fy * py1 - u * d_u - v * d_v) / z
-        if view.min_u <= x / z <= view.max_u:
-            tx += d_u / z
-            tz -= d_u * u / z
-        if view.min_v <= y / z <= view.max_v:
-            ty += d_v / z
-            tz -= d_v * v / z
+        tz += (-fx * px0 - fy * py1 - u * d_u - v * d_v) * nearness
+        if view.min_u <= x_by_z <= view.max_u:
+            tx += d_u * nearness
+            tz -= d_u * u * nearness
+        if view.min_v <= y_by_z <= view.max_v:
+            ty += d_v * nearness
+            tz -= d_v * v * nearness
 
         # Colour.
-        distance = math.sqrt(ox * ox + oy * oy + oz * oz)
-        nx, ny, nz = ox / distance, oy / distance, oz / distance
+        away = 1 / math.sqrt(ox * ox + oy * oy + oz * oz)
+        nx, ny, nz = ox * away, oy * away, oz * away
         sh_basis(nx, ny, nz, degree, basis)
         sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
         red, green, blue = sh_sum(sh, i, basis, coefficients)
@@ -271,11 +276,13 @@ def project_backward(
             dx += along * basis_gradient[k, 0]
             dy += along * basis_gradient[k, 1]
             dz += along * basis_gradient[k, 2]
+        for k in range(coefficients, d_sh.shape[1]):
+            d_sh[i, k, 0] = d_sh[i, k, 1] = d_sh[i, k, 2] = 0
         radial = nx * dx + ny * dy + nz * dz
         dx, dy, dz = (
-            (dx - nx * radial) / distance,
-            (dy - ny * radial) / distance,
-            (dz - nz * radial) / distance,
+            (dx - nx * radial) * away,
+            (dy - ny * radial) * away,
+            (dz - nz * radial) * away,
         )
 
         wx, wy, wz = camera_to_world(view, tx, ty, tz)
