@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from splatview import raster
-from splatview.scene import Gaussians, RenderSettings, look_at
+from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=33, height=17)
 
@@ -203,3 +203,32 @@ def test_kernels_stay_within_bounds():
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "all within bounds"
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("blur", [0.0, 0.3])
+@pytest.mark.parametrize("seed", range(6))
+def test_hard_but_valid_scenes_have_finite_gradients(seed, blur, antialiased):
+    """Quaternions, scales and opacities over the whole range of float32, splats just beyond the near plane."""
+    rng = np.random.default_rng(seed)
+    count = 80
+    means = rng.normal(size=(count, 3)) * rng.choice([0.01, 1, 3], size=(count, 1))
+    means[:10, 2] = -3 + 10.0 ** rng.uniform(-2.1, -1, 10)
+    scales = rng.uniform(-30, rng.choice([0, 5, 30]), size=(count, 3))
+    scales[0, 0] = -np.inf
+    scene = raster.check_parameters(
+        means.astype(np.float32),
+        (rng.normal(size=(count, 4)) * 10.0 ** rng.uniform(-28, 28, (count, 1))).astype(np.float32),
+        scales.astype(np.float32),
+        rng.choice([-3, 0, 3, 100, np.inf, -100], size=count).astype(np.float32),
+        (rng.normal(size=(count, 16, 3)) * rng.choice([1, 1e6], size=(count, 1, 1))).astype(np.float32),
+    )
+    model = ImageModel(antialiased=antialiased, blur=blur)
+    frame = raster.draw_frame(scene, CAMERA, RenderSettings(model=model), raster.Workspace())
+    assert frame.image[..., 3].max() > 0.5
+    weights = rng.normal(size=frame.image.shape).astype(np.float32)
+    gradients = raster.differentiate(scene, frame, weights)
+    for name, gradient in gradients.parameters._asdict().items():
+        assert np.isfinite(gradient).all(), name
+    assert np.isfinite(gradients.pose).all()
+    assert np.abs(gradients.parameters.means).max() > 0
