@@ -1,0 +1,54 @@
+"""The splats that training begins with: one round splat for each point of the capture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..raster import Parameters
+from ..scene import InputError
+from ..scene.sh import SH_C0
+from .neighbours import mean_square_distance
+
+INITIAL_OPACITY = 0.1
+"""Kerbl et al. 2023: faint enough that what is behind a splat is trained too."""
+
+LEAST_SQUARE_DISTANCE = 1e-7
+"""In units of the scene's extent squared: points that coincide get splats of some size all the same."""
+
+
+def initial_parameters(
+    points: np.ndarray,
+    colours: np.ndarray,
+    extent: float,
+    *,
+    opacity: float = INITIAL_OPACITY,
+    scale: float = 1.0,
+    threads: int | None = None,
+) -> Parameters:
+    """Round splats at points (N, 3), of colours (N, 3) uint8, degree 0, float32.
+
+    Their standard deviation is `scale` times the root of the mean squared distance to the three nearest
+    neighbours. Points that are not finite are left out.
+
+    Raises:
+        InputError: no point is left.
+    """
+    usable = np.isfinite(points).all(axis=1)
+    points, colours = points[usable], colours[usable]
+    if len(points) == 0:
+        raise InputError("the capture has no usable 3D points to begin with")
+    squares = mean_square_distance(points, threads=threads)
+    squares = np.clip(squares, LEAST_SQUARE_DISTANCE * extent**2, extent**2)
+    log_scales = 0.5 * np.log(squares) + math.log(scale)
+    count = len(points)
+    quats = np.zeros((count, 4), np.float32)
+    quats[:, 0] = 1
+    return Parameters(
+        means=np.ascontiguousarray(points, np.float32),
+        quats=quats,
+        log_scales=np.repeat(log_scales.astype(np.float32)[:, None], 3, axis=1),
+        opacity_logits=np.full(count, math.log(opacity / (1 - opacity)), np.float32),
+        sh=((colours.astype(np.float32) / 255 - 0.5) / SH_C0)[:, None, :].copy(),
+    )

@@ -1,0 +1,95 @@
+"""How far a picture is from its photo, and which way is nearer: (1 - w)·L1 + w·(1 - SSIM)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..measure.metrics import SSIM_K, SSIM_WINDOW, gaussian_window
+from ..raster import Workspace, available_threads
+from ..raster.pool import TASKS_PER_THREAD, even_ranges, run
+from .loss_kernels import MAPS, gradient_rows, row_length, similarity_rows
+
+SSIM_WEIGHT = 0.2
+"""w (Kerbl et al. 2023, section 5.1)."""
+
+SMALLEST_TASK = 24
+"""Rows that a task has at least: each begins by filtering 10 rows that its neighbour filters too."""
+
+
+class PhotoLoss(NamedTuple):
+    """The loss of one picture and its parts."""
+
+    loss: float
+    l1: float
+    """Mean |difference| over pixels and colours."""
+    ssim: float
+    """Mean SSIM over the windows that lie inside the picture, as in `measure.metrics`."""
+    d_image: np.ndarray
+    """(H, W, 4), dL/d(picture) in its dtype, alpha's being 0; lives in the workspace until the next loss."""
+
+
+def photo_loss(
+    image: np.ndarray,
+    photo: np.ndarray,
+    workspace: Workspace,
+    *,
+    mask: np.ndarray | None = None,
+    ssim_weight: float = SSIM_WEIGHT,
+    threads: int | None = None,
+) -> PhotoLoss:
+    """Compares a picture (H, W, 4), float32 or float64, to a photo (H, W, 3) uint8.
+
+    mask (H, W) bool: pixels that are false count as equal. Values are not clipped, so that a picture too
+    bright is pulled back. Equal for any number of threads (None: all cores).
+
+    Raises:
+        ValueError: an array has the wrong shape or dtype, or SSIM is asked of pictures smaller than its
+            window of 11x11.
+    """
+    height, width = image.shape[:2] if image.ndim == 3 else (0, 0)
+    if image.shape != (height, width, 4) or image.dtype not in (np.float32, np.float64):
+        raise ValueError(f"image must be float32 or float64 (H, W, 4), got {image.dtype} {image.shape}")
+    if photo.shape != (height, width, 3) or photo.dtype != np.uint8:
+        raise ValueError(f"photo must be uint8 {(height, width, 3)}, got {photo.dtype} {photo.shape}")
+    if mask is None:
+        mask = np.empty((0, 0), np.bool_)
+    elif mask.shape != (height, width) or mask.dtype != np.bool_:
+        raise ValueError(f"mask must be bool {(height, width)}, got {mask.dtype} {mask.shape}")
+    if not 0 <= ssim_weight <= 1:
+        raise ValueError(f"ssim_weight must be in [0, 1], got {ssim_weight}")
+    if ssim_weight > 0 and not min(height, width) >= SSIM_WINDOW:
+        raise ValueError(f"SSIM needs pictures of at least {SSIM_WINDOW}x{SSIM_WINDOW}, got {width}x{height}")
+    threads = threads or available_threads()
+    number = image.dtype.type
+    weights = gaussian_window().astype(number)
+    rows, windows = height - SSIM_WINDOW + 1, width - SSIM_WINDOW + 1
+    maps, ssim = np.empty((0, 0), number), 1.0
+    if ssim_weight > 0:
+        maps = workspace.take("similarity_maps", (rows, MAPS * row_length(width)), number)
+        similarities = np.empty(rows)
+        c1, c2 = (k**2 for k in SSIM_K)
+        run(
+            similarity_rows,
+            _tasks(rows, threads),
+            (image, photo, mask, weights, c1, c2, maps, similarities),
+            threads,
+        )
+        ssim = float(similarities.sum()) / (3 * rows * windows)
+    d_image = workspace.take("d_image", image.shape, number)
+    differences = np.empty(height)
+    l1_scale = number((1 - ssim_weight) / (3 * height * width))
+    ssim_scale = number(-ssim_weight / (3 * rows * windows) if ssim_weight > 0 else 0)
+    run(
+        gradient_rows,
+        _tasks(height, threads),
+        (image, photo, mask, weights, l1_scale, ssim_scale, maps, d_image, differences),
+        threads,
+    )
+    l1 = float(differences.sum()) / (3 * height * width)
+    return PhotoLoss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, d_image)
+
+
+def _tasks(rows: int, threads: int) -> list[tuple[int, int]]:
+    return even_ranges(rows, min(threads * TASKS_PER_THREAD, max(threads, rows // SMALLEST_TASK)))

@@ -1,0 +1,175 @@
+"""Kernels of the photo loss: L1 and SSIM with their gradient, in two passes over rows.
+
+SSIM's 11x11 Gaussian window is separable and symmetric. `similarity_rows` filters the two pictures and
+their products, and leaves the derivatives of SSIM by the three filtered quantities that depend on the
+picture; `gradient_rows` filters those once more, which is the adjoint, and adds the gradient of L1.
+
+A row of a picture is 3·W numbers, colours interleaved, so one tap is 3 numbers away from the next and
+every loop runs over contiguous vectors. Only windows that lie inside the picture count, as in
+`measure.metrics`: a picture has (H - 10)·(W - 10) of them for each colour.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..raster.compiling import inline, kernel
+from ..raster.simd import LANES, divide, fill, fma, load, negate, spread, store
+
+TAPS = 11
+MARGIN = 3 * (TAPS - 1)
+"""Numbers of a row between the first pixel of a window and the last."""
+
+MAPS = 3
+"""Derivatives of SSIM by the window's mean of x, of x², and of x·y."""
+
+FIELDS = 5
+"""What is filtered: x, y, x², y², x·y."""
+
+
+@inline
+def row_length(width):
+    """Numbers in a padded row: a margin at either end, and room for a whole last vector."""
+    return -(-(3 * width + MARGIN + LANES) // LANES) * LANES
+
+
+@inline
+def along_row(row, i, w0, w1, w2, w3, w4, w5):
+    """The filter along a row for LANES windows that begin at row[i]; w0 is the outermost weight."""
+    total = w5 * load(row, i + 15)
+    total = fma(w4, load(row, i + 12) + load(row, i + 18), total)
+    total = fma(w3, load(row, i + 9) + load(row, i + 21), total)
+    total = fma(w2, load(row, i + 6) + load(row, i + 24), total)
+    total = fma(w1, load(row, i + 3) + load(row, i + 27), total)
+    return fma(w0, load(row, i) + load(row, i + 30), total)
+
+
+@inline
+def read_rows(image, photo, mask, y, x_row, y_row):
+    """Row y of both pictures, colours interleaved; pixels that the mask leaves out are made equal."""
+    number = image.dtype.type
+    scale = number(1) / number(255)
+    for x in range(image.shape[1]):
+        use = mask.size == 0 or mask[y, x]
+        for channel in range(3):
+            truth = number(photo[y, x, channel]) * scale
+            x_row[3 * x + channel] = image[y, x, channel] if use else truth
+            y_row[3 * x + channel] = truth
+
+
+@kernel
+def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums):
+    """Windows whose upper rows are [start, stop): derivatives to `maps`, the rows' sums of SSIM to `sums`.
+
+    image (H, W, 4) and weights (11,) in one float dtype; photo (H, W, 3) uint8; mask (H, W) bool, or
+    (0, 0): all; maps (H - 10, 3·row_length) in the image's dtype; sums (H - 10,) float64.
+    """
+    windows = 3 * (image.shape[1] - TAPS + 1)
+    length = maps.shape[1] // MAPS
+    x_row, y_row = np.zeros(length, image.dtype), np.zeros(length, image.dtype)
+    product = np.zeros(length, image.dtype)
+    ring = np.zeros(TAPS * FIELDS * length, image.dtype)
+    similarity = np.zeros(length, image.dtype)
+    w0, w1, w2 = spread(weights[0]), spread(weights[1]), spread(weights[2])
+    w3, w4, w5 = spread(weights[3]), spread(weights[4]), spread(weights[5])
+    one, two = fill(w0, 1.0), fill(w0, 2.0)
+    c1_all, c2_all = fill(w0, c1), fill(w0, c2)
+    for row in range(start, stop + TAPS - 1):
+        read_rows(image, photo, mask, row, x_row, y_row)
+        base = row % TAPS * FIELDS * length
+        for i in range(0, windows, LANES):
+            store(ring, base + i, along_row(x_row, i, w0, w1, w2, w3, w4, w5))
+            store(ring, base + length + i, along_row(y_row, i, w0, w1, w2, w3, w4, w5))
+        for i in range(0, length, LANES):
+            x = load(x_row, i)
+            store(product, i, x * x)
+        for i in range(0, windows, LANES):
+            store(ring, base + 2 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
+        for i in range(0, length, LANES):
+            y = load(y_row, i)
+            store(product, i, y * y)
+        for i in range(0, windows, LANES):
+            store(ring, base + 3 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
+        for i in range(0, length, LANES):
+            store(product, i, load(x_row, i) * load(y_row, i))
+        for i in range(0, windows, LANES):
+            store(ring, base + 4 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
+        first = row - (TAPS - 1)
+        if first < start:
+            continue
+        out = maps[first]
+        out[:] = 0
+        for i in range(0, windows, LANES):
+            mean_x = mean_y = mean_xx = mean_yy = mean_xy = fill(w0, 0.0)
+            for tap in range(TAPS):
+                weight = spread(weights[tap])
+                at = (first + tap) % TAPS * FIELDS * length + i
+                mean_x = fma(weight, load(ring, at), mean_x)
+                mean_y = fma(weight, load(ring, at + length), mean_y)
+                mean_xx = fma(weight, load(ring, at + 2 * length), mean_xx)
+                mean_yy = fma(weight, load(ring, at + 3 * length), mean_yy)
+                mean_xy = fma(weight, load(ring, at + 4 * length), mean_xy)
+            # SSIM = a1·a2 / (b1·b2) (Wang et al. 2004, eq. 13).
+            xx, yy, xy = mean_x * mean_x, mean_y * mean_y, mean_x * mean_y
+            a1, b1 = fma(two, xy, c1_all), xx + yy + c1_all
+            a2 = fma(two, mean_xy - xy, c2_all)
+            b2 = (mean_xx - xx) + (mean_yy - yy) + c2_all
+            under = divide(one, b1 * b2)
+            s = a1 * a2 * under
+            by_mean = two * under * fma(mean_x * s, b1 - b2, mean_y * (a2 - a1))
+            store(similarity, i, s)
+            store(out, MARGIN + i, by_mean)
+            store(out, length + MARGIN + i, negate(s) * b1 * under)
+            store(out, 2 * length + MARGIN + i, two * a1 * under)
+        # The last vector reaches beyond the last window.
+        for k in range(MAPS):
+            out[k * length + MARGIN + windows : (k + 1) * length] = 0
+        total = 0.0
+        for i in range(windows):
+            total += similarity[i]
+        sums[first] = total
+
+
+@kernel
+def gradient_rows(start, stop, image, photo, mask, weights, l1_scale, ssim_scale, maps, d_image, sums):
+    """Rows [start, stop) of d_image (H, W, 4) = l1_scale·sign(x - y) + ssim_scale·d(sum of SSIM)/dx.
+
+    Alpha's gradient is 0. sums (H,) float64 receives the rows' sums of |x - y|. The other arguments are
+    those of `similarity_rows`; an ssim_scale of 0 leaves `maps` unread.
+    """
+    height, width = image.shape[:2]
+    number = image.dtype.type
+    length = row_length(width)
+    x_row, y_row = np.zeros(length, image.dtype), np.zeros(length, image.dtype)
+    column = np.zeros(MAPS * length, image.dtype)
+    d_row = np.zeros(length, image.dtype)
+    w0, w1, w2 = spread(weights[0]), spread(weights[1]), spread(weights[2])
+    w3, w4, w5 = spread(weights[3]), spread(weights[4]), spread(weights[5])
+    two = fill(w0, 2.0)
+    for row in range(start, stop):
+        read_rows(image, photo, mask, row, x_row, y_row)
+        if ssim_scale != 0:
+            lowest, highest = max(row - (TAPS - 1), 0), min(row, height - TAPS)
+            for i in range(0, MAPS * length, LANES):
+                total = fill(w0, 0.0)
+                for window in range(lowest, highest + 1):
+                    total = fma(spread(weights[row - window]), load(maps[window], i), total)
+                store(column, i, total)
+            for i in range(0, 3 * width, LANES):
+                by_mean = along_row(column, i, w0, w1, w2, w3, w4, w5)
+                by_xx = along_row(column, length + i, w0, w1, w2, w3, w4, w5)
+                by_xy = along_row(column, 2 * length + i, w0, w1, w2, w3, w4, w5)
+                d = fma(load(x_row, i), two * by_xx, fma(load(y_row, i), by_xy, by_mean))
+                store(d_row, i, d)
+        total_l1 = 0.0
+        for x in range(width):
+            use = mask.size == 0 or mask[row, x]
+            for channel in range(3):
+                at = 3 * x + channel
+                difference = x_row[at] - y_row[at]
+                total_l1 += abs(difference)
+                sign = number(difference > 0) - number(difference < 0)
+                d = l1_scale * sign + ssim_scale * d_row[at]
+                d_image[row, x, channel] = d if use else number(0)
+            d_image[row, x, 3] = 0
+        sums[row] = total_l1

@@ -1,0 +1,111 @@
+"""Every number of the training recipe, and how it changes as training goes on.
+
+Times are shares of the run, so that a run of 2,000 steps is a short version of the same curve. The
+paper's numbers are those of a run of 30,000 (Kerbl et al. 2023, section 7 and its code).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ..scene import ImageModel
+from ..scene.gaussians import SH_COEFFICIENTS
+from .adam import Rates
+from .loss import SSIM_WEIGHT
+
+PAPER_ITERATIONS = 30_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """The recipe. Equal settings, photos, points and threads train equal scenes.
+
+    Raises:
+        ValueError: a value makes no sense; the message names it.
+    """
+
+    iterations: int | None = PAPER_ITERATIONS
+    """Steps of the whole run; None: as many as the minutes allow."""
+    minutes: float | None = None
+    """Wall-clock length of the whole run; with both, the one that ends first."""
+    seed: int = 0
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    model: ImageModel = field(default_factory=ImageModel)
+    ssim_weight: float = SSIM_WEIGHT
+    coarse: tuple[tuple[float, int], ...] = ()
+    """(until this share of the run, photos are smaller by this factor), in order."""
+
+    sh_degree: int = 3
+    sh_every: float = 1000 / PAPER_ITERATIONS
+    """Share of the run after which one more band is trained."""
+
+    means_rate: float = 1.6e-4
+    """Times the extent of the scene, at the start..."""
+    means_rate_end: float = 1.6e-6
+    """... and at the end, exponentially in between."""
+    quats_rate: float = 1e-3
+    log_scales_rate: float = 5e-3
+    opacity_logits_rate: float = 5e-2
+    sh_rate: float = 2.5e-3
+    """Of the constant band; higher bands have a twentieth."""
+    seen_only: bool = True
+    """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
+
+    strategy: Literal["classic", "mcmc"] = "classic"
+    refine_from: float = 500 / PAPER_ITERATIONS
+    refine_until: float = 15_000 / PAPER_ITERATIONS
+    refine_every: float = 100 / PAPER_ITERATIONS
+    least_refine_steps: int = 50
+    """Steps between refinements at least: gradients are averaged over some photos even in short runs."""
+    max_splats: int = 1_000_000
+    """Density control adds no splats beyond this."""
+    grow_for: float = 12_000 / PAPER_ITERATIONS
+    """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
+    noise: float = 5e5
+    """mcmc: noise on positions, in units of their rate."""
+    opacity_pull: float = 0.01
+    """mcmc: weight of the mean opacity in the loss."""
+    scale_pull: float = 0.01
+    """mcmc: weight of the mean scale, world units over the extent, in the loss."""
+
+    def __post_init__(self) -> None:
+        if self.iterations is None and self.minutes is None:
+            raise ValueError("iterations or minutes must be given")
+        for name in ("iterations", "minutes", "max_splats", "least_refine_steps"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise ValueError(f"{name} must be above 0, got {value}")
+        if not 0 <= self.sh_degree < len(SH_COEFFICIENTS):
+            raise ValueError(f"sh_degree must be 0 to 3, got {self.sh_degree}")
+        if not 0 <= self.seed < 2**63:
+            raise ValueError(f"seed must be at least 0 and below 2**63, got {self.seed}")
+
+    def progress(self, iteration: int, seconds: float) -> float:
+        """The share of the run that is over, 0 to 1."""
+        by_steps = 0.0 if self.iterations is None else iteration / self.iterations
+        by_clock = 0.0 if self.minutes is None else seconds / (60 * self.minutes)
+        return min(max(by_steps, by_clock), 1.0)
+
+    def rates(self, progress: float, extent: float) -> Rates:
+        """Learning rates at a share of the run, for a scene of this extent."""
+        start, end = math.log(self.means_rate), math.log(self.means_rate_end)
+        return Rates(
+            means=extent * math.exp(start + (end - start) * progress),
+            quats=self.quats_rate,
+            log_scales=self.log_scales_rate,
+            opacity_logits=self.opacity_logits_rate,
+            sh_constant=self.sh_rate,
+            sh_others=self.sh_rate / 20,
+        )
+
+    def sh_degree_at(self, progress: float) -> int:
+        """The highest SH degree in training at a share of the run."""
+        return (
+            min(self.sh_degree, int(progress / self.sh_every + 1e-9)) if self.sh_every > 0 else self.sh_degree
+        )
+
+    def shrink_at(self, progress: float) -> int:
+        """The factor by which photos are smaller at a share of the run."""
+        return next((factor for until, factor in self.coarse if progress < until), 1)

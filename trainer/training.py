@@ -1,0 +1,185 @@
+"""The training loop, one step at a time: draw a photo's view, compare, differentiate, move, refine.
+
+Everything is numpy and the rasteriser's own backward pass; torch has no part in it.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ..raster import (
+    Frame,
+    Gradients,
+    Parameters,
+    Workspace,
+    available_threads,
+    differentiate,
+    draw_frame,
+)
+from ..raster.frame import StageClock
+from ..scene import Gaussians, RenderSettings
+from .adam import Pull, adam_step
+from .density import ClassicControl
+from .loss import photo_loss
+from .mcmc import SampledControl
+from .settings import TrainSettings
+from .shots import Shots
+from .splats import Splats, fresh
+
+
+class DensityControl(Protocol):
+    """What decides where splats are born and die."""
+
+    def begin(self, count: int) -> None: ...
+    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
+    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats: ...
+    def after_step(
+        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
+    ) -> None: ...
+
+
+class StepReport(NamedTuple):
+    """One step, as plots and progress bars want it."""
+
+    iteration: int
+    """Steps done, this one included."""
+    loss: float
+    gaussians: int
+    progress: float
+    """Share of the run that is over, 0 to 1."""
+
+
+@dataclass
+class Counters:
+    """Where a run stands."""
+
+    iteration: int = 0
+    seconds: float = 0.0
+    """Wall-clock time since the run began, pauses between resumed parts left out."""
+    refined_at: int = 0
+    """Step of the last refinement, and..."""
+    refined_progress: float = 0.0
+    """... its share of the run."""
+
+
+class Trainer:
+    """Trains splats on photos. `step` does all the work; the caller decides when, and in which thread.
+
+    `threads` may be changed between steps.
+    """
+
+    def __init__(
+        self,
+        shots: Shots,
+        parameters: Parameters,
+        extent: float,
+        settings: TrainSettings,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        if not 0 < extent < np.inf:
+            raise ValueError(f"extent must be positive and finite, got {extent}")
+        self.settings = settings
+        self.shots = shots
+        self.extent = float(extent)
+        self.threads = threads or available_threads()
+        self.splats: Splats = fresh(parameters)
+        self.counters = Counters()
+        self.clock = StageClock()
+        """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
+        self.control: DensityControl
+        if settings.strategy == "mcmc":
+            self.control = SampledControl(settings, self.extent, len(parameters.means))
+        else:
+            self.control = ClassicControl(settings, self.extent)
+        self.control.begin(len(self.splats))
+        self._workspace = Workspace()
+        self._render_settings = RenderSettings(
+            model=settings.model, background=settings.background, blend="float32"
+        )
+
+    @property
+    def progress(self) -> float:
+        """The share of the run that is over, 0 to 1."""
+        return self.settings.progress(self.counters.iteration, self.counters.seconds)
+
+    @property
+    def done(self) -> bool:
+        """Whether the run is over."""
+        return self.progress >= 1
+
+    def snapshot(self) -> Gaussians:
+        """A copy of the scene as it stands, which later steps leave alone."""
+        return self.splats.snapshot(comments=("Trained by splatview",))
+
+    def step(self, seconds: float | None = None) -> StepReport:
+        """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time."""
+        begun = time.perf_counter()
+        counters, settings = self.counters, self.settings
+        if seconds is not None:
+            counters.seconds = seconds
+        progress = self.progress
+        shot = self.shots.at(counters.iteration, settings.shrink_at(progress))
+        self.splats = self.splats.with_sh_degree(max(settings.sh_degree_at(progress), self.splats.sh_degree))
+
+        splats = self.splats
+        frame = draw_frame(
+            splats.parameters, shot.camera, self._render_settings, self._workspace, threads=self.threads
+        )
+        with self.clock.stage("loss"):
+            compared = photo_loss(
+                frame.image,
+                shot.pixels,
+                self._workspace,
+                mask=shot.mask,
+                ssim_weight=settings.ssim_weight,
+                threads=self.threads,
+            )
+        gradients = differentiate(splats.parameters, frame, compared.d_image)
+        for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
+            self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
+
+        seen = [frame.visible[start:stop] for start, stop in frame.runs]
+        counters.iteration += 1
+        rates = settings.rates(progress, self.extent)
+        with self.clock.stage("adam"):
+            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
+            pull = Pull()
+            if settings.strategy == "mcmc":
+                pull = Pull(settings.opacity_pull, settings.scale_pull / self.extent)
+            adam_step(
+                splats,
+                gradients.parameters,
+                moved,
+                rates,
+                counters.iteration,
+                pull=pull,
+                threads=self.threads,
+            )
+        with self.clock.stage("density"):
+            self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
+            if progress < settings.refine_until:
+                self.control.observe(frame, gradients, seen)
+                if self._refinement_is_due(progress):
+                    rng = np.random.default_rng([settings.seed, counters.iteration, 1])
+                    self.splats = self.control.refine(splats, progress, rng)
+                    counters.refined_at, counters.refined_progress = counters.iteration, progress
+        if seconds is None:
+            counters.seconds += time.perf_counter() - begun
+        return StepReport(counters.iteration, compared.loss, len(self.splats), self.progress)
+
+    def _refinement_is_due(self, progress: float) -> bool:
+        settings, counters = self.settings, self.counters
+        return (
+            progress >= settings.refine_from
+            and progress - counters.refined_progress >= settings.refine_every
+            and counters.iteration - counters.refined_at >= settings.least_refine_steps
+        )
+
+
+def _everything(count: int, pieces: int) -> list[np.ndarray]:
+    return np.array_split(np.arange(count, dtype=np.int32), max(pieces, 1))
