@@ -209,7 +209,7 @@ def test_kernels_stay_within_bounds():
 @pytest.mark.parametrize("blur", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(6))
 def test_hard_but_valid_scenes_have_finite_gradients(seed, blur, antialiased):
-    """Quaternions, scales and opacities over the whole range of float32, splats just beyond the near plane."""
+    """Quaternions, scales and opacities over all of float32, splats just beyond the near plane."""
     rng = np.random.default_rng(seed)
     count = 80
     means = rng.normal(size=(count, 3)) * rng.choice([0.01, 1, 3], size=(count, 1))
