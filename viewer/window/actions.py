@@ -176,6 +176,7 @@ def quit_window(core: Core) -> None:
 ACTIONS: dict[str, Callable[[Core], None]] = {
     "open": opening.choose_scene,
     "add": opening.choose_addition,
+    "reload": opening.reload,
     "open_cameras": opening.choose_cameras,
     "screenshot": saving.screenshot,
     "screenshot_as": partial(toggle_dialog, name="screenshot"),

@@ -52,6 +52,7 @@ def file_menu(core: Core) -> None:
         if imgui.menu_item("Forget these", "", False)[0]:
             core.prefer(recent=())
         imgui.end_menu()
+    item(core, "reload", enabled=core.scene_path is not None)
     if imgui.menu_item("Demo scene", "", False)[0]:
         core.post(opening.begin_demo)
     imgui.separator()

@@ -18,7 +18,7 @@ from .camera_list import go_to_camera
 from .core import Core
 from .loading import Examination, LoadedScene, load_demo, load_files
 from .navigation import view_from_camera
-from .preferences import with_recent
+from .preferences import with_recent, without_missing
 
 CAMERA_SUFFIXES = {".json", ".bin", ".txt"}
 """A dropped file with one of these is a camera list."""
@@ -53,6 +53,12 @@ def begin_demo(core: Core) -> None:
     core.loading = load_demo()
 
 
+def reload(core: Core) -> None:
+    """Reads the open files again, as training writes them say; the view stays."""
+    if core.scene and core.scene.paths:
+        begin(core, core.scene.paths)
+
+
 def cancel_loading(core: Core, *, quiet: bool = False) -> None:
     """Stops reading or uploading; the shown scene stays."""
     if not quiet and core.loading:
@@ -74,6 +80,7 @@ def continue_loading(core: Core) -> None:
         core.loading = None
         if loading.error is not None:
             core.complain(loading.error)
+            core.preferences = without_missing(core.preferences)
         return
     if core.upload is None and core.picture is not None:
         loading.stage = "Uploading"
@@ -104,10 +111,10 @@ def adopt(core: Core, scene: LoadedScene) -> None:
     """Makes `scene`, which the picture holds already, the open one."""
     same_place = core.scene is not None and scene.paths[:1] == core.scene.paths[:1]
     core.scene = scene
-    core.settings = replace(
-        scene.settings, background=core.preferences.background, blend=core.preferences.blend
-    )
     if not same_place:
+        core.settings = replace(
+            scene.settings, background=core.preferences.background, blend=core.preferences.blend
+        )
         look_at_all_of(core, scene)
         core.bookmarks, core.bookmark_index = [], -1
         core.cameras, core.camera_index = [], -1

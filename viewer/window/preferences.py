@@ -158,3 +158,8 @@ def with_recent(preferences: Preferences, path: Path) -> Preferences:
     newest = str(path.absolute())
     others = [entry for entry in preferences.recent if entry != newest]
     return replace(preferences, recent=(newest, *others)[:MAX_RECENT])
+
+
+def without_missing(preferences: Preferences) -> Preferences:
+    """The recent files that still exist."""
+    return replace(preferences, recent=tuple(name for name in preferences.recent if os.path.exists(name)))

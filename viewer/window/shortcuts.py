@@ -31,6 +31,7 @@ def _held(action: str, keys: str, text: str) -> Shortcut:
 SHORTCUTS: tuple[Shortcut, ...] = (
     _once("File", "open", "Ctrl+O", "Open a scene"),
     _once("File", "add", "Ctrl+Shift+O", "Add another scene to this one"),
+    _once("File", "reload", "F5", "Read the scene's files again"),
     _once("File", "open_cameras", "Ctrl+L", "Load a list of cameras"),
     _once("File", "screenshot", "F12", "Save a picture beside the scene"),
     _once("File", "screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place"),

@@ -7,6 +7,7 @@ import math
 import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from ...scene import InputError
 from .actions import focus_at
 from .core import Core
 from .keys import held_step
@@ -65,7 +66,13 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     if picture is None:
         return
     camera = scaled_camera(core.camera, core.preferences.resolution_scale)
-    picture.draw(camera, core.settings, core.mode)
+    try:
+        picture.draw(camera, core.settings, core.mode)
+    except InputError as error:
+        # A mode that needs more of the GPU than it has; the picture itself was there before.
+        core.complain(f"{core.mode}: {error}")
+        core.mode = "splats"
+        return
     texture = picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"

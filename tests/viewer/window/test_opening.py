@@ -11,6 +11,7 @@ import pytest
 from splatview.scene import look_at
 from splatview.scene.files import LoadCancelled, save_camera, save_scene
 from splatview.viewer.window import loading, opening
+from splatview.viewer.window.navigation import orbit
 from splatview.viewer.window.opening import begin, cancel_loading, common_up, nearest_axis, open_paths
 
 
@@ -64,6 +65,30 @@ def test_adding_keeps_what_is_there_and_the_view(core, ply, wait_for_loading):
     wait_for_loading(core)
     assert len(core.scene.gaussians) == 15
     assert core.view is view
+
+
+def test_reading_again_takes_what_is_new_and_keeps_the_view(core, ply, wait_for_loading):
+    path = ply("a", 10)
+    open_paths(core, [path])
+    wait_for_loading(core)
+    core.steer(orbit(core.view, 0.5, 0.1))
+    view = core.view
+    assert ply("a", 25) == path
+    opening.reload(core)
+    wait_for_loading(core)
+    assert len(core.scene.gaussians) == 25
+    assert core.view is view
+
+
+def test_recent_files_that_are_gone_are_forgotten(core, ply, wait_for_loading):
+    path, other = ply("a"), ply("b")
+    for opened in (other, path):
+        open_paths(core, [opened])
+        wait_for_loading(core)
+    path.unlink()
+    open_paths(core, [path])
+    wait_for_loading(core)
+    assert core.preferences.recent == (str(other),)
 
 
 def test_a_broken_file_is_told_once_and_the_old_scene_stays(core, ply, wait_for_loading, tmp_path):
