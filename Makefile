@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test test-all check format system-run system-test tables clean
+.PHONY: run test test-all check format system-run system-test tables pictures clean
 
 run: $(VENV)/.run-installed | system-run
 	@$(BIN)/splatview $(SCENE)
@@ -30,6 +30,10 @@ format: $(VENV)/.dev-installed
 # The tables in README.md, from the JSON in assets/benchmarks.
 tables: $(VENV)/.dev-installed
 	@$(BIN)/python -m splatview.measure.tables README.md
+
+# The README's pictures, by the program itself.
+pictures: $(VENV)/.dev-installed | system-test
+	@$(BIN)/python scripts/readme_pictures.py
 
 system-run:
 	@sh scripts/system-packages.sh run

@@ -6,8 +6,9 @@ OLDEST = (3, 11)
 
 if sys.version_info < OLDEST:
     sys.exit(
-        "splatview needs Python %d.%d or newer, this is %d.%d: run make PYTHON=/path/to/newer/python3"
-        % (OLDEST + sys.version_info[:2])
+        "splatview needs Python {}.{} or newer, this is {}.{}: run make PYTHON=/path/to/newer/python3".format(
+            *OLDEST, *sys.version_info[:2]
+        )
     )
 try:
     import ensurepip  # noqa: F401
