@@ -81,13 +81,12 @@ def _largest_reach(gaussians: Gaussians) -> list[float]:
     """Per degree d: how far bands d and up together can move the colour of any splat.
 
     A coefficient that is not finite culls its splat, and leaving out its band would bring the splat back:
-    that counts as infinitely far, unless a lower band culls the splat all the same.
+    that gives inf or NaN, unless a lower band culls the splat all the same.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         reach = sh_reach(gaussians.sh)
         # From the highest band down: what dropping this band and all above it would cost.
         dropped = np.cumsum(reach[:, ::-1], axis=1)[:, ::-1].max(axis=2)
-        dropped[np.isnan(dropped)] = np.inf
         finite = np.abs(gaussians.sh) <= FLOAT32_MAX
     degree = gaussians.sh_degree
     culled = np.zeros(len(gaussians), dtype=bool)
