@@ -3,6 +3,9 @@
 Projection is a pass that writes a texel a splat, once per view; the draw then fetches its vertices from
 those. The depth order comes from a thread on the CPU: while the camera moves, a frame may be drawn in
 the order of a moment ago, and `busy` says that a better one is on its way; `read` waits for it.
+
+Tried and dropped: drawing in 4 or 8 parts with a pass between them that closes opaque pixels to the depth
+test. On llvmpipe frames took 0.83 to 1.13 times as long, depending on the scene.
 """
 
 from __future__ import annotations
