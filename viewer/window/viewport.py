@@ -18,6 +18,9 @@ from .preferences import RANGES
 ORBIT_SPEED = math.pi
 """Radians for a drag across the picture's height."""
 
+LOOK_SPEED = 1.5
+"""Fields of view for a drag across the picture's height, when flying."""
+
 WHEEL_STEP = 0.85
 """Factor on the distance for one notch towards the scene."""
 
@@ -118,9 +121,9 @@ def turn(core: Core, x: float, y: float, dx: float, dy: float, width: int, heigh
         case "orbit":
             core.steer(orbit(core.view, dx * radians, dy * radians))
         case "fly":
-            # What is under the mouse goes with it: looking turns by the angle that a pixel spans.
+            # The eye turns towards where the mouse goes, more gently through a long lens.
             pixel = core.preferences.mouse_speed * math.radians(core.view.lens.fov_y) / height
-            core.steer(look(core.view, -dx * pixel, dy * pixel))
+            core.steer(look(core.view, dx * pixel * LOOK_SPEED, -dy * pixel * LOOK_SPEED))
         case "trackball":
             half = min(width, height) / 2
             end = ((x - width / 2) / half, (y - height / 2) / half)

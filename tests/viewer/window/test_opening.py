@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splatview.scene import look_at
+from splatview.scene.demo import demo_scene
 from splatview.scene.files import LoadCancelled, save_camera, save_scene
 from splatview.viewer.window import loading, opening
 from splatview.viewer.window.navigation import orbit
@@ -259,7 +260,8 @@ def test_the_up_axis_is_the_nearest_one(direction, expected):
     np.testing.assert_array_equal(nearest_axis(np.array(direction)), expected)
 
 
-def test_the_demo_opens_without_a_file(core, wait_for_loading):
+def test_the_demo_opens_without_a_file(core, wait_for_loading, monkeypatch):
+    monkeypatch.setattr(loading, "demo_scene", lambda: demo_scene(splats=3000))
     opening.begin_demo(core)
     wait_for_loading(core)
     assert core.scene is not None
