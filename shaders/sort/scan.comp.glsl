@@ -1,8 +1,7 @@
 // Turns each digit value's counts into the keys in earlier blocks. One workgroup a digit value.
 
 #include "sort/blocks.glsl"
-
-shared uint sums[WORKGROUP];
+#include "sort/sum_before.glsl"
 
 void main() {
     uint row = gl_WorkGroupID.x * plan.blocks;
@@ -13,12 +12,7 @@ void main() {
     uint sum = 0u;
     for (uint i = first; i < end; ++i)
         sum += table[row + i];
-    sums[gl_LocalInvocationID.x] = sum;
-    barrier();
-
-    uint before = 0u;
-    for (uint i = 0u; i < gl_LocalInvocationID.x; ++i)
-        before += sums[i];
+    uint before = sum_before(sum);
     for (uint i = first; i < end; ++i) {
         uint here = table[row + i];
         table[row + i] = before;

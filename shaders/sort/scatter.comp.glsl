@@ -2,6 +2,7 @@
 
 #include "sort/blocks.glsl"
 #include "sort/own_counts.glsl"
+#include "sort/sum_before.glsl"
 
 layout(std430, binding = 4) restrict readonly buffer Values { uint values[]; };
 layout(std430, binding = 5) restrict writeonly buffer SortedKeys { uint sorted_keys[]; };
@@ -9,39 +10,48 @@ layout(std430, binding = 6) restrict writeonly buffer SortedValues { uint sorted
 
 #define DIGITS_PER_INVOCATION ((RADIX + WORKGROUP - 1) / WORKGROUP)
 
-shared uint sums[WORKGROUP];
+// [digit value]: what to add to a rank in the block sorted by this digit for the place among all keys
+shared uint offsets[RADIX];
 
-// Replaces counts by the place of the next key of that digit value and invocation.
-void places_from_counts() {
+// Replaces this block's counts by the rank in the block of the next key of that digit and invocation.
+void ranks_from_counts() {
+    // As many counts an invocation as there are digit values, in the order of the table.
+    uint first = gl_LocalInvocationID.x * uint(RADIX);
+    uint sum = 0u;
+    for (uint i = first; i < first + uint(RADIX); ++i)
+        sum += own_counts[i];
+    uint rank = sum_before(sum);
+    for (uint i = first; i < first + uint(RADIX); ++i) {
+        uint here = own_counts[i];
+        own_counts[i] = rank;
+        rank += here;
+    }
+    barrier();
+}
+
+void find_offsets() {
     uint first = min(gl_LocalInvocationID.x * uint(DIGITS_PER_INVOCATION), uint(RADIX));
     uint end = min(first + uint(DIGITS_PER_INVOCATION), uint(RADIX));
     uint sum = 0u;
     for (uint d = first; d < end; ++d)
         sum += totals[d];
-    sums[gl_LocalInvocationID.x] = sum;
-    barrier();
-    uint smaller = 0u; // keys of smaller digit values, in all blocks
-    for (uint i = 0u; i < gl_LocalInvocationID.x; ++i)
-        smaller += sums[i];
+    uint smaller = sum_before(sum);  // keys of smaller digit values, in all blocks
     for (uint d = first; d < end; ++d) {
-        uint place = smaller + table[d * plan.blocks + gl_WorkGroupID.x];
+        offsets[d] = smaller + table[d * plan.blocks + gl_WorkGroupID.x] - own_counts[d * uint(WORKGROUP)];
         smaller += totals[d];
-        for (uint i = 0u; i < uint(WORKGROUP); ++i) {
-            uint here = own_counts[d * uint(WORKGROUP) + i];
-            own_counts[d * uint(WORKGROUP) + i] = place;
-            place += here;
-        }
     }
     barrier();
 }
 
 void main() {
     count_own_keys();
-    places_from_counts();
+    ranks_from_counts();
+    find_offsets();
     uvec2 run = own_run();
     for (uint i = run.x; i < run.y; ++i) {
         uint key = keys[i];
-        uint place = own_counts[counter(key)]++;
+        uint digit = (key >> shift) & uint(RADIX - 1);
+        uint place = offsets[digit] + own_counts[counter(key)]++;
         sorted_keys[place] = key;
         sorted_values[place] = values[i];
     }
