@@ -39,10 +39,11 @@ def table(results: list[dict[str, Any]]) -> dict[str, Any]:
     threads = results[0]["threads"]
     peak = max(result["peak_gflops"] for result in results)
     return {
-        "columns": ["splats", "size", *COLUMNS, "pairs", "10⁹ pixel-splats/s", "of FMA peak"],
+        "columns": ["splats", "size", *COLUMNS, "pairs", "10⁹ pixel-splats/s a thread", "of its FMA peak"],
         "rows": rows,
-        "note": f"Median ms by stage on {threads} threads; float32 FMA peak in the same run {peak:.0f} "
-        f"GFLOP/s, {FLOPS_PER_PIXEL_SPLAT} operations a pixel-splat.",
+        "note": f"Median ms by stage on {threads} threads. A pixel-splat is one evaluation of alpha and its "
+        f"blending, {FLOPS_PER_PIXEL_SPLAT} floating-point operations, over the time of the whole forward "
+        f"stage; the float32 FMA peak of a thread, measured in the same run, is {peak:.0f} GFLOP/s.",
     }
 
 
