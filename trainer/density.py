@@ -122,6 +122,15 @@ class ClassicControl:
     ) -> None:
         """Nothing: the classic strategy moves no splat by itself."""
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        return {"pulled": self.pulled, "seen": self.seen, "resets": np.array([self.resets])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken."""
+        self.pulled, self.seen = state["pulled"].copy(), state["seen"].copy()
+        self.resets = int(state["resets"][0])
+
     def _respect_limit(self, actions: np.ndarray) -> None:
         """Turns clones and splits beyond the room for new splats into keeps, the least pulled first."""
         growing = np.flatnonzero((actions == CLONE) | (actions == SPLIT))

@@ -25,12 +25,14 @@ def initial_parameters(
     *,
     opacity: float = INITIAL_OPACITY,
     scale: float = 1.0,
+    limit: int | None = None,
+    seed: int = 0,
     threads: int | None = None,
 ) -> Parameters:
     """Round splats at points (N, 3), of colours (N, 3) uint8, degree 0, float32.
 
     Their standard deviation is `scale` times the root of the mean squared distance to the three nearest
-    neighbours. Points that are not finite are left out.
+    neighbours. Points that are not finite are left out, and of more than `limit` points a sample is used.
 
     Raises:
         InputError: no point is left.
@@ -39,6 +41,9 @@ def initial_parameters(
     points, colours = points[usable], colours[usable]
     if len(points) == 0:
         raise InputError("the capture has no usable 3D points to begin with")
+    if limit is not None and len(points) > limit:
+        sample = np.sort(np.random.default_rng(seed).choice(len(points), limit, replace=False))
+        points, colours = points[sample], colours[sample]
     squares = mean_square_distance(points, threads=threads)
     squares = np.clip(squares, LEAST_SQUARE_DISTANCE * extent**2, extent**2)
     log_scales = 0.5 * np.log(squares) + math.log(scale)

@@ -88,6 +88,14 @@ class SampledControl:
             threads,
         )
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        return {"initial_count": np.array([self.initial_count])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken."""
+        self.initial_count = int(state["initial_count"][0])
+
     def count_at(self, progress: float) -> int:
         """Splats due at a share of the run: even growth by factors, to the limit when growth ends."""
         settings = self.settings

@@ -18,6 +18,15 @@ from .loss import SSIM_WEIGHT
 PAPER_ITERATIONS = 30_000
 
 
+PIXELS_PER_SPLAT = 12
+LEAST_LIMIT, MOST_LIMIT = 20_000, 2_000_000
+
+
+def automatic_limit(pixels: int) -> int:
+    """A sensible `max_splats` for photos of so many pixels together: beyond it, splats learn by heart."""
+    return min(max(pixels // PIXELS_PER_SPLAT, LEAST_LIMIT), MOST_LIMIT)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
     """The recipe. Equal settings, photos, points and threads train equal scenes.
@@ -53,7 +62,7 @@ class TrainSettings:
     seen_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
-    strategy: Literal["classic", "mcmc"] = "classic"
+    strategy: Literal["classic", "mcmc"] = "mcmc"
     refine_from: float = 500 / PAPER_ITERATIONS
     refine_until: float = 15_000 / PAPER_ITERATIONS
     refine_every: float = 100 / PAPER_ITERATIONS

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from ..measure.metrics import SSIM_WINDOW
 from ..scene import Camera, InputError
+from ..scene.captures import Photo
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,19 +53,37 @@ class Shot:
         return Shot(self.camera.resized(width, height), pixels, mask)
 
 
+def shots_of(photos: Sequence[Photo]) -> list[Shot]:
+    """The photos of a capture, decoded. Raises InputError: one is too small, or cannot be read again."""
+    shots = []
+    for photo in photos:
+        pixels = photo.pixels()
+        shots.append(Shot(photo.camera, pixels.image, pixels.mask))
+    return shots
+
+
 class Shots:
     """The photos of a run and their smaller versions, and in which order steps take them."""
 
-    def __init__(self, shots: list[Shot], seed: int) -> None:
+    def __init__(self, shots: Sequence[Shot], seed: int) -> None:
         if not shots:
             raise InputError("the capture has no photo to train on")
-        self._sizes: dict[int, list[Shot]] = {1: shots}
+        self._sizes: dict[int, list[Shot]] = {1: list(shots)}
         self._seed = seed
         self._epoch = -1
         self._order = np.empty(0, np.int64)
 
     def __len__(self) -> int:
         return len(self._sizes[1])
+
+    @property
+    def pixel_count(self) -> int:
+        """Of all photos together."""
+        return sum(shot.camera.width * shot.camera.height for shot in self._sizes[1])
+
+    def names(self) -> list[list[Any]]:
+        """[name, width, height] of every photo."""
+        return [[shot.camera.name, shot.camera.width, shot.camera.height] for shot in self._sizes[1]]
 
     def at(self, iteration: int, factor: int = 1) -> Shot:
         """The photo of a step: every photo once, in an order drawn anew, then every photo once more."""

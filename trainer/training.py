@@ -40,6 +40,8 @@ class DensityControl(Protocol):
     def after_step(
         self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
     ) -> None: ...
+    def state(self) -> dict[str, np.ndarray]: ...
+    def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
 
 class StepReport(NamedTuple):
@@ -98,7 +100,7 @@ class Trainer:
             self.control = ClassicControl(settings, self.extent)
         self.control.begin(len(self.splats))
         self._workspace = Workspace()
-        self._render_settings = RenderSettings(
+        self.render_settings = RenderSettings(
             model=settings.model, background=settings.background, blend="float32"
         )
 
@@ -128,7 +130,7 @@ class Trainer:
 
         splats = self.splats
         frame = draw_frame(
-            splats.parameters, shot.camera, self._render_settings, self._workspace, threads=self.threads
+            splats.parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
         )
         with self.clock.stage("loss"):
             compared = photo_loss(

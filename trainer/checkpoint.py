@@ -1,0 +1,133 @@
+"""Checkpoints: a run as it stands in one .safetensors file, from which it goes on bit for bit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from ..raster import Parameters, check_parameters
+from ..scene import ImageModel, InputError
+from ..scene.files.atomic import atomic_write
+from .settings import TrainSettings
+from .splats import Splats
+from .training import Counters, Trainer
+
+FORMAT = "splatview checkpoint 1"
+
+GROUPS = ("parameters", "first", "second")
+"""The arrays of `Splats`, by the first part of their names in the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a file holds, checked."""
+
+    settings: TrainSettings
+    counters: Counters
+    extent: float
+    splats: Splats
+    control: dict[str, np.ndarray]
+    """Arrays of the density control, see its `state`."""
+    photos: list[list[Any]]
+    """[name, width, height] of each photo trained on, in order."""
+    notes: dict[str, Any]
+    """What the program that trains wants to remember."""
+
+
+def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None = None) -> None:
+    """Writes the run, wholly or not at all: whatever happens, the old file or the new one is there.
+
+    Raises:
+        InputError: the operating system refuses.
+    """
+    splats = trainer.splats
+    arrays = {
+        f"{group}.{name}": np.ascontiguousarray(array)
+        for group, values in zip(GROUPS, (splats.parameters, splats.first, splats.second), strict=True)
+        for name, array in values._asdict().items()
+    }
+    arrays |= {f"control.{name}": array for name, array in trainer.control.state().items()}
+    description = {
+        "settings": asdict(trainer.settings),
+        "counters": asdict(trainer.counters),
+        "extent": trainer.extent,
+        "photos": trainer.shots.names(),
+        "notes": notes or {},
+    }
+    data = save(arrays, metadata={"format": FORMAT, "run": json.dumps(description)})
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Raises InputError: the file is missing, damaged, or no checkpoint of ours."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            if metadata.get("format") != FORMAT:
+                raise InputError(f"{path}: is not a splatview checkpoint")
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 not a dict
+        return _checked(json.loads(metadata["run"]), arrays)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: is not a checkpoint that can be read: {error}") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: damaged checkpoint: {error}") from None
+
+
+def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
+    """Puts a trainer of the same photos where the checkpoint's was.
+
+    Raises:
+        InputError: the photos are others.
+    """
+    ours, theirs = trainer.shots.names(), checkpoint.photos
+    if ours != theirs:
+        different = next((a for a, b in zip(ours, theirs, strict=False) if a != b), None)
+        about = f"{different[0]} is {different[1]}x{different[2]}" if different else f"there are {len(ours)}"
+        raise InputError(
+            f"the checkpoint was trained on other photos ({about} now);"
+            " resume with the same capture and --downscale"
+        )
+    trainer.splats = checkpoint.splats
+    trainer.counters = checkpoint.counters
+    trainer.extent = checkpoint.extent
+    trainer.control.restore(checkpoint.control)
+
+
+def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
+    settings = dict(run["settings"])
+    settings["model"] = ImageModel(**settings["model"])
+    settings["background"] = tuple(settings["background"])
+    settings["coarse"] = tuple((float(until), int(factor)) for until, factor in settings["coarse"])
+    groups = [
+        check_parameters(**{name: arrays[f"{group}.{name}"] for name in Parameters._fields})
+        for group in GROUPS
+    ]
+    for group in groups:
+        if [array.shape for array in group] != [array.shape for array in groups[0]]:
+            raise ValueError("its arrays differ in length")
+        if not all(array.dtype == np.float32 for array in group):
+            raise ValueError("its arrays are not float32")
+    return Checkpoint(
+        settings=TrainSettings(**settings),
+        counters=Counters(**run["counters"]),
+        extent=float(run["extent"]),
+        splats=Splats(*groups),
+        control={
+            name.removeprefix("control."): array
+            for name, array in arrays.items()
+            if name.startswith("control.")
+        },
+        photos=[list(photo) for photo in run["photos"]],
+        notes=dict(run["notes"]),
+    )

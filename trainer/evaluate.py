@@ -1,0 +1,73 @@
+"""How good a scene is where nobody trained it: PSNR and SSIM on the held-out photos."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ..measure.metrics import psnr, ssim
+from ..raster import Parameters, Workspace, draw_frame
+from ..scene import RenderSettings
+from .shots import Shot
+
+DIFFERENCE_GAIN = 4
+"""By how much differences are brightened in side-by-side pictures."""
+
+
+class Score(NamedTuple):
+    """One photo's; NaN where its mask leaves nothing to measure."""
+
+    name: str
+    psnr: float
+    """dB"""
+    ssim: float
+
+
+class Evaluation(NamedTuple):
+    """Scores of all photos, and their means."""
+
+    scores: tuple[Score, ...]
+
+    @property
+    def psnr(self) -> float:
+        return float(np.mean([score.psnr for score in self.scores]))
+
+    @property
+    def ssim(self) -> float:
+        return float(np.mean([score.ssim for score in self.scores]))
+
+
+def evaluate(
+    parameters: Parameters,
+    shots: Sequence[Shot],
+    settings: RenderSettings,
+    *,
+    threads: int | None = None,
+    on_picture: Callable[[Shot, np.ndarray], None] | None = None,
+) -> Evaluation:
+    """Draws every photo's view and measures it; pixels that a mask leaves out count as equal.
+
+    `on_picture` receives each photo and its picture (H, W, 3), float32, not clipped.
+    """
+    workspace = Workspace()
+    scores = []
+    for shot in shots:
+        picture = draw_frame(parameters, shot.camera, settings, workspace, threads=threads).image[..., :3]
+        if on_picture is not None:
+            on_picture(shot, picture)
+        truth = shot.pixels.astype(np.float32) / 255
+        if shot.mask is not None:
+            picture = np.where(shot.mask[..., None], picture, truth)
+        scores.append(Score(shot.camera.name, psnr(picture, truth), ssim(picture, truth)))
+    return Evaluation(tuple(scores))
+
+
+def side_by_side(shot: Shot, picture: np.ndarray) -> Image.Image:
+    """Photo, picture, and the size of their difference, next to one another."""
+    shown = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
+    difference = np.abs(shown.astype(np.int16) - shot.pixels) * DIFFERENCE_GAIN
+    columns = [shot.pixels, shown, np.minimum(difference, 255).astype(np.uint8)]
+    return Image.fromarray(np.concatenate(columns, axis=1))
