@@ -1,5 +1,6 @@
 // One splat at one pixel. The target holds the colour gathered so far and, in alpha, the transmittance T:
 // blended front to back by rgb += T·(alpha·colour), T *= 1 - alpha.
+// Flags: POINTS, OVERDRAW (counts splats in place of blending them).
 uniform float u_alpha_cut;
 uniform float u_max_alpha;
 
@@ -10,8 +11,17 @@ out vec4 colour;
 
 void main() {
     vec2 d = gl_FragCoord.xy - v_shape.xy;
+#if POINTS
+    float alpha = clamp(v_shape.z + 0.5 - length(d), 0.0, 1.0);
+    if (!(alpha > 0.0)) discard;
+#else
     vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c * d.y);
     float alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
     if (!(alpha >= u_alpha_cut)) discard;
+#endif
+#if OVERDRAW
+    colour = vec4(1.0, 0.0, 0.0, 0.0);
+#else
     colour = vec4(v_colour.rgb * alpha, alpha);
+#endif
 }

@@ -1,9 +1,25 @@
-// The gathered colour over the background; alpha = 1 - T.
-uniform sampler2D u_gathered;  // rgb, T
+// What was gathered, over the background; alpha = 1 - T. Flags: DEPTH, OVERDRAW.
+#include "common/colour_maps.glsl"
+uniform sampler2D u_gathered;  // rgb, T; with DEPTH sums of depth in r, with OVERDRAW the count of splats in r
 uniform vec3 u_background;
+uniform vec2 u_depth_range;    // world units, near and far
 out vec4 colour;
+
+const float MOST_OVERDRAW = 512.0;  // splats at one pixel that show as the map's last colour
 
 void main() {
     vec4 gathered = texelFetch(u_gathered, ivec2(gl_FragCoord.xy), 0);
-    colour = vec4(gathered.rgb + gathered.a * u_background, 1.0 - gathered.a);
+    float opacity = 1.0 - gathered.a;
+#if DEPTH
+    // Expected depth: the mean over what the pixel shows, near bright and far dark.
+    float depth = gathered.r / max(opacity, 1e-6);
+    float t = clamp((depth - u_depth_range.x) / (u_depth_range.y - u_depth_range.x), 0.0, 1.0);
+    gathered.rgb = viridis(1.0 - t) * opacity;
+#elif OVERDRAW
+    // Logarithmic: each doubling of the count is the same step of colour.
+    float t = log2(1.0 + gathered.r) / log2(1.0 + MOST_OVERDRAW);
+    gathered = vec4(inferno(min(t, 1.0)), 0.0);
+    opacity = 1.0;
+#endif
+    colour = vec4(gathered.rgb + gathered.a * u_background, opacity);
 }

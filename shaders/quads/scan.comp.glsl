@@ -1,12 +1,14 @@
 // Exclusive prefix sum of the groups' visible counts, by one work group; also the draw's arguments.
-// Flags: SCAN_SIZE (invocations), QUADS_PER_INSTANCE.
+// Flags: SCAN_SIZE (invocations), QUADS_PER_INSTANCE, SLABS.
 layout(local_size_x = SCAN_SIZE) in;
 
 layout(std430, binding = 0) buffer GroupCounts { uint group_counts[]; };
 layout(std430, binding = 1) writeonly buffer GroupStarts { uint group_starts[]; };
 layout(std430, binding = 2) writeonly buffer Visible { uint visible; };
-layout(std430, binding = 3) writeonly buffer Command { uint command[5]; };  // DrawElementsIndirectCommand
+layout(std430, binding = 3) writeonly buffer Commands { uint commands[]; };  // DrawElementsIndirectCommand a slab
+layout(std430, binding = 4) writeonly buffer Slabs { uint slab_starts[]; };
 uniform uint u_groups;
+uniform float u_slab_ends[SLABS];  // shares of the visible splats, growing
 
 shared uint sums[SCAN_SIZE];
 
@@ -32,10 +34,15 @@ void main() {
     }
     if (me == uint(SCAN_SIZE) - 1u) {
         visible = sums[me];
-        command[0] = 6u * uint(QUADS_PER_INSTANCE);
-        command[1] = (sums[me] + uint(QUADS_PER_INSTANCE) - 1u) / uint(QUADS_PER_INSTANCE);
-        command[2] = 0u;
-        command[3] = 0u;
-        command[4] = 0u;
+        uint start = 0u;
+        for (uint slab = 0u; slab < uint(SLABS); slab++) {
+            uint end = uint(float(sums[me]) * u_slab_ends[slab]);
+            slab_starts[slab] = start;
+            commands[5u * slab] = 6u * uint(QUADS_PER_INSTANCE);
+            commands[5u * slab + 1u] = (end - start + uint(QUADS_PER_INSTANCE) - 1u) / uint(QUADS_PER_INSTANCE);
+            for (uint rest = 2u; rest < 5u; rest++) commands[5u * slab + rest] = 0u;
+            start = end;
+        }
+        slab_starts[SLABS] = start;
     }
 }

@@ -17,6 +17,14 @@ QUADS_PER_INSTANCE = 512
 
 SCAN_SIZE = 256
 
+SLAB_ENDS = tuple((slab + 1) / 16 for slab in range(16))
+"""The sorted splats are drawn in parts, nearest first, and between two of them opaque blocks of the picture
+are closed: each part ends at this share of the visible splats. On llvmpipe, 500,000 splats, time of the draw
+relative to no early stop: 16 parts 0.77, 8 parts 0.83, 32 parts 0.80, 64 parts 0.83; closing single pixels
+by a depth test instead of blocks 0.93, because llvmpipe blends masked pixels all the same."""
+
+SLABS = len(SLAB_ENDS)
+
 RECORD_BYTES = 16
 """A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
 
@@ -28,22 +36,27 @@ class Projector:
         self._ctx = ctx
         self._programs: dict[tuple[int, int, bool], moderngl.ComputeShader] = {}
         self._scan = load_compute(
-            ctx, "quads/scan.comp.glsl", {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE}
+            ctx,
+            "quads/scan.comp.glsl",
+            {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "SLABS": SLABS},
         )
+        set_uniforms(self._scan, {"u_slab_ends": SLAB_ENDS})
         self._compact = load_compute(ctx, "quads/compact.comp.glsl", {"GROUP_SIZE": GROUP_SIZE})
         self.visible = VisibleCount(ctx)
-        self.command = ctx.buffer(reserve=20)
-        """DrawElementsIndirectCommand."""
+        self.commands = ctx.buffer(reserve=20 * SLABS)
+        """DrawElementsIndirectCommand a slab."""
+        self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
         self._sized: list[moderngl.Buffer] = []
         self._sorter: RadixSort | None = None
 
     def resize(self, splats: int) -> None:
         """Makes room for a scene of `splats`."""
         self._release_sized()
+        self.splats = splats
         room = max(1, splats)
         self._groups = -(-splats // GROUP_SIZE)
         self.shapes, self.bounds, self.colours = (self._buffer(room * RECORD_BYTES) for _ in range(3))
-        self.depth_keys, self.keys, self.order = (self._buffer(room * 4) for _ in range(3))
+        self.depth_keys, self.keys, self.order, self.drawn = (self._buffer(room * 4) for _ in range(4))
         self._counts = self._buffer(max(1, self._groups) * 4)
         self._counts.write(np.zeros(max(1, self._groups), dtype=np.uint32))
         self._starts = self._buffer(max(1, self._groups) * 4)
@@ -70,7 +83,9 @@ class Projector:
             set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count})
             program.run(-(-page.count // GROUP_SIZE))
         self._ctx.memory_barrier()
-        for slot, buffer in enumerate((self._counts, self._starts, self.visible.buffer, self.command)):
+        for slot, buffer in enumerate(
+            (self._counts, self._starts, self.visible.buffer, self.commands, self.slab_starts)
+        ):
             buffer.bind_to_storage_buffer(slot)
         set_uniforms(self._scan, {"u_groups": self._groups})
         self._scan.run(1)
@@ -89,6 +104,11 @@ class Projector:
             raise RuntimeError("resize() comes before sort()")
         self._sorter.sort(self.keys, self.order, self.visible.buffer)
         self._ctx.memory_barrier()
+
+    def most_in_slab(self, slab: int) -> int:
+        """An upper bound that needs no read-back: as if every splat were visible."""
+        start = SLAB_ENDS[slab - 1] if slab else 0.0
+        return int(self.splats * (SLAB_ENDS[slab] - start)) + 2
 
     def _program(self, degree: int, stored: int, antialiased: bool) -> moderngl.ComputeShader:
         variant = (degree, stored, antialiased)
@@ -112,6 +132,7 @@ class Projector:
     def release(self) -> None:
         self._release_sized()
         self.visible.release()
-        self.command.release()
+        self.commands.release()
+        self.slab_starts.release()
         for program in (*self._programs.values(), self._scan, self._compact):
             program.release()

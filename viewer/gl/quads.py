@@ -9,12 +9,16 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from .frame import FrameStats, VisualMode
-from .programs import load_render_program
-from .projector import QUADS_PER_INSTANCE, RECORD_BYTES, Projector
+from .gathering import Gathering
+from .projector import RECORD_BYTES, Projector
+from .resolving import Resolving, depth_range, float16_blending_truncates
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
-from .targets import ColourTarget
+from .targets import ColourTarget, Precision
 from .timers import StageTimers
-from .view_uniforms import set_uniforms, view_uniforms
+from .view_uniforms import view_uniforms
+
+EARLY_STOP = 1.2e-4
+"""Transmittance below which a pixel is closed."""
 
 
 class QuadsRenderer:
@@ -29,13 +33,10 @@ class QuadsRenderer:
         self._timers = StageTimers(ctx)
         self._scene: SceneBuffers | None = None
         self._source: Gaussians | None = None
-        self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._draw_splats = self._program("quads/draw.vert.glsl", "quads/draw.frag.glsl")
-        self._draw_array = ctx.vertex_array(
-            self._draw_splats, [], index_buffer=self._indices, index_element_size=4
-        )
-        self._resolve = self._program("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl")
-        self._resolve_array = ctx.vertex_array(self._resolve, [])
+        self._gathering = Gathering(ctx)
+        self._resolving = Resolving(ctx)
+        self._truncates = float16_blending_truncates(ctx)
+        self._early_stop = EARLY_STOP
         self._gathered: ColourTarget | None = None
         self._shown: ColourTarget | None = None
         self._projected_key: object = None
@@ -43,8 +44,18 @@ class QuadsRenderer:
         self._resolved_key: object = None
         self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
-    def _program(self, vertex: str, fragment: str) -> moderngl.Program:
-        return load_render_program(self._ctx, vertex, fragment, {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE})
+    @property
+    def early_stop(self) -> float:
+        """Blocks of the picture whose transmittance is below this everywhere are finished; 0: never.
+
+        A pixel's error is at most this times the brightest colour behind it."""
+        return self._early_stop
+
+    @early_stop.setter
+    def early_stop(self, transmittance: float) -> None:
+        if not 0 <= transmittance < 1:
+            raise ValueError(f"early_stop must be in [0, 1), got {transmittance}")
+        self._early_stop = transmittance
 
     def load(self, gaussians: Gaussians) -> None:
         """Replaces the scene, all at once.
@@ -67,7 +78,7 @@ class QuadsRenderer:
         limit = storage_limit(self._ctx)
         if n * RECORD_BYTES > limit:
             raise InputError(
-                f"{n:,} splats need a storage buffer of {n * RECORD_BYTES >> 20} MiB, this OpenGL driver allows "
+                f"{n:,} splats need a storage buffer of {n * RECORD_BYTES >> 20} MiB, this driver allows "
                 f"{limit >> 20} MiB; use --renderer cpu or fewer splats"
             )
         try:
@@ -97,7 +108,7 @@ class QuadsRenderer:
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
         projected_key = (*_view_key(camera), settings.model, sh_degree)
-        drawn_key = (projected_key, mode, settings.blend)
+        drawn_key = (projected_key, mode, settings.blend, self._early_stop)
         resolved_key = (drawn_key, settings.background)
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
@@ -116,49 +127,41 @@ class QuadsRenderer:
             self._drawn_key = None
         with self._timers.stage("draw"):
             if drawn_key != self._drawn_key:
-                self._make_targets((camera.width, camera.height), settings)
-                self._gather(uniforms)
+                self._make_targets((camera.width, camera.height), settings, mode)
+                self._gathering.draw(
+                    mode,
+                    self._target(self._gathered),
+                    scene,
+                    self._projector,
+                    uniforms,
+                    early_stop=self._early_stop,
+                )
                 self._counters["drawn"] += 1
                 self._drawn_key = drawn_key
-            self._show(settings)
+            self._resolving.draw(
+                mode,
+                self._target(self._gathered),
+                self._target(self._shown),
+                background=settings.background,
+                depths=depth_range(scene, camera),
+            )
             self._resolved_key = resolved_key
         previous.use()
 
-    def _make_targets(self, size: tuple[int, int], settings: RenderSettings) -> None:
-        if self._gathered is not None and self._shown is not None:
-            if (self._gathered.size, self._gathered.precision) == (size, settings.blend):
-                return
-            self._gathered.release()
-            self._shown.release()
-        self._gathered = ColourTarget(self._ctx, size, settings.blend)
-        self._shown = ColourTarget(self._ctx, size, settings.blend)
+    def _make_targets(self, size: tuple[int, int], settings: RenderSettings, mode: VisualMode) -> None:
+        # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
+        wide = settings.blend == "float32" or mode in ("depth", "overdraw") or self._truncates
+        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
+        self._shown = self._fitting(self._shown, size, settings.blend)
 
-    def _gather(self, uniforms: dict) -> None:
-        ctx, projector = self._ctx, self._projector
-        target = self._target(self._gathered)
-        target.framebuffer.use()
-        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
-        ctx.enable_only(moderngl.BLEND)
-        ctx.blend_equation = moderngl.FUNC_ADD
-        ctx.blend_func = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
-        buffers = (
-            projector.order,
-            projector.visible.buffer,
-            projector.shapes,
-            projector.bounds,
-            projector.colours,
-        )
-        for slot, buffer in enumerate(buffers):
-            buffer.bind_to_storage_buffer(slot)
-        set_uniforms(self._draw_splats, uniforms)
-        self._draw_array.render_indirect(projector.command, moderngl.TRIANGLES, count=1)
-
-    def _show(self, settings: RenderSettings) -> None:
-        self._target(self._shown).framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        self._target(self._gathered).texture.use(0)
-        set_uniforms(self._resolve, {"u_gathered": 0, "u_background": settings.background})
-        self._resolve_array.render(moderngl.TRIANGLES, vertices=3)
+    def _fitting(
+        self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
+    ) -> ColourTarget:
+        if target is not None:
+            if (target.size, target.precision) == (size, precision):
+                return target
+            target.release()
+        return ColourTarget(self._ctx, size, precision)
 
     @staticmethod
     def _target(target: ColourTarget | None) -> ColourTarget:
@@ -218,20 +221,8 @@ class QuadsRenderer:
         if self._scene is not None:
             self._scene.release()
         self._projector.release()
-        for thing in (
-            self._draw_array,
-            self._resolve_array,
-            self._draw_splats,
-            self._resolve,
-            self._indices,
-        ):
-            thing.release()
-
-
-def quad_indices(quads: int) -> np.ndarray:
-    """Vertex numbers (6 * quads,) uint32 of two triangles a quad, four vertices each."""
-    corners = np.array([0, 1, 2, 2, 1, 3], dtype=np.uint32)
-    return (np.arange(quads, dtype=np.uint32)[:, None] * 4 + corners).ravel()
+        self._gathering.release()
+        self._resolving.release()
 
 
 def _view_key(camera: Camera) -> tuple:

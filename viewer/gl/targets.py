@@ -16,15 +16,22 @@ DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4"}
 class ColourTarget:
     """One RGBA texture with a framebuffer around it."""
 
-    def __init__(
-        self, ctx: moderngl.Context, size: tuple[int, int], precision: Precision, *, depth: bool = False
-    ) -> None:
+    def __init__(self, ctx: moderngl.Context, size: tuple[int, int], precision: Precision) -> None:
         self.size = size
         self.precision = precision
         self.texture = ctx.texture(size, 4, dtype=DTYPES[precision])
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self._depth = ctx.depth_renderbuffer(size) if depth else None
-        self.framebuffer = ctx.framebuffer([self.texture], self._depth)
+        self.framebuffer = ctx.framebuffer([self.texture])
+        self._ctx = ctx
+        self._depth: moderngl.Renderbuffer | None = None
+        self._deep: moderngl.Framebuffer | None = None
+
+    def with_depth(self) -> moderngl.Framebuffer:
+        """The same texture with a depth buffer, made when first asked for."""
+        if self._deep is None:
+            self._depth = self._ctx.depth_renderbuffer(self.size)
+            self._deep = self._ctx.framebuffer([self.texture], self._depth)
+        return self._deep
 
     def read(self) -> np.ndarray:
         """(H, W, 4) float32, row 0 on top; waits for the GPU."""
@@ -33,7 +40,8 @@ class ColourTarget:
         return np.frombuffer(data, dtype=np.float32).reshape(height, width, 4)
 
     def release(self) -> None:
+        for thing in (self._deep, self._depth):
+            if thing is not None:
+                thing.release()
         self.framebuffer.release()
         self.texture.release()
-        if self._depth is not None:
-            self._depth.release()

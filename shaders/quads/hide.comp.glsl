@@ -1,0 +1,37 @@
+// Drops the splats of one slab that lie wholly within closed blocks. Flags: BLOCK, SLABS.
+#include "quads/culled.glsl"
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Order { uint order[]; };
+layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
+layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
+layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
+layout(std430, binding = 4) readonly buffer Closed { uint closed[]; };
+layout(std430, binding = 5) writeonly buffer Drawn { uint drawn[]; };  // order, or CULLED
+uniform uint u_slab;
+uniform int u_columns;
+uniform vec2 u_size;
+
+const int MOST_BLOCKS = 256;  // a splat over more is drawn: looking would cost more than it saves
+
+bool is_hidden(uint splat) {
+    vec2 mean = shapes[splat].xy;
+    vec4 bound = bounds[splat];
+    vec2 major = bound.zw;
+    float ratio = bound.y / max(length(major), 1e-30);
+    vec2 extent = min(sqrt(major * major + ratio * ratio * major.yx * major.yx), vec2(1e9)) + 1.0;
+    ivec2 first = ivec2(clamp(mean - extent, vec2(0.0), u_size - 1.0)) / BLOCK;
+    ivec2 last = ivec2(clamp(mean + extent, vec2(0.0), u_size - 1.0)) / BLOCK;
+    if ((last.x - first.x + 1) * (last.y - first.y + 1) > MOST_BLOCKS) return false;
+    for (int y = first.y; y <= last.y; y++)
+        for (int x = first.x; x <= last.x; x++)
+            if (closed[y * u_columns + x] == 0u) return false;
+    return true;
+}
+
+void main() {
+    uint slot = slab_starts[u_slab] + gl_GlobalInvocationID.x;
+    if (slot >= slab_starts[u_slab + 1u]) return;
+    uint splat = order[slot];
+    drawn[slot] = is_hidden(splat) ? CULLED : splat;
+}

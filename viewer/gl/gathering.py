@@ -1,0 +1,127 @@
+"""Draws the sorted splats, in each visual mode, into the target that gathers colour and transmittance.
+
+Front to back, rgb += T·colour·alpha and T *= 1 - alpha with T in the target's alpha, rather than back to
+front: opaque blocks of the picture can then be closed early, and T keeps its relative precision in float16.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+
+from .closing import Closing
+from .frame import VisualMode
+from .programs import load_render_program
+from .projector import QUADS_PER_INSTANCE, SLABS, Projector
+from .scene_buffers import SceneBuffers
+from .targets import ColourTarget
+from .view_uniforms import Uniform, set_uniforms
+
+MODE_FLAGS: dict[str, dict[str, bool]] = {
+    mode: {"POINTS": mode == "points", "DEPTH": mode == "depth", "OVERDRAW": mode == "overdraw"}
+    for mode in ("splats", "points", "depth", "overdraw")
+}
+
+CAN_STOP_EARLY = ("splats", "depth")
+"""Modes in which what lies behind an opaque block cannot show."""
+
+FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
+"""Blend factors: source and destination of RGB, then of alpha."""
+
+
+def quad_indices(quads: int) -> np.ndarray:
+    """Vertex numbers (6 * quads,) uint32 of two triangles a quad, four vertices each."""
+    corners = np.array([0, 1, 2, 2, 1, 3], dtype=np.uint32)
+    return (np.arange(quads, dtype=np.uint32)[:, None] * 4 + corners).ravel()
+
+
+class Gathering:
+    """Programs are compiled for a mode when it is first shown."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
+        self._programs: dict[str, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._closing = Closing(ctx)
+
+    def _program(self, mode: VisualMode) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if mode not in self._programs:
+            flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **MODE_FLAGS.get(mode, {"ANTIALIASED": False})}
+            stage = "ellipsoids" if mode == "ellipsoids" else "draw"
+            program = load_render_program(
+                self._ctx, f"quads/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags
+            )
+            array = self._ctx.vertex_array(program, [], index_buffer=self._indices, index_element_size=4)
+            self._programs[mode] = program, array
+        return self._programs[mode]
+
+    def draw(
+        self,
+        mode: VisualMode,
+        target: ColourTarget,
+        scene: SceneBuffers,
+        projector: Projector,
+        uniforms: Mapping[str, Uniform],
+        *,
+        early_stop: float,
+    ) -> None:
+        """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode."""
+        program, array = self._program(mode)
+        set_uniforms(program, uniforms)
+        if mode == "ellipsoids":
+            self._draw_ellipsoids(target, scene, projector, program, array)
+            return
+        target.framebuffer.use()
+        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
+        self._ctx.enable_only(moderngl.BLEND)
+        # moderngl's stub knows two factors, moderngl itself takes four
+        self._ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
+        stops = early_stop > 0 and mode in CAN_STOP_EARLY
+        if stops:
+            self._closing.start(target.size)
+        for slab in range(SLABS):
+            order = projector.order
+            if stops and slab:
+                order = self._closing.hide(projector, target.texture, slab, early_stop)
+            _bind(
+                *(order, projector.slab_starts, projector.shapes, projector.bounds, projector.colours),
+                projector.keys,
+            )
+            set_uniforms(program, {"u_slab": slab})
+            array.render_indirect(projector.commands, moderngl.TRIANGLES, count=1, first=slab)
+
+    def _draw_ellipsoids(
+        self,
+        target: ColourTarget,
+        scene: SceneBuffers,
+        projector: Projector,
+        program: moderngl.Program,
+        array: moderngl.VertexArray,
+    ) -> None:
+        framebuffer = target.with_depth()
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+        self._ctx.depth_func = "<"
+        for page in scene.pages:
+            _bind(
+                *(page.positions, page.quats, page.scales_opacity),
+                *(projector.colours, projector.depth_keys),
+            )
+            place = {"u_page_first": page.first, "u_page_count": page.count, "u_depth_unit": scene.radius}
+            set_uniforms(program, place)
+            array.render(moderngl.TRIANGLES, instances=-(-page.count // QUADS_PER_INSTANCE))
+
+    def release(self) -> None:
+        self._closing.release()
+        for program, array in self._programs.values():
+            array.release()
+            program.release()
+        self._indices.release()
+
+
+def _bind(*buffers: moderngl.Buffer) -> None:
+    for slot, buffer in enumerate(buffers):
+        buffer.bind_to_storage_buffer(slot)
