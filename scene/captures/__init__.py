@@ -9,8 +9,11 @@ from pathlib import Path
 from ..errors import InputError
 from ..files.progress import LoadCancelled, Watch
 from .assemble import assemble, capture_name
+from .camera_list import FILE_NAME, read_camera_list
 from .capture import Capture, Photo, Pixels
 from .colmap import find_colmap, read_colmap
+from .posed import PosedPhotos
+from .transforms import find_transforms, read_transforms
 
 __all__ = ["Capture", "LoadCancelled", "Photo", "Pixels", "load_capture"]
 
@@ -23,7 +26,7 @@ def load_capture(
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Capture:
-    """The capture in a folder, all its photos read once: what cannot be read is known before training.
+    """The capture in a folder, or by its .json file. All photos are read once: damage is known before training.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; lens distortion is taken
     out; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by sorted name, starting
@@ -34,14 +37,33 @@ def load_capture(
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
         LoadCancelled: `cancelled` returned true.
     """
-    if not downscale >= 1:
-        raise InputError(f"photos can be downscaled by 1 or more, not {downscale}")
+    if not (downscale >= 1 and downscale == int(downscale)):
+        raise InputError(f"photos can be downscaled by a whole number of at least 1, not {downscale}")
     path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: {'is no folder' if path.exists() else 'no such folder'}")
-    model = find_colmap(path)
-    if model is None:
-        raise InputError(f"{path}: holds no capture")
-    posed = read_colmap(path, model)
+    folder, posed = _read_poses(path)
     watch = Watch(progress=progress, cancelled=cancelled)
-    return assemble(posed, name=capture_name(path), downscale=downscale, background=background, watch=watch)
+    return assemble(posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch)
+
+
+def _read_poses(path: Path) -> tuple[Path, PosedPhotos]:
+    """The folder of the capture and what it says. COLMAP first: of several models in one folder it is the
+    one that has points."""
+    if path.is_file() and path.suffix.lower() == ".json":
+        if path.name == FILE_NAME:
+            return path.parent, read_camera_list(path.parent, path)
+        return path.parent, read_transforms(path.parent, [(path, None)])
+    if not path.is_dir():
+        problem = "is no capture; name its folder" if path.exists() else "no such folder"
+        raise InputError(f"{path}: {problem}")
+    model = find_colmap(path)
+    if model is not None:
+        return path, read_colmap(path, model)
+    transforms = find_transforms(path)
+    if transforms:
+        return path, read_transforms(path, transforms)
+    if (path / FILE_NAME).is_file():
+        return path, read_camera_list(path, path / FILE_NAME)
+    raise InputError(
+        f"{path}: holds no capture: neither a COLMAP model (sparse/0) nor transforms.json, "
+        f"transforms_train.json or {FILE_NAME}; photos alone need poses first, by COLMAP say"
+    )

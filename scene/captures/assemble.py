@@ -73,7 +73,7 @@ def assemble(
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
     warnings += _lens_notes(shots)
-    finite = np.isfinite(posed.points).all(axis=1)
+    finite = np.isfinite(posed.points.sum(axis=1))
     points, colours = posed.points[finite], posed.point_colours[finite]
     if not finite.all():
         warnings.append(f"{(~finite).sum()} of {len(finite)} points are not finite and are left out")
