@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import moderngl
@@ -24,8 +24,11 @@ MOVING_MS = 50.0
 LEAST_SCALE = 1 / 4
 """Of the picture's sides; below this nothing can be recognised."""
 
-PIXEL_STAGES = ("bin", "forward")
-"""Stages whose time grows with the pixels; the others cost the same at any size."""
+STEP = 1 / 8
+"""Between the scales that are used."""
+
+FIXED_SHARE = 1.25
+"""Where even the fewest pixels take longer than MOVING_MS: what a picture may take, in units of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class CpuTexture:
         self._change = threading.Condition()
         # Guarded by _change:
         self._wish: _Wish | None = None
+        self._resting = False
         self._finished: _Wish | None = None  # drawn at full resolution
         self._image: np.ndarray | None = None  # not uploaded yet
         self._stats = FrameStats(splats=0, visible=0, ms={}, projected=0, sorted=0, drawn=0)
@@ -73,7 +77,8 @@ class CpuTexture:
         self.problem: str | None = None
         """What went wrong in the worker, until the window takes it."""
         self._gaussians: Gaussians | None = None
-        self._moving_scale = 0.5
+        self._motion = MotionScale()
+        self._warm: Gaussians | None = None
         self.texture = ctx.texture((1, 1), 4, dtype="f4")
         self._thread = threading.Thread(target=self._work, name="splatview-cpu", daemon=True)
         self._thread.start()
@@ -89,7 +94,11 @@ class CpuTexture:
         wish = _Wish(self._gaussians, camera, settings, time.monotonic())
         with self._change:
             if self._wish is None or not self._wish.same_picture(wish):
-                self._wish = wish
+                self._wish, self._resting = wish, False
+                self._change.notify()
+            elif not self._resting and wish.since - self._wish.since >= REST_SECONDS:
+                # Only a window that still asks for it says that it rests: a slow one may just be late.
+                self._resting = True
                 self._change.notify()
             image, self._image = self._image, None
         if image is not None:
@@ -135,12 +144,12 @@ class CpuTexture:
         while True:
             with self._change:
                 while not self._ended and not self._due(coarse):
-                    self._change.wait(self._rest_left(coarse))
+                    self._change.wait()
                 if self._ended:
                     return
                 wish = self._wish
                 assert wish is not None
-                moving = coarse is not wish and self._moving_scale < 1
+                moving = coarse is not wish and self._motion.scale < 1
             try:
                 self._render(wish, moving, workspace)
             except Exception as error:
@@ -155,18 +164,11 @@ class CpuTexture:
         """Whether something is to be drawn now: a new wish, or the sharp picture of one that rests."""
         if self._wish is None or self._finished is self._wish:
             return False
-        return coarse is not self._wish or self._rest_left(coarse) == 0
-
-    def _rest_left(self, coarse: _Wish | None) -> float | None:
-        """Seconds until the sharp picture is due; None where it is not a matter of time."""
-        if self._wish is None or self._finished is self._wish or coarse is not self._wish:
-            return None
-        return max(0.0, self._wish.since + REST_SECONDS - time.monotonic())
+        return coarse is not self._wish or self._resting
 
     def _render(self, wish: _Wish, moving: bool, workspace: raster.Workspace) -> None:
-        camera = wish.camera
+        camera, scale = wish.camera, self._motion.scale if moving else 1.0
         if moving:
-            scale = self._moving_scale
             camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
@@ -190,19 +192,35 @@ class CpuTexture:
             )
             if not moving:
                 self._finished = wish
-            self._moving_scale = affordable_scale(frame.milliseconds, camera.width / wish.camera.width)
+            # A scene's first picture also pays for memory that later ones find ready.
+            if self._warm is wish.gaussians:
+                self._motion.learn(sum(frame.milliseconds.values()), scale)
+            self._warm = wish.gaussians
 
 
-def affordable_scale(milliseconds: Mapping[str, float], scale: float) -> float:
-    """The scale of the next moving picture, from the stages' times of one drawn at `scale`.
+class MotionScale:
+    """Which share of the sides moving pictures get, learnt from the time that pictures take.
 
-    Pixels get what is left of MOVING_MS, but at least as much as the stages that do not depend on them
-    take: where those are slow already, fewer pixels would hardly be quicker.
+    Time is taken as fixed + of_pixels·scale²: many small splats cost much whatever the pixels, and then
+    fewer of those would only blur the picture. A full and a reduced picture tell the two parts.
     """
-    of_pixels = sum(milliseconds.get(stage, 0.0) for stage in PIXEL_STAGES)
-    fixed = sum(milliseconds.values()) - of_pixels
-    whole = of_pixels / scale**2
-    allowed = max(MOVING_MS - fixed, fixed, MOVING_MS / 4)
-    affordable = math.sqrt(allowed / whole) if whole > 0 else 1.0
-    # In eighths: a size that trembled with every measurement would be seen.
-    return min(1.0, max(LEAST_SCALE, math.floor(affordable * 8) / 8))
+
+    def __init__(self) -> None:
+        self.scale = 0.5
+        self._full_ms: float | None = None
+        self._fixed_ms = 0.0
+
+    def learn(self, milliseconds: float, scale: float) -> None:
+        """A picture at `scale` took so long."""
+        if scale >= 1:
+            self._full_ms = milliseconds
+        elif self._full_ms is not None:
+            of_pixels = max(self._full_ms - milliseconds, 0.0) / (1 - scale * scale)
+            self._fixed_ms = max(self._full_ms - of_pixels, 0.0)
+        if self._full_ms is None:
+            return
+        of_pixels = self._full_ms - min(self._fixed_ms, self._full_ms)
+        allowed = max(MOVING_MS, FIXED_SHARE * self._fixed_ms) - self._fixed_ms
+        affordable = math.sqrt(allowed / of_pixels) if of_pixels > allowed else 1.0
+        # In steps: a size that trembled with every measurement would be seen.
+        self.scale = max(LEAST_SCALE, math.floor(affordable / STEP) * STEP)

@@ -12,7 +12,6 @@ from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ..gl import FrameStats, VisualMode, make_renderer
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
-from ..gl.quads_legacy import LegacyQuadsRenderer
 
 
 class Picture(Protocol):
@@ -70,8 +69,7 @@ class GpuPicture:
 
     def __init__(self, ctx: moderngl.Context):
         self._renderer = make_renderer(ctx)
-        legacy = isinstance(self._renderer, LegacyQuadsRenderer)
-        self.name = f"quads (OpenGL {'3.3' if legacy else '4.3'})"
+        self.name = f"quads (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
         self._renderer.load(EMPTY)
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
@@ -95,7 +93,7 @@ class GpuPicture:
     @property
     def busy(self) -> bool:
         # The renderer for old GL sorts in a thread; the other one never has anything outstanding.
-        return isinstance(self._renderer, LegacyQuadsRenderer) and self._renderer.busy
+        return getattr(self._renderer, "busy", False)
 
     @property
     def stats(self) -> FrameStats:

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.scene import RenderSettings, look_at
 from splatview.viewer.gl import cpu_texture
-from splatview.viewer.gl.cpu_texture import LEAST_SCALE, MOVING_MS, CpuTexture, affordable_scale
+from splatview.viewer.gl.cpu_texture import LEAST_SCALE, MOVING_MS, CpuTexture, MotionScale
 
 SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
 
@@ -96,7 +98,7 @@ def test_drawing_never_waits_and_the_latest_wish_wins(texture, random_gaussians,
 def test_moving_pictures_are_smaller_where_pixels_are_dear(texture, random_gaussians, monkeypatch):
     scene = random_gaussians(300)
     texture.load(scene)
-    monkeypatch.setattr(cpu_texture, "affordable_scale", lambda *_: 0.5)
+    monkeypatch.setattr(cpu_texture.MotionScale, "learn", lambda *_: None)  # stays at a half
     rest(texture, camera())
     before = texture.stats.drawn
     texture.draw(camera(0.2), SETTINGS)
@@ -149,13 +151,40 @@ def test_it_ends_while_a_picture_is_under_way(ctx, random_gaussians):
     assert not any(thread.name == "splatview-cpu" and thread.is_alive() for thread in threading.enumerate())
 
 
-def test_the_scale_follows_the_price_of_pixels():
-    quick = {"project": 1.0, "sort": 1.0, "bin": 2.0, "forward": 6.0}
-    assert affordable_scale(quick, 1.0) == 1.0
-    slow = {"project": 10.0, "sort": 0.0, "bin": 0.0, "forward": 160.0}
-    assert affordable_scale(slow, 1.0) == 0.5, f"a quarter of the pixels cost what is left of {MOVING_MS} ms"
-    assert affordable_scale({**slow, "forward": 40.0}, 0.5) == 0.5, "and the estimate is stable there"
-    assert affordable_scale({**slow, "forward": 1e6}, 1.0) == LEAST_SCALE
-    heavy = {"project": 400.0, "forward": 400.0}
-    assert affordable_scale(heavy, 1.0) == 1.0, "fewer pixels would not help"
-    assert affordable_scale({}, 1.0) == 1.0
+def learn(fixed: float, of_pixels: float) -> MotionScale:
+    """What is learnt of a machine that takes fixed + of_pixels·scale² ms, moving and resting in turn."""
+    motion = MotionScale()
+    for _ in range(4):
+        motion.learn(fixed + of_pixels, 1.0)
+        motion.learn(fixed + of_pixels * motion.scale**2, motion.scale)
+    return motion
+
+
+def test_quick_pictures_move_in_full():
+    assert learn(5, MOVING_MS - 10).scale == 1
+
+
+def test_dear_pixels_are_reduced_to_what_the_time_allows():
+    assert learn(0.0, MOVING_MS * 4).scale == 0.5
+    assert learn(0.0, MOVING_MS * 1e4).scale == LEAST_SCALE
+
+
+def test_where_splats_are_dear_rather_than_pixels_the_picture_stays_sharp():
+    assert learn(2 * MOVING_MS, 0.3 * MOVING_MS).scale == 1
+
+
+def test_what_was_learnt_elsewhere_is_put_right():
+    motion = learn(2 * MOVING_MS, 0.3 * MOVING_MS)
+    for _ in range(6):
+        motion.learn(20 * MOVING_MS * motion.scale**2, motion.scale)
+        motion.learn(20 * MOVING_MS, 1.0)
+    assert motion.scale == LEAST_SCALE
+
+
+@given(st.lists(st.tuples(st.floats(0, 1e5), st.sampled_from([0.25, 0.5, 0.875, 1.0])), max_size=20))
+def test_whatever_is_measured_the_scale_is_one_that_is_used(measured):
+    motion = MotionScale()
+    for milliseconds, scale in measured:
+        motion.learn(milliseconds, scale)
+        assert LEAST_SCALE <= motion.scale <= 1
+        assert (motion.scale * 8).is_integer()
