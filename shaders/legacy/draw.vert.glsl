@@ -14,7 +14,7 @@ flat out float v_c;
 flat out vec4 v_colour;   // rgb, opacity
 
 const float ROOT_HALF_LOG2_E = 0.84932180028801904;  // exp(-q/2) = exp2(-(0.849 sqrt q)²)
-const float POINT_REACH = 2.0;                         // px, a little over the radius in draw.frag.glsl
+const float POINT_RADIUS = 1.6;                      // px
 const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
 
 void main() {
@@ -32,7 +32,8 @@ void main() {
     v_c = bound.x * ROOT_HALF_LOG2_E;
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
 #if POINTS
-    vec2 position = shape.xy + corner * POINT_REACH;
+    v_shape.zw = vec2(POINT_RADIUS);
+    vec2 position = shape.xy + corner * (POINT_RADIUS + 1.0);
 #else
     vec2 major = bound.zw;
     float major_length = length(major);

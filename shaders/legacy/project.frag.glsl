@@ -1,6 +1,6 @@
 // One fragment a splat: footprint and colour, into textures that the draw fetches from. A culled splat
 // is discarded: its texels stay 0, and the query of samples passed counts the others.
-// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED, DEPTH (the colour is the depth, 0 to 1 in u_depth_range).
+// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED, DEPTH (the depth in place of the colour).
 #include "legacy/texels.glsl"
 #include "common/projection.glsl"
 #include "common/sh.glsl"
@@ -10,7 +10,6 @@ uniform sampler2D u_quats;      // wxyz, raw
 uniform sampler2D u_scales;     // standard deviations
 uniform sampler2DArray u_sh;    // one layer a coefficient
 uniform int u_splats;
-uniform vec2 u_depth_range;     // world units
 
 layout(location = 0) out vec4 shape;   // mean.xy, a, b
 layout(location = 1) out vec4 bounds;  // c, minor axis, major axis.xy
@@ -29,7 +28,7 @@ void main() {
     vec3 rgb = sh_colour(splat, f.direction);
     if (!is_finite(rgb)) discard;
 #if DEPTH
-    rgb = vec3(clamp((f.depth - u_depth_range.x) / (u_depth_range.y - u_depth_range.x), 0.0, 1.0));
+    rgb = vec3(f.depth);
 #endif
     shape = vec4(f.mean, f.conic.xy);
     bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);

@@ -38,14 +38,12 @@ class ProjectionPass:
         *,
         sh_degree: int,
         antialiased: bool,
-        depth_range: tuple[float, float] | None = None,
+        depth: bool = False,
     ) -> None:
-        """Projects all splats for `use`. With a `depth_range` (world units) colours are depths, 0 to 1."""
+        """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours."""
         if self._framebuffer is None:
             raise RuntimeError("resize() comes before run()")
-        program, triangle = self._program(
-            min(sh_degree, scene.sh_degree), antialiased, depth_range is not None
-        )
+        program, triangle = self._program(min(sh_degree, scene.sh_degree), antialiased, depth)
         set_uniforms(program, uniforms)
         for unit, (name, texture) in enumerate(
             (
@@ -57,7 +55,7 @@ class ProjectionPass:
         ):
             texture.use(unit)
             set_uniforms(program, {f"u_{name}": unit})
-        set_uniforms(program, {"u_splats": scene.splats, "u_depth_range": depth_range or (0.0, 1.0)})
+        set_uniforms(program, {"u_splats": scene.splats})
         self._framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         self._framebuffer.clear()
@@ -92,7 +90,7 @@ class ProjectionPass:
                 "DEPTH": depth,
             }
             program = load_render_program(
-                self._ctx, "legacy/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
+                self._ctx, "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
             )
             self._programs[variant] = (program, self._ctx.vertex_array(program, []))
         return self._programs[variant]

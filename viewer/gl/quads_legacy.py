@@ -17,27 +17,17 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
-from .context import describe
 from .frame import FrameStats, VisualMode
-from .legacy_shaders import ModeShaders
+from .legacy_gathering import LegacyGathering
 from .projection_pass import ProjectionPass
-from .projector import QUADS_PER_INSTANCE
-from .quads import quad_indices
+from .resolving import Resolving, depth_range, float16_blending_truncates
 from .scene_textures import TEXTURE_WIDTH, SceneTextures, upload_steps
 from .sort_worker import DepthOrder, SortWorker, ViewLine
-from .targets import ColourTarget
+from .targets import ColourTarget, Precision
 from .timers import StageTimers
-from .view_uniforms import set_uniforms, view_uniforms
+from .view_uniforms import Uniform, view_uniforms
 
 OLDEST = 330
-
-FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
-"""The target's alpha is the transmittance T: rgb += T·(alpha·colour), T *= 1 - alpha."""
-
-COUNTING = (moderngl.ONE, moderngl.ONE, moderngl.ONE, moderngl.ONE)
-
-DEPTH_RADII = 2.5
-"""Half the range of depth colours, in radii of the half of the splats that lie innermost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +69,7 @@ class LegacyQuadsRenderer:
                 f"OpenGL {ctx.version_code / 100:.1f} is too old, 3.3 is needed: use --renderer cpu"
             )
         self._ctx = ctx
-        self._is_software = describe(ctx).is_software
+        self._truncates = float16_blending_truncates(ctx)
         self._timers = StageTimers(ctx)
         self._projection = ProjectionPass(ctx)
         self._scene: SceneTextures | None = None
@@ -88,8 +78,8 @@ class LegacyQuadsRenderer:
         self._order_texture: moderngl.Texture | None = None
         self._order: DepthOrder | None = None
         """What `_order_texture` holds."""
-        self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._shaders: dict[VisualMode, ModeShaders] = {}
+        self._gathering = LegacyGathering(ctx)
+        self._resolving = Resolving(ctx)
         self._gathered: ColourTarget | None = None
         self._shown: ColourTarget | None = None
         self._projected: _Wish | None = None
@@ -159,15 +149,23 @@ class LegacyQuadsRenderer:
                     uniforms,
                     sh_degree=3 if settings.sh_degree is None else settings.sh_degree,
                     antialiased=settings.model.antialiased,
-                    depth_range=self._depth_range(scene, wish.camera) if wish.mode == "depth" else None,
+                    depth=wish.mode == "depth",
                 )
             self._projected = wish
             self._counters["projected"] += 1
         with self._timers.stage("draw"):
             if order is not None and order is not self._order:
                 self._upload_order(order)
-            self._gather(wish, uniforms)
-            self._show(wish)
+            self._make_targets(wish)
+            self._gather(wish, uniforms, scene)
+            self._resolving.draw(
+                wish.mode,
+                self._target(self._gathered),
+                self._target(self._shown),
+                background=settings.background,
+                # it reads radius and median, which both kinds of scene have
+                depths=depth_range(scene, wish.camera),  # pyright: ignore[reportArgumentType]
+            )
         self._drawn = wish
         self._counters["drawn"] += 1
         previous.use()
@@ -185,56 +183,37 @@ class LegacyQuadsRenderer:
         self._timers.latest["sort"] = order.milliseconds
         self._counters["sorted"] += 1
 
-    def _gather(self, wish: _Wish, uniforms: dict) -> None:
-        ctx = self._ctx
-        target = self._make_targets(wish)
-        target.framebuffer.use()
-        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
-        if self._order is None or self._order_texture is None:
+    def _gather(self, wish: _Wish, uniforms: dict[str, Uniform], scene: SceneTextures) -> None:
+        target = self._target(self._gathered)
+        if wish.mode == "ellipsoids":
+            self._gathering.draw_ellipsoids(target, self._projection, uniforms, scene)
             return
-        # Splats behind the eye need no vertices; in the order of another view they may be before this eye.
-        exact = self._order.view == ViewLine.of(wish.camera)
-        ordered = self._order.before_eye if exact else len(self._order.order)
-        ctx.enable_only(moderngl.BLEND)
-        ctx.blend_equation = moderngl.FUNC_ADD  # pyright: ignore[reportAttributeAccessIssue]
-        blend = COUNTING if wish.mode == "overdraw" else FRONT_TO_BACK
-        ctx.blend_func = blend  # pyright: ignore[reportAttributeAccessIssue]
-        shaders = self._mode_shaders(wish.mode)
-        self._order_texture.use(0)
-        self._projection.use(shaders.draw, 1)
-        set_uniforms(shaders.draw, {**uniforms, "u_order": 0, "u_ordered": ordered})
-        if ordered:
-            shaders.quads.render(moderngl.TRIANGLES, instances=-(-ordered // QUADS_PER_INSTANCE))
+        if self._order_texture is None:
+            raise RuntimeError("load() comes before draw()")
+        ordered = 0
+        if self._order is not None:
+            # Behind the eye no vertices are needed; but in the order of another view they may be before it.
+            exact = self._order.view == ViewLine.of(wish.camera)
+            ordered = self._order.before_eye if exact else len(self._order.order)
+        self._gathering.draw_splats(
+            wish.mode, target, self._projection, uniforms, self._order_texture, ordered
+        )
 
-    def _make_targets(self, wish: _Wish) -> ColourTarget:
-        size, precision = (wish.camera.width, wish.camera.height), wish.settings.blend
-        if self._shown is None or (self._shown.size, self._shown.precision) != (size, precision):
-            self._release_targets()
-            # Mesa's software rasterisers round float16 blends towards zero: hundreds of faint splats in
-            # a pixel lose 7 % of the light (skull: 37 dB), and float32 takes 1.1 times as long there.
-            self._gathered = ColourTarget(self._ctx, size, "float32" if self._is_software else precision)
-            self._shown = ColourTarget(self._ctx, size, precision)
-        return self._target(self._gathered)
+    def _make_targets(self, wish: _Wish) -> None:
+        size, blend = (wish.camera.width, wish.camera.height), wish.settings.blend
+        # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
+        wide = blend == "float32" or wish.mode in ("depth", "overdraw") or self._truncates
+        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
+        self._shown = self._fitting(self._shown, size, blend)
 
-    def _show(self, wish: _Wish) -> None:
-        self._target(self._shown).framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        self._target(self._gathered).texture.use(0)
-        shaders = self._mode_shaders(wish.mode)
-        set_uniforms(shaders.resolve, {"u_gathered": 0, "u_background": wish.settings.background})
-        shaders.triangle.render(moderngl.TRIANGLES, vertices=3)
-
-    def _mode_shaders(self, mode: VisualMode) -> ModeShaders:
-        if mode not in self._shaders:
-            self._shaders[mode] = ModeShaders.load(self._ctx, mode, self._indices)
-        return self._shaders[mode]
-
-    @staticmethod
-    def _depth_range(scene: SceneTextures, camera: Camera) -> tuple[float, float]:
-        """From the eye, or where the bulk of the scene begins, to where it ends."""
-        middle = float((scene.median - camera.eye) @ camera.forward)
-        near = max(0.0, middle - DEPTH_RADII * scene.radius)
-        return near, max(middle, near) + DEPTH_RADII * scene.radius
+    def _fitting(
+        self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
+    ) -> ColourTarget:
+        if target is not None:
+            if (target.size, target.precision) == (size, precision):
+                return target
+            target.release()
+        return ColourTarget(self._ctx, size, precision)
 
     @staticmethod
     def _target(target: ColourTarget | None) -> ColourTarget:
@@ -307,9 +286,8 @@ class LegacyQuadsRenderer:
         self._release_scene()
         self._release_targets()
         self._projection.release()
-        for shaders in self._shaders.values():
-            shaders.release()
-        self._indices.release()
+        self._gathering.release()
+        self._resolving.release()
 
     def _release_scene(self) -> None:
         if self._sorter is not None:
