@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..files.progress import LoadCancelled, Watch
-from .assemble import assemble, capture_name
+from .assemble import capture_name, capture_of
 from .camera_list import FILE_NAME, read_camera_list
 from .capture import Capture, Photo, Pixels
 from .colmap import find_colmap, read_colmap
@@ -26,7 +26,7 @@ def load_capture(
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Capture:
-    """The capture in a folder, or by its .json file. All photos are read once: damage is known before training.
+    """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; lens distortion is taken
     out; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by sorted name, starting
@@ -42,7 +42,9 @@ def load_capture(
     path = Path(path)
     folder, posed = _read_poses(path)
     watch = Watch(progress=progress, cancelled=cancelled)
-    return assemble(posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch)
+    return capture_of(
+        posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch
+    )
 
 
 def _read_poses(path: Path) -> tuple[Path, PosedPhotos]:

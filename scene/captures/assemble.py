@@ -33,7 +33,7 @@ LOSS_TO_MENTION = 0.05
 """Share of a photo that its undistorted picture does not show."""
 
 
-def assemble(
+def capture_of(
     posed: PosedPhotos,
     *,
     name: str,

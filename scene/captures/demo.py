@@ -1,0 +1,126 @@
+"""A capture with known truth: pictures of a demo scene from known poses, and noisy points on it.
+
+Nothing is stored: the same arguments make the same capture, so that training can be tried, and tested
+against the truth, from a fresh installation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..camera import Camera, look_at
+from ..demo import demo_scene
+from ..errors import InputError
+from ..gaussians import Gaussians
+from ..image_model import RenderSettings
+from ..projection import sigmoid
+from ..sh import SH_C0
+from .assemble import HOLD_OUT_EVERY
+from .capture import Capture, Photo, Pixels
+
+Render = Callable[[Gaussians, Camera, RenderSettings], np.ndarray]
+"""A renderer: float32 (H, W, 3 or 4)."""
+
+TARGET = (0.35, -0.75, 0.3)
+DISTANCE = 5.6
+TURN = (-29.0, 26.0)
+"""Degrees from the first view, within which no tree stands before the camera."""
+HEIGHTS = (0.55, 1.75)
+"""Of the eye over the target, in turn."""
+FOV_Y = 46.0
+
+POINTS = 6000
+POINT_NOISE = 0.004
+"""Standard deviation of a point across and along its ray, in its depths: about a pixel at 320 px."""
+OUTLIERS = 0.01
+"""Share of the points that are wrong matches: anywhere along their ray."""
+MIN_OPACITY = 0.6
+"""Of splats that a reconstruction would find points on."""
+
+
+def demo_truth(splats: int | None = None) -> Gaussians:
+    """The scene that `demo_capture` shows, for an equal number of splats."""
+    return demo_scene("landscape", splats=splats)
+
+
+def demo_cameras(count: int, width: int, height: int) -> list[Camera]:
+    """On two arcs around the pond, in turn the low and the high one."""
+    cameras = []
+    for i, angle in enumerate(np.radians(np.linspace(*TURN, count))):
+        offset = np.array([np.sin(angle) * DISTANCE, -HEIGHTS[i % 2], -np.cos(angle) * DISTANCE])
+        cameras.append(
+            look_at(TARGET + offset, TARGET, up=(0, -1, 0), fov_y=FOV_Y, width=width, height=height)
+        )
+    return cameras
+
+
+def demo_capture(
+    render: Render,
+    *,
+    photos: int = 40,
+    width: int = 320,
+    height: int = 240,
+    splats: int | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Capture:
+    """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
+
+    `seed` is of the noise alone. A renderer may be anything; this package knows none.
+
+    Raises:
+        InputError: fewer than two photos.
+    """
+    if not photos >= 2:
+        raise InputError(f"a demo capture needs at least two photos, got {photos}")
+    truth = demo_truth(splats)
+    shots = []
+    for i, camera in enumerate(demo_cameras(photos, width, height)):
+        picture = render(truth, camera, RenderSettings())[..., :3]
+        image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
+        image.flags.writeable = False
+        shots.append(_photo(camera, image, i))
+        if progress is not None:
+            progress((i + 1) / photos)
+    cameras = [shot.camera for shot in shots]
+    points, colours = _points(truth, cameras, np.random.default_rng(seed))
+    return Capture(name="demo", photos=tuple(shots), points=points, point_colours=colours)
+
+
+def _photo(camera: Camera, image: np.ndarray, i: int) -> Photo:
+    name = f"view_{i:03d}.png"
+    pixels = Pixels(image=image, mask=None)
+    return Photo(
+        name=name, camera=replace(camera, name=name), held_out=i % HOLD_OUT_EVERY == 0, pixels=lambda: pixels
+    )
+
+
+def _points(
+    truth: Gaussians, cameras: list[Camera], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) float64 and (P, 3) uint8: means of splats that at least two cameras have in view, disturbed.
+
+    Hidden splats are among them, where a reconstruction would have none; few enough to be pruned.
+    """
+    means = truth.means.astype(np.float64)
+    seen = np.zeros(len(means), dtype=np.int64)
+    for camera in cameras:
+        x, y, z = (means @ camera.R_camera_world.T + camera.t_camera_world).T
+        ahead = z > 0.1
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+            seen += ahead & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+    found = np.flatnonzero((seen >= 2) & (sigmoid(truth.opacity_logits) > MIN_OPACITY))
+    found = rng.choice(found, min(POINTS, len(found)), replace=False)
+
+    eye = cameras[len(cameras) // 2].eye
+    rays = means[found] - eye
+    depth = np.linalg.norm(rays, axis=1, keepdims=True)
+    points = means[found] + rng.normal(scale=POINT_NOISE, size=rays.shape) * depth
+    wrong = rng.uniform(size=len(found)) < OUTLIERS
+    points[wrong] = eye + rays[wrong] * rng.uniform(0.3, 2.0, size=(wrong.sum(), 1))
+    colours = np.clip(truth.sh[found, 0] * SH_C0 + 0.5, 0, 1)
+    return points, (colours * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,213 @@
+"""What is wrong with a capture is said in one line that names the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from splatview.scene import InputError
+from splatview.scene.captures import load_capture
+
+
+def refused(path: Path, **options) -> str:
+    with pytest.raises(InputError) as caught:
+        load_capture(path, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path) in message
+    return message
+
+
+def test_no_capture(tmp_path):
+    assert "no such folder" in refused(tmp_path / "none")
+    assert "holds no capture" in refused(tmp_path)
+    (tmp_path / "a.txt").write_text("")
+    assert "name its folder" in refused(tmp_path / "a.txt")
+
+
+def test_no_images_in_the_model(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, cameras=[])
+    assert "holds no images" in refused(tmp_path)
+
+
+def test_poses_without_photos(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, photos=False)
+    message = refused(tmp_path)
+    assert "none of its 9 photos is in" in message
+    assert "p00.png" in message
+
+
+def test_one_photo(tmp_path, colmap_capture, cameras_of):
+    colmap_capture(tmp_path, cameras=cameras_of(1))
+    assert "only one photo (p00.png)" in refused(tmp_path)
+
+
+def test_another_size(tmp_path, colmap_capture, png, pixels_of):
+    colmap_capture(tmp_path)
+    png(tmp_path / "images/p03.png", pixels_of(0, 41, 30))
+    message = refused(tmp_path)
+    assert "p03.png: is 41x30 pixels, but its camera says 40x30" in message
+
+
+def test_mask_of_another_size(tmp_path, colmap_capture, png):
+    colmap_capture(tmp_path)
+    png(tmp_path / "masks/p03.png", np.zeros((15, 20), np.uint8))
+    assert "masks/p03.png: is 20x15" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tiff"])
+@pytest.mark.parametrize("keep", [0, 3, 40, 0.6])
+def test_photos_cut_short(tmp_path, colmap_capture, cameras_of, pixels_of, suffix, keep):
+    names = [f"p{i}.{suffix}" for i in range(3)]
+    colmap_capture(tmp_path, cameras=cameras_of(3), names=names)
+    path = tmp_path / "images" / names[1]
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * keep) if isinstance(keep, float) else keep])
+    assert names[1] in refused(tmp_path)
+
+
+def test_photo_that_is_a_folder_or_text(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    (tmp_path / "images/p02.png").write_text("<html>not found</html>")
+    assert "p02.png: is no readable image" in refused(tmp_path)
+
+
+def test_enormous_photo(tmp_path, colmap_capture, monkeypatch):
+    colmap_capture(tmp_path)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    assert "is no readable image" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("text", [False, True])
+def test_poses_that_are_not_finite(tmp_path, colmap_capture, cameras_of, value, text):
+    colmap_capture(tmp_path, text=text)
+    path = tmp_path / "sparse/0" / ("images.txt" if text else "images.bin")
+    raw = path.read_bytes()
+    if text:
+        lines = raw.decode().split("\n")
+        words = lines[3].split()
+        lines[3] = " ".join([*words[:6], str(value), *words[7:]])
+        path.write_text("\n".join(lines))
+    else:
+        path.write_bytes(raw[: 8 + 4 + 32] + np.float64(value).tobytes() + raw[8 + 4 + 40 :])
+    assert "images" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("downscale", [0, -1, 1.5, float("nan")])
+def test_downscale(tmp_path, downscale):
+    with pytest.raises(InputError, match="downscaled by a whole number"):
+        load_capture(tmp_path, downscale=downscale)
+
+
+def test_downscaled_to_nothing(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    assert "nothing is left" in refused(tmp_path, downscale=31)
+
+
+def test_all_held_out(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    (tmp_path / "sparse/0/test.txt").write_text("\n".join(f"p{i:02d}.png" for i in range(9)))
+    assert "all photos are held out" in refused(tmp_path)
+
+
+@pytest.fixture
+def good(tmp_path, cameras_of, to_opengl, png, pixels_of) -> dict:
+    frames = []
+    for i, camera in enumerate(cameras_of(3)):
+        png(tmp_path / f"{i}.png", pixels_of(i))
+        frames.append({"file_path": f"{i}.png", "transform_matrix": to_opengl(camera)})
+    return {"w": 40, "h": 30, "fl_x": 36.0, "frames": frames}
+
+
+def nan_pose(content: dict) -> None:
+    content["frames"][1]["transform_matrix"][0][3] = float("nan")
+
+
+def mirror(content: dict) -> None:
+    content["frames"][1]["transform_matrix"][0] = [-x for x in content["frames"][1]["transform_matrix"][0]]
+
+
+def set_top(key: str, value) -> Callable[[dict], None]:
+    return lambda content: content.update({key: value})
+
+
+def set_frame(key: str, value) -> Callable[[dict], None]:
+    return lambda content: content["frames"][1].update({key: value})
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (nan_pose, "frame 1"),
+        (mirror, "frame 1"),
+        (lambda content: content.pop("frames"), "the list 'frames' is missing"),
+        (lambda content: content.pop("fl_x"), "focal length is unknown"),
+        (set_top("frames", []), "names no photos"),
+        (set_top("frames", [3]), "frame 0"),
+        (set_top("fl_x", "36"), "'fl_x' must be a number"),
+        (set_top("fl_x", -3), "fx must be positive"),
+        (set_top("fl_x", 0), "fx must be positive"),
+        (set_top("w", 40.5), "whole number of pixels"),
+        (set_top("w", 41), "its camera says 41x30"),
+        (set_top("camera_model", "EQUIRECTANGULAR"), "undistort the photos"),
+        (set_top("k1", float("nan")), "distortion must be finite"),
+        (set_top("k4", 0.1), "k4 is for fisheyes"),
+        (set_top("test_filenames", "all"), "list of file names"),
+        (set_frame("transform_matrix", [[1, 0], [0, 1]]), "'transform_matrix' must be 4 x 4"),
+        (set_frame("transform_matrix", None), "'transform_matrix' must be 4 x 4"),
+        (set_frame("mask_path", "none.png"), "mask 'none.png' is not in"),
+        (set_frame("fl_x", None), "'fl_x' must be a number"),
+    ],
+)
+def test_transforms(tmp_path, good, damage, message):
+    assert load_fine(tmp_path, good)
+    damage(good)
+    (tmp_path / "transforms.json").write_text(json.dumps(good))
+    assert message in refused(tmp_path)
+
+
+def load_fine(folder: Path, content: dict) -> bool:
+    (folder / "transforms.json").write_text(json.dumps(content))
+    return len(load_capture(folder).photos) == 3
+
+
+def test_angle_of_view(tmp_path, good):
+    del good["fl_x"]
+    good["camera_angle_x"] = 45
+    (tmp_path / "transforms.json").write_text(json.dumps(good))
+    assert "radians" in refused(tmp_path)
+
+
+def test_json_cut_short(tmp_path, good):
+    text = json.dumps(good)
+    for size in range(0, len(text), 60):
+        (tmp_path / "transforms.json").write_text(text[:size])
+        assert "transforms.json" in refused(tmp_path)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    file=st.sampled_from(["cameras.bin", "images.bin", "points3D.bin"]),
+    at=st.integers(0, 2000),
+    value=st.integers(0, 255),
+)
+def test_damaged_models_load_or_are_refused(tmp_path, colmap_capture, file, at, value):
+    if not (tmp_path / "sparse").exists():
+        colmap_capture(tmp_path)
+    path = tmp_path / "sparse/0" / file
+    whole = path.read_bytes()
+    path.write_bytes(whole[: at % len(whole)] + bytes([value]) + whole[at % len(whole) + 1 :])
+    try:
+        assert len(load_capture(tmp_path).photos) >= 2
+    except InputError as error:
+        assert "\n" not in str(error)
+    finally:
+        path.write_bytes(whole)

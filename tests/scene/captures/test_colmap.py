@@ -1,0 +1,181 @@
+"""COLMAP captures, binary and text."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from splatview.scene import InputError
+from splatview.scene.captures import LoadCancelled, load_capture
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_photos_poses_and_points(tmp_path, colmap_capture, pixels_of, text):
+    cameras = colmap_capture(tmp_path / "cap", text=text)
+    (tmp_path / "cap/sparse/0/rigs.bin").write_bytes(b"\xff" * 9)
+    (tmp_path / "cap/sparse/0/frames.bin").write_bytes(b"")
+    capture = load_capture(tmp_path / "cap")
+    assert capture.name == "cap"
+    assert capture.warnings == ()
+    assert [photo.name for photo in capture.photos] == [f"p{i:02d}.png" for i in range(9)]
+    assert [photo.name for photo in capture.held_out] == ["p00.png", "p08.png"]
+    assert len(capture.train) == 7
+    for i, (photo, camera) in enumerate(zip(capture.photos, cameras, strict=True)):
+        np.testing.assert_allclose(photo.camera.world_to_camera, camera.world_to_camera, atol=1e-12)
+        assert (photo.camera.fx, photo.camera.cx) == (camera.fx, camera.cx)
+        np.testing.assert_array_equal(photo.image(), pixels_of(i))
+        assert not photo.image().flags.writeable
+        assert photo.mask() is None
+    np.testing.assert_array_equal(capture.points, np.random.default_rng(1).normal(size=(12, 3)))
+    np.testing.assert_array_equal(capture.point_colours, [(i, 10, 250) for i in range(12)])
+
+
+def test_scene_radius(tmp_path, colmap_capture):
+    cameras = colmap_capture(tmp_path)
+    eyes = np.array([camera.eye for camera in cameras[1:8]])
+    radius = np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()
+    assert load_capture(tmp_path).scene_radius == pytest.approx(1.1 * radius)
+
+
+def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    assert len(load_capture(tmp_path / "sparse" / "0").photos) == 9
+    (tmp_path / "images").rename(tmp_path / "input")
+    assert len(load_capture(tmp_path).photos) == 9
+
+
+def test_missing_photos_are_named_and_left_out(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    (tmp_path / "images/p00.png").unlink()
+    (tmp_path / "images/p04.png").unlink()
+    capture = load_capture(tmp_path)
+    assert len(capture.photos) == 7
+    assert capture.held_out[0].name == "p01.png"
+    assert capture.warnings == (
+        f"2 of 9 photos are not in {tmp_path / 'images'} and are left out: p00.png, p04.png",
+    )
+
+
+def test_several_cameras_and_subfolders(tmp_path, colmap_capture, cameras_of):
+    cameras = [camera.resized(40 + 2 * i, 30 + i) for i, camera in enumerate(cameras_of(4))]
+    colmap_capture(tmp_path, cameras=cameras, names=["b/1.png", "b/0.png", "a/1.png", "a/0.png"])
+    capture = load_capture(tmp_path)
+    assert [photo.name for photo in capture.photos] == ["a/0.png", "a/1.png", "b/0.png", "b/1.png"]
+    assert [photo.camera.width for photo in capture.photos] == [46, 44, 42, 40]
+
+
+def test_held_out_by_list(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    (tmp_path / "sparse/0/test.txt").write_text("p03.png\n\np05.png\n")
+    assert [photo.name for photo in load_capture(tmp_path).held_out] == ["p03.png", "p05.png"]
+
+
+def test_downscaling_keeps_the_rays(tmp_path, colmap_capture):
+    cameras = colmap_capture(tmp_path)
+    photo = load_capture(tmp_path, downscale=7).photos[2]
+    assert (photo.camera.width, photo.camera.height) == (5, 4)
+    assert photo.image().shape == (4, 5, 3)
+    assert photo.camera.fx == pytest.approx(cameras[2].fx * 5 / 40)
+    assert photo.camera.fy == pytest.approx(cameras[2].fy * 4 / 30)
+    assert photo.camera.cy == pytest.approx(cameras[2].cy * 4 / 30)
+
+
+def test_distortion_is_taken_out(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, model=4, distortion=(0.3, 0.0, 0.0, 0.0))
+    photo = load_capture(tmp_path).photos[0]
+    mask = photo.mask()
+    assert mask is not None
+    # A pincushion: the corners of the pinhole picture are outside the photo.
+    assert not mask[0, 0]
+    assert mask[15, 20]
+    assert 0.3 < mask.mean() < 0.95
+
+
+def test_what_undistortion_loses_is_said(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, model=4, distortion=(-0.3, 0.0, 0.0, 0.0))
+    (warning,) = load_capture(tmp_path).warnings
+    assert "of each OPENCV photo lies outside" in warning
+
+
+@pytest.mark.parametrize("name", ["p02.png", "p02.png.png", "p02.jpg"])
+def test_masks(tmp_path, colmap_capture, png, name):
+    colmap_capture(tmp_path)
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[:10] = 0
+    png(tmp_path / "masks" / name, mask)
+    capture = load_capture(tmp_path, downscale=2)
+    result = capture.photos[2].mask()
+    assert result is not None
+    np.testing.assert_array_equal(result, np.repeat(np.arange(15) >= 5, 20).reshape(15, 20))
+    assert capture.photos[1].mask() is None
+
+
+def test_mask_and_distortion_together(tmp_path, colmap_capture, png):
+    colmap_capture(tmp_path, model=2, distortion=(0.2,))
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[:, 20:] = 0
+    png(tmp_path / "masks/p01.png", mask)
+    capture = load_capture(tmp_path)
+    alone, masked = capture.photos[0].mask(), capture.photos[1].mask()
+    assert alone is not None and masked is not None
+    assert alone[15, 30] and not masked[:, 20:].any()
+    np.testing.assert_array_equal(masked[:, :18], alone[:, :18])
+
+
+def test_without_points_there_are_random_ones(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, points=np.empty((0, 3)))
+    first, second = load_capture(tmp_path), load_capture(tmp_path)
+    np.testing.assert_array_equal(first.points, second.points)
+    assert "no points" in first.warnings[0]
+    # Around what the cameras look at, and before all of them.
+    assert np.linalg.norm(first.points.mean(axis=0)) < 0.1
+    for photo in first.photos:
+        camera = photo.camera
+        assert ((first.points @ camera.R_camera_world.T + camera.t_camera_world)[:, 2] > 0.5).all()
+
+
+def test_points_that_are_not_finite_are_left_out(tmp_path, colmap_capture):
+    points = np.zeros((9, 3))
+    points[2, 1], points[5, 0] = np.nan, np.inf
+    colmap_capture(tmp_path, points=points)
+    capture = load_capture(tmp_path)
+    assert capture.points.shape == (7, 3)
+    assert capture.warnings == ("2 of 9 points are not finite and are left out",)
+
+
+def test_large_captures_are_read_again(tmp_path, colmap_capture, pixels_of, monkeypatch):
+    monkeypatch.setattr("splatview.scene.captures.assemble.KEEP_BYTES", 3 * 30 * 40 * 3)
+    colmap_capture(tmp_path)
+    capture = load_capture(tmp_path)
+    np.testing.assert_array_equal(capture.photos[7].image(), pixels_of(7))
+    (tmp_path / "images/p07.png").unlink()
+    (tmp_path / "images/p01.png").unlink()
+    assert capture.photos[1].image().shape == (30, 40, 3)
+    with pytest.raises(InputError, match=r"p07\.png"):
+        capture.photos[7].image()
+
+
+def test_progress_and_cancelling(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    shares: list[float] = []
+    load_capture(tmp_path, progress=shares.append)
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0, 1)
+    calls = iter([False, False, True])
+    with pytest.raises(LoadCancelled):
+        load_capture(tmp_path, cancelled=lambda: next(calls))
+
+
+def test_truncated_anywhere(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    path = tmp_path / "sparse/0/points3D.bin"
+    whole = path.read_bytes()
+    for size in range(0, len(whole), 13):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=r"points3D\.bin.*truncated"):
+            load_capture(tmp_path)
+    path.write_bytes(struct.pack("<Q", 2**60))
+    with pytest.raises(InputError, match="truncated"):
+        load_capture(tmp_path)

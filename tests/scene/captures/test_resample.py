@@ -1,0 +1,99 @@
+"""Undistortion and averaging against what they are by definition."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatview.scene.captures.lens import distort, undistort
+from splatview.scene.captures.resample import area_averaged, undistorted, wholly_valid
+from splatview.scene.files.colmap import ColmapCamera
+
+
+def lens(width: int, height: int, k: float, model: str = "SIMPLE_RADIAL") -> ColmapCamera:
+    return ColmapCamera(
+        model=model,
+        width=width,
+        height=height,
+        fx=0.9 * width,
+        fy=0.9 * width,
+        cx=width / 2 + 1,
+        cy=height / 2 - 2,
+        distortion=(k,),
+        is_fisheye=False,
+    )
+
+
+def by_area(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Exactly, with fractions for the parts of pixels."""
+
+    def weights(size: int, count: int) -> np.ndarray:
+        step = Fraction(size, count)
+        return np.array(
+            [
+                [
+                    float(max(Fraction(0), min(j + 1, (i + 1) * step) - max(j, i * step)) / step)
+                    for j in range(size)
+                ]
+                for i in range(count)
+            ]
+        )
+
+    return np.einsum(
+        "ih,jw,hwc->ijc", weights(image.shape[0], height), weights(image.shape[1], width), image.astype(float)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    width=st.integers(1, 23), height=st.integers(1, 23), divide=st.integers(1, 23), seed=st.integers(0, 2**31)
+)
+def test_averages_are_those_of_the_area(width, height, divide, seed):
+    image = np.random.default_rng(seed).integers(0, 256, size=(height, width, 3), dtype=np.uint8)
+    small = max(1, width // divide), max(1, height // divide)
+    result = area_averaged(image, *small)
+    assert result.shape == (small[1], small[0], 3)
+    assert np.abs(result - by_area(image, *small)).max() <= 0.5 + 1e-3
+
+
+def test_a_pixel_counts_only_where_all_of_it_is_valid():
+    mask = np.ones((8, 8), dtype=bool)
+    mask[3, 5] = False
+    small = wholly_valid(mask, 4, 4)
+    assert not small[1, 2]
+    assert small.sum() == 15
+    assert wholly_valid(mask, 8, 8) is mask
+
+
+@pytest.mark.parametrize(("model", "k"), [("SIMPLE_RADIAL", -0.2), ("SIMPLE_RADIAL", 0.2), ("FOV", 0.9)])
+def test_undistorted_shows_what_a_pinhole_would(model, k):
+    """A smooth picture of the rays themselves is taken through the lens and back."""
+    width, height = 120, 90
+    a_lens = lens(width, height, k, model)
+    ys, xs = np.mgrid[:height, :width] + 0.5
+    pinhole = np.stack([(xs - a_lens.cx) / a_lens.fx, (ys - a_lens.cy) / a_lens.fy], axis=-1)
+
+    def scene(rays: np.ndarray) -> np.ndarray:
+        return np.stack([128 + 90 * np.sin(4 * rays[..., 0]), 128 + 90 * np.cos(5 * rays[..., 1])], axis=-1)
+
+    rays = undistort(pinhole, a_lens)
+    photo = np.nan_to_num(scene(rays), nan=0).round().astype(np.uint8)
+    result, valid = undistorted(photo, a_lens)
+    there = distort(pinhole, a_lens) * (a_lens.fx, a_lens.fy) + (a_lens.cx, a_lens.cy)
+    expected = ((there >= 0.5) & (there <= np.array([width, height]) - 0.5)).all(axis=-1)
+    np.testing.assert_array_equal(valid, expected)
+    assert valid.mean() > 0.7
+    assert np.abs(result - scene(pinhole))[valid].max() < 1.5
+    assert not result[~valid].any()
+
+
+def test_nothing_is_shown_twice_beyond_the_fold():
+    a_lens = lens(200, 100, -0.9)
+    _, valid = undistorted(np.full((100, 200, 3), 200, np.uint8), a_lens)
+    radius = np.hypot(*(np.mgrid[:100, :200][::-1] + 0.5 - np.array([101, 48])[:, None, None])) / a_lens.fx
+    assert not valid[radius > np.sqrt(1 / 2.7) + 0.01].any()
+    assert valid[radius < 0.4][::7].all()

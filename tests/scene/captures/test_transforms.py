@@ -1,0 +1,188 @@
+"""NeRF-synthetic, nerfstudio and instant-ngp captures, and the 3DGS trainer's list of cameras."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from splatview.scene import Gaussians
+from splatview.scene.captures import load_capture
+from splatview.scene.files import save_scene
+from splatview.scene.sh import rgb_to_sh
+
+INTRINSICS = {"w": 40, "h": 30, "fl_x": 36.2, "fl_y": 36.3, "cx": 19.5, "cy": 15.5}
+
+
+@pytest.fixture
+def frames(cameras_of, to_opengl):
+    return [
+        {"file_path": f"images/{i}.png", "transform_matrix": to_opengl(camera)}
+        for i, camera in enumerate(cameras_of(9))
+    ]
+
+
+@pytest.fixture
+def photos(tmp_path, png, pixels_of):
+    for i in range(9):
+        png(tmp_path / f"images/{i}.png", pixels_of(i))
+
+
+def test_nerf_synthetic(tmp_path, png, pixels_of, cameras_of, transforms, to_opengl):
+    cameras = cameras_of(6)
+    for part, chosen in (("train", cameras[:4]), ("test", cameras[4:]), ("val", cameras)):
+        listed = []
+        for i, camera in enumerate(chosen):
+            png(tmp_path / part / f"r_{i}.png", pixels_of(i, channels=4))
+            listed.append({"file_path": f"./{part}/r_{i}", "transform_matrix": to_opengl(camera)})
+        transforms(tmp_path / f"transforms_{part}.json", listed, camera_angle_x=0.7)
+    capture = load_capture(tmp_path, background=(1.0, 0.5, 0.0))
+    assert [photo.name for photo in capture.train] == [f"train/r_{i}" for i in range(4)]
+    assert [photo.name for photo in capture.held_out] == ["test/r_0", "test/r_1"]
+    assert capture.background == (1.0, 0.5, 0.0)
+    photo = capture.train[2]
+    np.testing.assert_allclose(photo.camera.world_to_camera, cameras[2].world_to_camera, atol=1e-12)
+    assert photo.camera.fx == photo.camera.fy == pytest.approx(20 / math.tan(0.35))
+    assert (photo.camera.cx, photo.camera.cy) == (20, 15)
+    rgba = pixels_of(2, channels=4).astype(float)
+    alpha = rgba[..., 3:] / 255
+    over = rgba[..., :3] * alpha + np.array([255, 127.5, 0]) * (1 - alpha)
+    assert np.abs(photo.image() - over).max() <= 0.51
+
+
+def test_opaque_photos_need_no_background(tmp_path, frames, png, transforms, pixels_of):
+    for i in range(9):
+        rgba = pixels_of(i, channels=4)
+        rgba[..., 3] = 255
+        png(tmp_path / f"images/{i}.png", rgba)
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    assert capture.background is None
+    np.testing.assert_array_equal(capture.photos[3].image(), pixels_of(3, channels=4)[..., :3])
+
+
+def test_nerfstudio(tmp_path, frames, photos, transforms, cameras_of, rng):
+    frames[3] |= {"fl_x": 50.0, "cx": 21.0}
+    positions, colours = rng.normal(size=(7, 3)), rng.uniform(size=(7, 3))
+    cloud = Gaussians(
+        means=positions.astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (7, 1)),
+        log_scales=np.zeros((7, 3), np.float32),
+        opacity_logits=np.zeros(7, np.float32),
+        sh=rgb_to_sh(colours).astype(np.float32)[:, None],
+    )
+    save_scene(cloud, tmp_path / "points.ply")
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS, ply_file_path="points.ply", k1=0.0)
+    capture = load_capture(tmp_path)
+    assert capture.warnings == ()
+    assert [photo.name for photo in capture.held_out] == ["images/0.png", "images/8.png"]
+    for photo, camera in zip(capture.photos, cameras_of(9), strict=True):
+        np.testing.assert_allclose(photo.camera.world_to_camera, camera.world_to_camera, atol=1e-12)
+        assert photo.mask() is None
+    assert (capture.photos[2].camera.fx, capture.photos[2].camera.cx) == (36.2, 19.5)
+    assert (capture.photos[3].camera.fx, capture.photos[3].camera.cx) == (50.0, 21.0)
+    np.testing.assert_allclose(capture.points, positions, atol=1e-6)
+    assert np.abs(capture.point_colours - colours * 255).max() <= 0.51
+
+
+def test_point_cloud_with_byte_colours(tmp_path, frames, photos, transforms):
+    lines = ["ply", "format ascii 1.0", "element vertex 5"]
+    lines += [f"property float {name}" for name in "xyz"]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    lines += ["end_header", *(f"{i} 1 2 {i * 50} 0 255" for i in range(5))]
+    (tmp_path / "sparse_pc.ply").write_text("\n".join(lines) + "\n")
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    np.testing.assert_array_equal(capture.points, [(i, 1, 2) for i in range(5)])
+    np.testing.assert_array_equal(capture.point_colours, [(i * 50, 0, 255) for i in range(5)])
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"k1": 0.2, "k2": 0.02, "p1": 0.01, "p2": 0.01},
+        {"camera_model": "OPENCV", "k1": 0.2, "k3": 0.01},
+        {"camera_model": "OPENCV_FISHEYE", "k1": 0.01, "k4": 0.001},
+        {"is_fisheye": True, "k1": 0.4},
+    ],
+)
+def test_distortion_changes_the_photos(tmp_path, frames, photos, transforms, pixels_of, lens):
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS, **lens)
+    image = load_capture(tmp_path).photos[0].image()
+    assert not np.array_equal(image, pixels_of(0))
+
+
+def test_size_and_focal_length_where_the_file_does_not_say(tmp_path, frames, photos, transforms):
+    transforms(tmp_path / "transforms.json", frames, camera_angle_x=0.8, camera_angle_y=0.6)
+    camera = load_capture(tmp_path).photos[0].camera
+    assert (camera.width, camera.height) == (40, 30)
+    assert camera.fx == pytest.approx(20 / math.tan(0.4))
+    assert camera.fy == pytest.approx(15 / math.tan(0.3))
+
+
+def test_resized_poses(tmp_path, frames, photos, transforms, cameras_of):
+    for frame in frames:
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"])[:3] * ([[0.25] * 3 + [1]])).tolist()
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    for photo, camera in zip(load_capture(tmp_path).photos, cameras_of(9), strict=True):
+        np.testing.assert_allclose(photo.camera.world_to_camera, camera.world_to_camera, atol=1e-12)
+
+
+def test_held_out_by_list(tmp_path, frames, photos, transforms):
+    names = [frame["file_path"] for frame in frames]
+    transforms(
+        tmp_path / "transforms.json",
+        frames,
+        **INTRINSICS,
+        train_filenames=names[:7],
+        test_filenames=names[7:],
+    )
+    assert [photo.name for photo in load_capture(tmp_path).held_out] == names[7:]
+
+
+def test_masks_by_path_and_by_folder(tmp_path, frames, photos, transforms, png):
+    black_top = np.repeat(np.uint8([0, 255]), 15 * 40).reshape(30, 40)
+    png(tmp_path / "other/m.png", black_top)
+    png(tmp_path / "masks/2.png", black_top)
+    frames[1]["mask_path"] = "other/m.png"
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    photos_read = load_capture(tmp_path).photos
+    for i in (1, 2):
+        mask = photos_read[i].mask()
+        assert mask is not None
+        np.testing.assert_array_equal(mask, black_top > 0)
+    assert photos_read[0].mask() is None
+
+
+def test_the_3dgs_trainers_list(tmp_path, cameras_of, png, pixels_of):
+    entries = []
+    for i, camera in enumerate(cameras_of(5)):
+        png(tmp_path / f"images/v{i}.png", pixels_of(i))
+        entries.append(
+            {
+                "id": i,
+                "img_name": f"v{i}",
+                "width": 40,
+                "height": 30,
+                "position": camera.eye.tolist(),
+                "rotation": camera.R_camera_world.T.tolist(),
+                "fx": camera.fx,
+                "fy": camera.fy,
+            }
+        )
+    (tmp_path / "cameras.json").write_text(json.dumps(entries))
+    capture = load_capture(tmp_path)
+    assert [photo.name for photo in capture.photos] == [f"v{i}" for i in range(5)]
+    for i, (photo, camera) in enumerate(zip(capture.photos, cameras_of(5), strict=True)):
+        np.testing.assert_allclose(photo.camera.world_to_camera, camera.world_to_camera, atol=1e-9)
+        np.testing.assert_array_equal(photo.image(), pixels_of(i))
+
+
+def test_missing_photos_are_named(tmp_path, frames, photos, transforms):
+    (tmp_path / "images/4.png").unlink()
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    assert len(capture.photos) == 8
+    assert f"1 of 9 photos are not in {tmp_path} and are left out: images/4.png" in capture.warnings
