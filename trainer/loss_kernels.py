@@ -48,11 +48,10 @@ def along_row(row, i, w0, w1, w2, w3, w4, w5):
 def read_rows(image, photo, mask, y, x_row, y_row):
     """Row y of both pictures, colours interleaved; pixels that the mask leaves out are made equal."""
     number = image.dtype.type
-    scale = number(1) / number(255)
     for x in range(image.shape[1]):
         use = mask.size == 0 or mask[y, x]
         for channel in range(3):
-            truth = number(photo[y, x, channel]) * scale
+            truth = number(photo[y, x, channel]) / number(255)
             x_row[3 * x + channel] = image[y, x, channel] if use else truth
             y_row[3 * x + channel] = truth
 

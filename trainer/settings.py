@@ -19,7 +19,7 @@ PAPER_ITERATIONS = 30_000
 
 
 PIXELS_PER_SPLAT = 12
-LEAST_LIMIT, MOST_LIMIT = 20_000, 2_000_000
+LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
 
 def automatic_limit(pixels: int) -> int:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from ..measure.metrics import SSIM_WINDOW
 from ..scene import Camera, InputError
 from ..scene.captures import Photo
+from ..scene.captures.resample import area_averaged, wholly_valid
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,8 @@ class Shot:
         height = max(self.camera.height // factor, SSIM_WINDOW)
         if (width, height) == (self.camera.width, self.camera.height):
             return self
-        pixels = np.asarray(Image.fromarray(self.pixels).resize((width, height), Image.Resampling.BOX))
-        mask = None
-        if self.mask is not None:
-            grey = Image.fromarray(self.mask.astype(np.uint8) * 255)
-            # A small pixel is trained only where all that it covers is.
-            mask = np.asarray(grey.resize((width, height), Image.Resampling.BOX)) == 255
+        pixels = area_averaged(self.pixels, width, height)
+        mask = None if self.mask is None else wholly_valid(self.mask, width, height)
         return Shot(self.camera.resized(width, height), pixels, mask)
 
 

@@ -70,6 +70,6 @@ class Splats:
 
 
 def fresh(parameters: Parameters) -> Splats:
-    """Splats that no step has moved yet."""
+    """Splats that no step has moved yet; the arrays are copied."""
     zeros = [Parameters(*(np.zeros_like(array) for array in parameters)) for _ in range(2)]
-    return Splats(parameters, *zeros)
+    return Splats(Parameters(*(array.copy() for array in parameters)), *zeros)

@@ -89,7 +89,7 @@ def run(arguments: Sequence[str]) -> int:
         shots = Shots(shots_of(capture.train), seed)
         held_out = shots_of(capture.held_out)
     for warning in capture.warnings:
-        console.print(f"[yellow]{warning}", highlight=False)
+        console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
     if checkpoint is None:
         trainer = _new_trainer(capture, shots, seed, options)
     else:
@@ -98,16 +98,19 @@ def run(arguments: Sequence[str]) -> int:
         f"{capture.name}: {len(trainer.shots)} photos to train on, {len(held_out)} held out,"
         f" {shots.names()[0][1]}x{shots.names()[0][2]} px; {len(trainer.splats):,} splats to begin with",
         highlight=False,
+        soft_wrap=True,
     )
     if will_compile():
-        console.print("compiling the kernels: once per installation, about a minute", highlight=False)
+        console.print(
+            "compiling the kernels: once per installation, about a minute", highlight=False, soft_wrap=True
+        )
     with _bar(console) as bar:
         task = bar.add_task("", total=1.0, numbers="")
 
         def show(progress: Progress) -> None:
             step = progress.step
             if progress.evaluation is not None:
-                bar.console.print(_evaluation_line(progress), highlight=False)
+                bar.console.print(_evaluation_line(progress), highlight=False, soft_wrap=True)
             bar.update(task, completed=step.progress, numbers=_numbers(progress, session.evaluation))
 
         session = Session(
@@ -118,7 +121,7 @@ def run(arguments: Sequence[str]) -> int:
             eval_every=options.eval_every,
             notes={"downscale": downscale},
             on_progress=show,
-            on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False),
+            on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
         )
         completed = session.run()
     if not completed:
@@ -126,6 +129,7 @@ def run(arguments: Sequence[str]) -> int:
             f"stopped at step {trainer.counters.iteration:,}: {outputs.scene} is as far as it came;"
             f" go on with --resume {outputs.checkpoint}",
             highlight=False,
+            soft_wrap=True,
         )
         return EXIT_INTERRUPTED
     evaluation = session.final_evaluation()
@@ -233,6 +237,7 @@ def _print_summary(
         f"{outputs.scene}: {len(trainer.splats):,} splats, {counters.iteration:,} steps in"
         f" {counters.seconds:.1f} s",
         highlight=False,
+        soft_wrap=True,
     )
     if evaluation is not None:
-        console.print(f"side by side: {outputs.pictures}", highlight=False)
+        console.print(f"side by side: {outputs.pictures}", highlight=False, soft_wrap=True)

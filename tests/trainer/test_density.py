@@ -1,0 +1,138 @@
+"""The classic strategy: what is cloned, split, kept and pruned, and what becomes of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from splatview.raster import Parameters
+from splatview.trainer.density import (
+    CLONE,
+    KEEP,
+    PRUNE,
+    SPLIT,
+    ClassicControl,
+    decide,
+    dim,
+    sigmoid,
+    split,
+)
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import fresh
+
+EXTENT = 2.0
+
+
+def parameters_of(scales, opacities) -> Parameters:
+    count = len(scales)
+    rng = np.random.default_rng(0)
+    logits = np.log(np.array(opacities) / (1 - np.array(opacities)))
+    return Parameters(
+        means=rng.normal(size=(count, 3)).astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        log_scales=np.repeat(np.log(np.array(scales))[:, None], 3, axis=1).astype(np.float32),
+        opacity_logits=logits.astype(np.float32),
+        sh=rng.normal(size=(count, 4, 3)).astype(np.float32),
+    )
+
+
+def control_of(pulled, **options) -> ClassicControl:
+    control = ClassicControl(TrainSettings(strategy="classic", **options), EXTENT)
+    control.begin(len(pulled))
+    control.pulled[:] = 2 * np.array(pulled)
+    control.seen[:] = 2
+    return control
+
+
+def test_worked_example() -> None:
+    actions = decide(
+        np.array([0.09, 0.12, 0.01, 0.02]),
+        np.array([0.008, 0.05, 0.02, 0.01]),
+        np.array([0.6, 0.7, 0.5, 0.005]),
+        gradient_threshold=0.05,
+        scale_threshold=0.03,
+        opacity_threshold=0.01,
+    )
+    assert actions.tolist() == [CLONE, SPLIT, KEEP, PRUNE]
+
+
+@pytest.mark.parametrize("bad", range(3))
+def test_splats_that_are_no_numbers_are_pruned(bad: int) -> None:
+    values = [np.array([0.1, 0.1]), np.array([0.1, 0.1]), np.array([0.5, 0.5])]
+    values[bad][0] = np.nan
+    actions = decide(*values, gradient_threshold=0.05, scale_threshold=0.03, opacity_threshold=0.01)
+    assert actions.tolist() == [PRUNE, SPLIT]
+
+
+def test_refinement_does_what_was_decided() -> None:
+    # Clone, split, keep, prune; the limits of scale are 0.01 and 0.1 of the extent.
+    splats = fresh(parameters_of([0.01, 0.1, 0.1, 0.1], [0.6, 0.7, 0.5, 0.004]))
+    for group in (splats.first, splats.second):
+        for array in group:
+            array[:] = 1
+    before = splats.snapshot()
+    control = control_of([1e-3, 1e-3, 1e-5, 1e-3])
+    refined = control.refine(splats, 0.05, np.random.default_rng(0))
+    after = refined.parameters
+    # Kept in order, then clones, then both halves of what was split.
+    assert len(refined) == 5
+    np.testing.assert_array_equal(after.means[:3], before.means[[0, 2, 0]])
+    np.testing.assert_array_equal(after.sh[2:], before.sh[[0, 1, 1]])
+    np.testing.assert_allclose(np.exp(after.log_scales[3:]), 0.1 / 1.6, rtol=1e-5)
+    assert (after.means[3] != after.means[4]).all()
+    for array in refined.first:
+        assert (array[:2] == 1).all() and (array[2:] == 0).all()
+    assert (control.seen == 0).all() and len(control.seen) == 5
+
+
+def test_halves_are_drawn_from_the_splat() -> None:
+    one = parameters_of([1.0], [0.5])
+    one.log_scales[0] = np.log([0.5, 0.1, 2.0])
+    one.quats[0] = (math.cos(math.pi / 8), 0, 0, math.sin(math.pi / 8))  # 45° about z
+    many = Parameters(*(np.repeat(array, 20_000, axis=0) for array in one))
+    halves = split(many, np.random.default_rng(0))
+    c = math.cos(math.pi / 4)
+    rotation = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
+    expected = rotation @ np.diag([0.25, 0.01, 4.0]) @ rotation.T
+    np.testing.assert_allclose(np.cov(halves.means.T), expected, atol=0.06)
+    np.testing.assert_allclose(halves.means.mean(axis=0), one.means[0], atol=0.05)
+
+
+def test_the_room_left_goes_to_those_pulled_most() -> None:
+    splats = fresh(parameters_of([0.01] * 5, [0.5] * 5))
+    control = control_of([3e-3, 1e-3, 5e-3, 2e-3, 4e-3], max_splats=7)
+    before = splats.snapshot()
+    refined = control.refine(splats, 0.05, np.random.default_rng(0))
+    assert len(refined) == 7
+    np.testing.assert_array_equal(refined.parameters.means[5:], before.means[[2, 4]])
+
+
+def test_a_reset_dims_all_once_each_period() -> None:
+    splats = fresh(parameters_of([0.01] * 3, [0.9, 0.5, 0.008]))
+    splats.first.opacity_logits[:] = 1
+    control = control_of([0, 0, 0])
+    splats = control.refine(splats, 0.09, np.random.default_rng(0))
+    np.testing.assert_allclose(sigmoid(splats.parameters.opacity_logits), [0.9, 0.5, 0.008], rtol=1e-5)
+    splats = control.refine(splats, 0.11, np.random.default_rng(0))
+    np.testing.assert_allclose(sigmoid(splats.parameters.opacity_logits), [0.01, 0.01, 0.008], rtol=1e-5)
+    assert (splats.first.opacity_logits == 0).all()
+    splats.parameters.opacity_logits[:] = 1
+    splats = control.refine(splats, 0.15, np.random.default_rng(0))
+    assert (splats.parameters.opacity_logits == 1).all()
+
+
+def test_giants_go_after_the_first_reset() -> None:
+    splats = fresh(parameters_of([0.01, 0.3], [0.9, 0.9]))
+    control = control_of([0, 0])
+    splats = control.refine(splats, 0.11, np.random.default_rng(0))
+    assert len(splats) == 2
+    dim(splats)
+    splats = control.refine(splats, 0.12, np.random.default_rng(0))
+    assert np.exp(splats.parameters.log_scales).max() < 0.02
+
+
+def test_a_scene_is_never_pruned_to_nothing() -> None:
+    splats = fresh(parameters_of([0.01] * 3, [0.001] * 3))
+    assert len(control_of([0, 0, 0]).refine(splats, 0.05, np.random.default_rng(0))) == 3

@@ -1,0 +1,111 @@
+"""The sampling strategy: the dead move, the picture stays, the number grows, the faint wander."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from splatview.raster import Parameters
+from splatview.trainer.density import sigmoid
+from splatview.trainer.mcmc import DEAD, SampledControl, shared
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import Splats, fresh
+
+
+def splats_of(opacities) -> Splats:
+    count = len(opacities)
+    rng = np.random.default_rng(0)
+    opacities = np.array(opacities)
+    return fresh(
+        Parameters(
+            means=rng.normal(size=(count, 3)).astype(np.float32),
+            quats=rng.normal(size=(count, 4)).astype(np.float32),
+            log_scales=rng.normal(-1, 1, size=(count, 3)).astype(np.float32),
+            opacity_logits=np.log(opacities / (1 - opacities)).astype(np.float32),
+            sh=rng.normal(size=(count, 1, 3)).astype(np.float32),
+        )
+    )
+
+
+def control_of(count: int, **options) -> SampledControl:
+    return SampledControl(TrainSettings(strategy="mcmc", **options), 1.0, count)
+
+
+@pytest.mark.parametrize("copies", [1, 2, 5, 51])
+@pytest.mark.parametrize("opacity", [0.01, 0.5, 0.99])
+def test_copies_together_look_like_the_one(copies: int, opacity: float) -> None:
+    each, shrink = shared(np.array([opacity]), np.array([copies]))
+    assert 1 - (1 - each[0]) ** copies == pytest.approx(opacity, rel=1e-9)
+    # Along a line through the middle: the integral of alpha is kept.
+    x = np.linspace(-40, 40, 40_001)
+    together = 1 - (1 - each[0] * np.exp(-0.5 * (x / shrink[0]) ** 2)) ** copies
+    alone = opacity * np.exp(-0.5 * x**2)
+    assert together.sum() == pytest.approx(alone.sum(), rel=1e-6)
+
+
+def test_the_dead_move_onto_the_living() -> None:
+    splats = splats_of([0.9, 0.001, 0.5, 0.002, 0.8])
+    before = splats.snapshot()
+    for group in (splats.first, splats.second):
+        for array in group:
+            array[:] = 1
+    control = control_of(5, max_splats=5)
+    refined = control.refine(splats, 0.1, np.random.default_rng(0))
+    assert len(refined) == 5
+    alive = before.means[[0, 2, 4]]
+    for dead in (1, 3):
+        assert (refined.parameters.means[dead] == alive).all(axis=1).any()
+        assert refined.first.means[dead].tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(refined.parameters.means[[0, 2, 4]], alive)
+    assert (sigmoid(refined.parameters.opacity_logits) > DEAD).all()
+    moved_onto = [i for i in (0, 2, 4) if (refined.parameters.means[[1, 3]] == before.means[i]).all(1).any()]
+    for i in moved_onto:
+        assert refined.parameters.opacity_logits[i] < before.opacity_logits[i]
+
+
+def test_the_number_grows_by_even_factors_to_the_limit() -> None:
+    control = control_of(100, max_splats=1600, refine_from=0.1, grow_for=0.4)
+    counts = [control.count_at(progress) for progress in (0, 0.1, 0.2, 0.3, 0.5, 1)]
+    assert counts == [100, 100, 200, 400, 1600, 1600]
+    splats = control.refine(splats_of([0.5] * 100), 0.3, np.random.default_rng(0))
+    assert len(splats) == 400
+    assert control_of(100, max_splats=10).count_at(0.9) == 100
+
+
+def test_a_scene_of_the_dead_is_left_alone() -> None:
+    splats = splats_of([0.001, 0.001])
+    assert control_of(2).refine(splats, 0.1, np.random.default_rng(0)) is splats
+
+
+def test_noise_has_the_shape_of_the_splat_and_spares_the_opaque() -> None:
+    count = 40_000
+    splats = splats_of([0.001] * count)
+    parameters = splats.parameters
+    parameters.log_scales[:] = np.log([0.5, 0.1, 1.0])
+    parameters.quats[:] = (math.cos(math.pi / 8), 0, 0, math.sin(math.pi / 8))  # 45° about z
+    parameters.opacity_logits[::2] = 3.0
+    before = parameters.means.copy()
+    control = control_of(count, noise=2.0)
+    control.after_step(splats, [np.arange(count, dtype=np.int32)], 0.5, 7, 1)
+    shift = (parameters.means - before).astype(np.float64)
+    assert (shift[::2] == 0).all()
+    c = math.cos(math.pi / 4)
+    rotation = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
+    fade = 1 / (1 + math.exp(-100 * (1 - 0.001 - 0.995)))
+    expected = rotation @ np.diag([0.25, 0.01, 1.0]) @ rotation.T  # noise is covariance · normal
+    np.testing.assert_allclose(np.cov(shift[1::2].T), (fade * expected) @ (fade * expected).T, atol=0.02)
+    np.testing.assert_allclose(shift[1::2].mean(axis=0), 0, atol=0.02)
+
+
+def test_noise_depends_on_seed_and_step_only() -> None:
+    def moved(step: int, seed: int, pieces: int, threads: int) -> np.ndarray:
+        splats = splats_of([0.01] * 500)
+        seen = np.array_split(np.arange(500, dtype=np.int32), pieces)
+        control_of(500, seed=seed).after_step(splats, seen, 1e-6, step, threads)
+        return splats.parameters.means
+
+    np.testing.assert_array_equal(moved(3, 1, 1, 1), moved(3, 1, 7, 2))
+    assert (moved(3, 1, 1, 1) != moved(4, 1, 1, 1)).any()
+    assert (moved(3, 1, 1, 1) != moved(3, 2, 1, 1)).any()

@@ -1,0 +1,225 @@
+"""Whole runs on a small capture with known truth: they learn, repeat, resume, and survive a kill."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.scene import InputError
+from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.evaluate import evaluate
+from splatview.trainer.settings import TrainSettings, automatic_limit
+from splatview.trainer.shots import Shot, Shots
+from splatview.trainer.training import Trainer
+
+
+def run(trainer: Trainer, steps: int) -> list[float]:
+    return [trainer.step().loss for _ in range(steps)]
+
+
+def assert_equal(a: Trainer, b: Trainer) -> None:
+    assert len(a.splats) == len(b.splats)
+    for ours, theirs in zip(a.splats._groups(), b.splats._groups(), strict=True):
+        for x, y in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("strategy", ["classic", "mcmc"])
+def test_a_run_learns_the_scene(make_trainer, shots: list[Shot], strategy: str) -> None:
+    trainer = make_trainer(iterations=500, strategy=strategy)
+    before = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    while not trainer.done:
+        report = trainer.step()
+    after = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    assert report.iteration == 500 and report.progress == 1
+    # Measured: from 13 dB to above 27 dB on the photo held out.
+    assert after.psnr > max(before.psnr + 8, 22)
+    assert after.ssim > before.ssim
+    assert trainer.splats.sh_degree == 3
+    assert all(np.isfinite(array).all() for array in trainer.splats.parameters)
+
+
+@pytest.mark.parametrize("strategy", ["classic", "mcmc"])
+def test_equal_seeds_repeat_bit_for_bit(make_trainer, strategy: str) -> None:
+    first, second = (make_trainer(strategy=strategy, seed=5) for _ in range(2))
+    assert run(first, 130) == run(second, 130)
+    assert_equal(first, second)
+    other = make_trainer(strategy=strategy, seed=6)
+    assert run(other, 130)[-1] != second.step().loss
+
+
+def test_bands_are_unlocked_in_turn(make_trainer) -> None:
+    trainer = make_trainer(iterations=100, sh_every=0.2)
+    degrees = []
+    for _ in range(100):
+        trainer.step()
+        degrees.append(trainer.splats.sh_degree)
+    assert [degrees.index(degree) for degree in (0, 1, 2, 3)] == [0, 20, 40, 60]
+    assert trainer.splats.first.sh.shape[1] == 16
+
+
+def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
+    behind = start._replace(means=start.means + np.float32(1e4))
+    for seen_only in (True, False):
+        trainer = make_trainer(seen_only=seen_only, strategy="classic")
+        far = Trainer(trainer.shots, behind, 3.0, trainer.settings)
+        far.splats.first.means[:] = 1
+        far.step()
+        assert (far.splats.parameters.means == behind.means).all() == seen_only
+
+
+@pytest.mark.parametrize("strategy", ["classic", "mcmc"])
+def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strategy: str) -> None:
+    path = tmp_path / "run.safetensors"
+    whole = make_trainer(strategy=strategy)
+    run(whole, 170)
+    part = make_trainer(strategy=strategy)
+    run(part, 77)
+    save_checkpoint(part, path, {"downscale": 2})
+    checkpoint = load_checkpoint(path)
+    assert checkpoint.notes == {"downscale": 2}
+    assert checkpoint.settings == part.settings
+    resumed = Trainer(
+        part.shots, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
+    )
+    restore(resumed, checkpoint)
+    assert_equal(resumed, part)
+    run(resumed, 93)
+    assert_equal(resumed, whole)
+
+
+def test_checkpoints_of_other_photos_are_refused(make_trainer, shots, start, tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    trainer = make_trainer()
+    save_checkpoint(trainer, path)
+    other = Trainer(Shots(shots[2:], 0), start, 3.0, trainer.settings)
+    with pytest.raises(InputError, match="other photos"):
+        restore(other, load_checkpoint(path))
+
+
+def test_bad_checkpoints_are_one_clear_line(make_trainer, tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    with pytest.raises(InputError, match="no such file"):
+        load_checkpoint(path)
+    save_checkpoint(make_trainer(), path)
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for cut in (0, 5, 200, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:cut])
+        with pytest.raises(InputError, match="checkpoint"):
+            load_checkpoint(path)
+    header = int.from_bytes(data[:8], "little")
+    for _ in range(60):
+        damaged = bytearray(data)
+        damaged[int(rng.integers(8, 8 + header))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            load_checkpoint(path)  # a changed digit of a number may pass
+        except InputError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+
+
+KILLED = """
+import sys
+import numpy as np
+from pathlib import Path
+from splatview.raster import Parameters
+from splatview.scene import look_at
+from splatview.trainer.checkpoint import save_checkpoint
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.shots import Shot, Shots
+from splatview.trainer.training import Trainer
+n = 20000
+p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
+               np.zeros(n, np.float32), np.zeros((n, 16, 3), np.float32))
+camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
+trainer = Trainer(Shots([Shot(camera, np.zeros((16, 16, 3), np.uint8))], 0), p, 1.0, TrainSettings())
+while True:
+    for array in trainer.splats.parameters:
+        array[:] = trainer.counters.iteration
+    save_checkpoint(trainer, Path(sys.argv[1]))
+    print(trainer.counters.iteration, flush=True)
+    trainer.counters.iteration += 1
+"""
+
+
+def test_a_kill_at_any_moment_leaves_a_whole_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(rng.uniform(0.02, 0.2))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        checkpoint = load_checkpoint(path)
+        for array in checkpoint.splats.parameters:
+            assert (array == checkpoint.counters.iteration).all()
+
+
+def test_photos_come_once_each_in_every_round(shots: list[Shot]) -> None:
+    count = len(shots)
+    order = Shots(shots, seed=3)
+    rounds = [[order.at(count * epoch + i).camera.name for i in range(count)] for epoch in range(3)]
+    assert all(sorted(names) == sorted(shot.camera.name for shot in shots) for names in rounds)
+    assert rounds[0] != rounds[1]
+    again = Shots(shots, seed=3)
+    assert [again.at(2 * count + i).camera.name for i in range(count)] == rounds[2]
+
+
+def test_smaller_photos_are_averages_with_the_same_view(shots: list[Shot]) -> None:
+    mask = np.ones((40, 48), np.bool_)
+    mask[0, 0] = False
+    small = replace(shots[0], mask=mask).smaller(2)
+    assert small.pixels.shape == (20, 24, 3) and small.camera.fx == shots[0].camera.fx / 2
+    blocks = shots[0].pixels.astype(float).reshape(20, 2, 24, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(small.pixels, blocks, atol=0.51)
+    assert small.mask is not None and not small.mask[0, 0] and small.mask.sum() == 479
+    assert shots[0].smaller(10).pixels.shape == (11, 11, 3)
+
+
+def test_photos_too_small_for_the_loss_are_named(shots: list[Shot]) -> None:
+    camera = shots[0].camera.resized(10, 40)
+    with pytest.raises(InputError, match=r"view_0.png: 10x40 is too small"):
+        Shot(camera, np.zeros((40, 10, 3), np.uint8))
+
+
+def test_schedules_scale_with_the_length_of_the_run() -> None:
+    long, short = TrainSettings(iterations=30_000), TrainSettings(iterations=2_000)
+    for share in (0, 0.1, 0.5, 1):
+        a, b = (s.progress(round(share * (s.iterations or 0)), 0) for s in (long, short))
+        assert a == b == share
+        assert long.rates(a, 2.0) == short.rates(b, 2.0)
+    assert long.rates(0, 2.0).means == pytest.approx(2 * long.means_rate)
+    assert long.rates(1, 2.0).means == pytest.approx(2 * long.means_rate_end)
+    assert long.rates(0.5, 1.0).means == pytest.approx((long.means_rate * long.means_rate_end) ** 0.5)
+    timed = TrainSettings(iterations=None, minutes=2)
+    assert timed.progress(10**6, 30) == 0.25
+    both = TrainSettings(iterations=100, minutes=1)
+    assert both.progress(50, 6) == 0.5 and both.progress(5, 90) == 1
+
+
+def test_settings_that_make_no_sense_are_named() -> None:
+    for options, name in (
+        ({"iterations": None}, "iterations or minutes"),
+        ({"iterations": 0}, "iterations"),
+        ({"minutes": float("nan")}, "minutes"),
+        ({"sh_degree": 4}, "sh_degree"),
+        ({"seed": -1}, "seed"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            TrainSettings(**options)
+
+
+def test_the_automatic_limit_follows_the_pixels() -> None:
+    assert automatic_limit(0) < automatic_limit(10**7) < automatic_limit(10**9)
