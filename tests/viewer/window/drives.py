@@ -311,6 +311,15 @@ def trouble(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, An
     found["still_loading"] = core.loading is not None
 
 
+def look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Which renderer shows what."""
+    hand.settle()
+    assert core.picture is not None
+    found["renderer"] = core.picture.name
+    found["camera"] = camera_json(core)
+    found["pixel_sum"] = float(hand.picture()[..., :3].sum())
+
+
 def slow_down() -> None:
     """Reading takes some ten seconds from here on, unless it is cancelled."""
 
