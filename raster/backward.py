@@ -36,7 +36,6 @@ from .forward import (
     G_Y,
     GATHERED,
     STRIPS,
-    aligned,
     gather,
     touched_blocks,
 )
@@ -45,6 +44,7 @@ from .simd import (
     BLOCK_WIDTH,
     LANES,
     absolute,
+    aligned,
     any_above,
     column_centres,
     exp2,

@@ -18,6 +18,7 @@ from .simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
     LANES,
+    aligned,
     any_above,
     ceil,
     column_centres,
@@ -51,8 +52,6 @@ PIXELS = STRIPS * BLOCKS * 4 * LANES
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
-CACHE_LINE = 64
-
 # Columns of `gathered`, CHUNK numbers each.
 G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE = range(9)
 GATHERED = 9
@@ -60,14 +59,6 @@ GATHERED = 9
 EARLY_STOP = 1e-5
 """A pixel ends when less light than this comes through: what is left out is at most this times the
 brightest colour behind."""
-
-
-@inline
-def aligned(count, dtype):
-    """`count` numbers of any contents that begin at a cache line; numba aligns to half of one."""
-    whole = np.empty(count + LANES, dtype)
-    skip = (-whole.ctypes.data % CACHE_LINE) // whole.itemsize
-    return whole[skip : skip + count]
 
 
 @inline

@@ -24,7 +24,18 @@ from ..scene.image_model import MIN_QUAT_COMPONENT
 from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 from .compiling import inline, kernel
-from .simd import exp
+from .simd import (
+    LANES,
+    aligned,
+    exp,
+    exp_lanes,
+    fill,
+    keep_if_at_least,
+    keep_if_below,
+    load,
+    log2_lanes,
+    store,
+)
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY = range(13)
 RECORD = 16
@@ -54,13 +65,6 @@ def is_finite(value):
 
 
 @inline
-def usable_quat(w, x, y, z):
-    largest = max(abs(w), abs(x), abs(y), abs(z))
-    finite = is_finite(w) and is_finite(x) and is_finite(y) and is_finite(z)
-    return finite and largest >= MIN_QUAT_COMPONENT
-
-
-@inline
 def rotation_matrix(w, x, y, z):
     """Unit quaternion -> nine entries, row by row."""
     return (
@@ -83,10 +87,18 @@ def sigmoid(logit):
 
 
 @inline
+def sigmoid_lanes(logit):
+    """The same in every lane."""
+    decay = exp_lanes(-abs(logit))
+    one, zero = fill(logit, 1.0), fill(logit, 0.0)
+    return (keep_if_at_least(one, logit, zero) + keep_if_below(decay, logit, zero)) / (one + decay)
+
+
+@inline
 def image_axes(view, tx, ty, tz):
     """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
     r = view.rotation
-    nearness = 1 / tz
+    nearness = 1.0 / tz
     u = min(max(tx * nearness, view.min_u), view.max_u)
     v = min(max(ty * nearness, view.min_v), view.max_v)
     fx, fy = view.fx * nearness, view.fy * nearness
@@ -160,6 +172,120 @@ def sh_sum(sh, splat, basis, count):
     return red, green, blue
 
 
+# A group of LANES splats is worked on in columns of LANES float64 numbers each: first what is loaded, ...
+OFFSET, QUAT, LOG_SCALE, LOGIT = 0, 3, 7, 10
+# ... then what `project_group` makes of it: the order of a record, the direction, the depth, and 1 or 0 for
+# whether the splat is drawn, its colour apart.
+FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 24, 27, 28
+COLUMNS = 29
+
+
+@inline
+def load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes):
+    """Copies the parameters of splat i to a lane of the columns; its mean becomes an offset from the eye."""
+    for axis in range(3):
+        lanes[(OFFSET + axis) * LANES + lane] = np.float64(means[i, axis]) - view.eye[axis]
+        lanes[(LOG_SCALE + axis) * LANES + lane] = log_scales[i, axis]
+    for component in range(4):
+        lanes[(QUAT + component) * LANES + lane] = quats[i, component]
+    lanes[LOGIT * LANES + lane] = opacity_logits[i]
+
+
+@inline
+def column(lanes, index):
+    return load(lanes, index * LANES)
+
+
+@inline
+def set_column(lanes, index, value):
+    store(lanes, index * LANES, value)
+
+
+@inline
+def three_columns(lanes, index):
+    return column(lanes, index), column(lanes, index + 1), column(lanes, index + 2)
+
+
+@inline
+def set_three(lanes, index, x, y, z):
+    set_column(lanes, index, x)
+    set_column(lanes, index + 1, y)
+    set_column(lanes, index + 2, z)
+
+
+@inline
+def four_columns(lanes, index):
+    return column(lanes, index), column(lanes, index + 1), column(lanes, index + 2), column(lanes, index + 3)
+
+
+@inline
+def if_finite(drawn, value):
+    """`drawn`, and 0 where a value is not finite in float32."""
+    return keep_if_at_least(drawn, fill(drawn, FLOAT32_MAX), abs(value))
+
+
+@inline
+def if_three_finite(drawn, x, y, z):
+    return if_finite(if_finite(if_finite(drawn, x), y), z)
+
+
+@inline
+def project_group(view, lanes):
+    """Fills the columns from FOOTPRINT on from the loaded ones."""
+    ox, oy, oz = three_columns(lanes, OFFSET)
+    tx, ty, tz = camera_point(view, ox, oy, oz)
+    nothing, one = fill(tx, 0.0), fill(tx, 1.0)
+    drawn = keep_if_at_least(one, tz, fill(tz, view.near))
+    drawn = if_three_finite(if_three_finite(drawn, ox, oy, oz), tx, ty, tz)
+    nearness, away = one / tz, one / math.sqrt(ox * ox + oy * oy + oz * oz)
+    set_column(lanes, DEPTH, tz)
+    set_three(lanes, TOWARDS, ox * away, oy * away, oz * away)
+
+    qw, qx, qy, qz = four_columns(lanes, QUAT)
+    largest = max(max(abs(qw), abs(qx)), max(abs(qy), abs(qz)))  # noqa: PLW3301 vectors come in twos
+    drawn = keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))
+    drawn = if_finite(if_three_finite(drawn, qw, qx, qy), qz)
+    shrink = one / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    sx, sy, sz = three_columns(lanes, LOG_SCALE)
+    sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
+    drawn = if_three_finite(drawn, sx, sy, sz)
+
+    rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
+    axes = splat_axes(image_axes(view, tx, ty, tz), rotation, sx, sy, sz)
+    xx, xy, yy, det, unblurred = covariance(axes, view.blur)
+    drawn = if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)
+    opacity = sigmoid_lanes(column(lanes, LOGIT))
+    if view.antialiased:
+        opacity = opacity * math.sqrt(unblurred / det)
+    drawn = keep_if_below(drawn, nothing, opacity)
+    drawn = keep_if_at_least(drawn, opacity, fill(opacity, view.alpha_cut))
+
+    inverse_yy = one / yy
+    a, c = math.sqrt(yy / det), math.sqrt(inverse_yy)
+    b = -(xy * inverse_yy * a)
+    drawn = if_three_finite(drawn, a, b, c)
+    x, y = tx * nearness * view.fx + view.cx, ty * nearness * view.fy + view.cy
+    drawn = if_finite(if_finite(drawn, x), y)
+    log2_opacity = log2_lanes(opacity)
+    # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
+    reach = (log2_opacity - view.log2_cut) * (1 / HALF_LOG2_E)
+    rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
+    drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
+    drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))
+    drawn = keep_if_at_least(drawn, fill(x, view.width - 0.5), x - rx)
+    drawn = keep_if_at_least(drawn, fill(y, view.height - 0.5), y - ry)
+
+    set_column(lanes, DRAWN, drawn)
+    set_column(lanes, FOOTPRINT + X, x)
+    set_column(lanes, FOOTPRINT + Y, y)
+    set_column(lanes, FOOTPRINT + A, a * CONIC_SCALE)
+    set_column(lanes, FOOTPRINT + B, b * CONIC_SCALE)
+    set_column(lanes, FOOTPRINT + C, c * CONIC_SCALE)
+    set_column(lanes, FOOTPRINT + LOG2_OPACITY, log2_opacity)
+    set_column(lanes, FOOTPRINT + RX, rx)
+    set_column(lanes, FOOTPRINT + RY, ry)
+
+
 @kernel
 def project(
     start, stop, bounds, means, quats, log_scales, opacity_logits, sh, degree, view, records, depths, visible
@@ -174,83 +300,37 @@ def project(
     basis = np.empty(16, np.float64)
     coefficients = (degree + 1) * (degree + 1)
     number = records.dtype.type
+    lanes = aligned(COLUMNS * LANES, np.float64)
     least, greatest = np.inf, -np.inf
     count = 0
-    for i in range(start, stop):
-        ox = np.float64(means[i, 0]) - view.eye[0]
-        oy = np.float64(means[i, 1]) - view.eye[1]
-        oz = np.float64(means[i, 2]) - view.eye[2]
-        tx, ty, tz = camera_point(view, ox, oy, oz)
-        if not (tz >= view.near and is_finite(tx) and is_finite(ty) and is_finite(tz)):
-            continue
-        if not (is_finite(ox) and is_finite(oy) and is_finite(oz)):
-            continue
-        opacity = sigmoid(np.float64(opacity_logits[i]))
-        if not (opacity > 0 and opacity >= view.alpha_cut):
-            continue
-        qw, qx, qy, qz = (
-            np.float64(quats[i, 0]),
-            np.float64(quats[i, 1]),
-            np.float64(quats[i, 2]),
-            np.float64(quats[i, 3]),
-        )
-        if not usable_quat(qw, qx, qy, qz):
-            continue
-        sx = exp(np.float64(log_scales[i, 0]))
-        sy = exp(np.float64(log_scales[i, 1]))
-        sz = exp(np.float64(log_scales[i, 2]))
-        if not (is_finite(sx) and is_finite(sy) and is_finite(sz)):
-            continue
-
-        shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-        rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
-        axes = splat_axes(image_axes(view, tx, ty, tz), rotation, sx, sy, sz)
-        xx, xy, yy, det, unblurred = covariance(axes, view.blur)
-        if not (det > 0 and is_finite(xx) and is_finite(xy) and is_finite(yy)):
-            continue
-        if view.antialiased:
-            opacity *= math.sqrt(unblurred / det)
-            if not (opacity > 0 and opacity >= view.alpha_cut):
+    for first in range(start, stop, LANES):
+        for lane in range(LANES):  # beyond the end the last again
+            splat = min(first + lane, stop - 1)
+            load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
+        project_group(view, lanes)
+        for lane in range(min(LANES, stop - first)):
+            if not lanes[DRAWN * LANES + lane] > 0:
                 continue
-        a = math.sqrt(yy / det)
-        inverse_yy = 1 / yy
-        b = -xy * inverse_yy * a
-        c = math.sqrt(inverse_yy)
-        x, y = view.fx * (tx / tz) + view.cx, view.fy * (ty / tz) + view.cy
-        if not (is_finite(a) and is_finite(b) and is_finite(c) and is_finite(x) and is_finite(y)):
-            continue
-        log2_opacity = math.log2(opacity)
-        # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
-        reach = (log2_opacity - view.log2_cut) * (1 / HALF_LOG2_E)
-        rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
-        if not (
-            x + rx >= 0.5 and x - rx <= view.width - 0.5 and y + ry >= 0.5 and y - ry <= view.height - 0.5
-        ):
-            continue
+            i = first + lane
+            towards = TOWARDS * LANES + lane
+            sh_basis(lanes[towards], lanes[towards + LANES], lanes[towards + 2 * LANES], degree, basis)
+            red, green, blue = sh_sum(sh, i, basis, coefficients)
+            if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
+                continue
+            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+            if not (is_finite(red) and is_finite(green) and is_finite(blue)):
+                continue
 
-        away = 1 / math.sqrt(ox * ox + oy * oy + oz * oz)
-        sh_basis(ox * away, oy * away, oz * away, degree, basis)
-        red, green, blue = sh_sum(sh, i, basis, coefficients)
-        if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
-            continue
-        red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
-        if not (is_finite(red) and is_finite(green) and is_finite(blue)):
-            continue
-
-        record = records[i]
-        record[X], record[Y] = number(x), number(y)
-        record[X_REST], record[Y_REST] = number(x - record[X]), number(y - record[Y])
-        record[A], record[B], record[C] = (
-            number(a * CONIC_SCALE),
-            number(b * CONIC_SCALE),
-            number(c * CONIC_SCALE),
-        )
-        record[LOG2_OPACITY] = number(log2_opacity)
-        record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
-        record[RX], record[RY] = number(rx), number(ry)
-        depths[i] = tz
-        least, greatest = min(least, tz), max(greatest, tz)
-        visible[start + count] = i
-        count += 1
+            record = records[i]
+            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY):
+                record[field] = number(lanes[(FOOTPRINT + field) * LANES + lane])
+            record[X_REST] = number(lanes[(FOOTPRINT + X) * LANES + lane] - record[X])
+            record[Y_REST] = number(lanes[(FOOTPRINT + Y) * LANES + lane] - record[Y])
+            record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
+            depth = lanes[DEPTH * LANES + lane]
+            depths[i] = depth
+            least, greatest = min(least, depth), max(greatest, depth)
+            visible[start + count] = i
+            count += 1
     bounds[0], bounds[1] = least, greatest
     return count

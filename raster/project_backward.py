@@ -11,21 +11,31 @@ import math
 import numpy as np
 
 from ..scene.sh import SH_C1, SH_C2, SH_C3
-from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, TU, TUX, TUY, TV, TVY, T
+from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
 from .compiling import inline, kernel
 from .pool import SPLATS_PER_TASK
 from .project import (
     CONIC_SCALE,
+    LOG_SCALE,
+    LOGIT,
+    OFFSET,
+    QUAT,
     camera_point,
+    column,
     covariance,
+    four_columns,
     image_axes,
+    load_splat,
     rotation_matrix,
+    set_column,
+    set_three,
     sh_basis,
     sh_sum,
-    sigmoid,
+    sigmoid_lanes,
     splat_axes,
+    three_columns,
 )
-from .simd import exp
+from .simd import LANES, aligned, exp_lanes, fill, keep_if_at_least
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
@@ -82,21 +92,21 @@ def _set(rows, row, x, y, z):
 
 @inline
 def axes_gradient(m, xy, yy, det, unblurred, blur, antialiased, sums):
-    """dL/dM (2, 3), row by row, from a splat's sums; m, xy, yy, det, unblurred as `covariance` has them."""
-    inverse_det, inverse_yy = 1 / det, 1 / yy
+    """dL/dM (2, 3), row by row, from a group's sums; m, xy, yy, det, unblurred as `covariance` has them."""
+    inverse_det, inverse_yy = 1.0 / det, 1.0 / yy
     a = math.sqrt(yy * inverse_det)
     b_by_a = -xy * inverse_yy
-    d_a, d_b, d_c = -sums[TUX] * PER_SCALE, -sums[TUY] * PER_SCALE, -sums[TVY] * PER_SCALE
+    d_b, d_c = column(sums, TUY) * -PER_SCALE, column(sums, TVY) * -PER_SCALE
     # a = (yy/det)^½, b = -xy/yy·a, c = yy^-½
-    d_a += d_b * b_by_a
+    d_a = column(sums, TUX) * -PER_SCALE + d_b * b_by_a
     d_xy = -d_b * a * inverse_yy
     d_yy = (0.5 * a * d_a - b_by_a * a * d_b - 0.5 * math.sqrt(inverse_yy) * d_c) * inverse_yy
     d_det = -0.5 * a * inverse_det * d_a
-    d_unblurred = 0.0
+    d_unblurred = d_det
     if antialiased:  # the opacity's factor is (unblurred / det)^½
-        d_det -= 0.5 * sums[T] * inverse_det
-        d_unblurred = 0.5 * sums[T] / unblurred
-    d_unblurred += d_det
+        by_det = 0.5 * column(sums, T) * inverse_det
+        d_det = d_det - by_det
+        d_unblurred = d_det + 0.5 * column(sums, T) / unblurred
     # unblurred = |n|², n = m0 x m1; det = unblurred + blur·(|m0|² + |m1|²) + blur²; yy = |m1|² + blur
     nx, ny, nz = m[1] * m[5] - m[2] * m[4], m[2] * m[3] - m[0] * m[5], m[0] * m[4] - m[1] * m[3]
     nx, ny, nz = 2 * d_unblurred * nx, 2 * d_unblurred * ny, 2 * d_unblurred * nz
@@ -120,6 +130,124 @@ def quat_gradient(w, x, y, z, d):
         2 * (x * (d[1] + d[3]) + z * (d[5] + d[7]) + w * (d[2] - d[6]) - 2 * y * (d[0] + d[8])),
         2 * (x * (d[2] + d[6]) + y * (d[5] + d[7]) + w * (d[3] - d[1]) - 2 * z * (d[0] + d[4])),
     )
+
+
+# What `differentiate_group` makes of a group, in columns as in `project`: gradients by the world position as
+# far as it moves the footprint, by quaternion, scales, logit and mean in the image; the sums by absolute
+# value; unit direction and inverse distance from the eye; gradients by camera position and by turning.
+D_POSITION, D_QUAT, D_LOG_SCALE, D_LOGIT, D_MEAN2D, ABS_MEAN2D, DIRECTION, AWAY, D_SHIFT, D_TURN = (
+    11, 14, 18, 21, 22, 24, 26, 29, 30, 33
+)  # fmt: skip
+COLUMNS = 36
+
+
+@inline
+def differentiate_group(view, sums, lanes):
+    """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too."""
+    ox, oy, oz = three_columns(lanes, OFFSET)
+    x, y, z = camera_point(view, ox, oy, oz)
+    qw, qx, qy, qz = four_columns(lanes, QUAT)
+    shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    qw, qx, qy, qz = qw * shrink, qx * shrink, qy * shrink, qz * shrink
+    r = rotation_matrix(qw, qx, qy, qz)
+    sx, sy, sz = three_columns(lanes, LOG_SCALE)
+    sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
+    p = image_axes(view, x, y, z)
+    m = splat_axes(p, r, sx, sy, sz)
+    _, xy, yy, det, unblurred = covariance(m, view.blur)
+
+    # Opacity: dln(opacity)/dlogit = 1 - opacity.
+    set_column(lanes, D_LOGIT, column(sums, T) * sigmoid_lanes(-column(lanes, LOGIT)))
+
+    # Footprint: M = P·R·diag(s).
+    d_m = axes_gradient(m, xy, yy, det, unblurred, view.blur, view.antialiased, sums)
+    set_three(
+        lanes,
+        D_LOG_SCALE,
+        d_m[0] * m[0] + d_m[3] * m[3],
+        d_m[1] * m[1] + d_m[4] * m[4],
+        d_m[2] * m[2] + d_m[5] * m[5],
+    )
+    q0, q1, q2 = d_m[0] * sx, d_m[1] * sy, d_m[2] * sz
+    q3, q4, q5 = d_m[3] * sx, d_m[4] * sy, d_m[5] * sz
+    d_r = (
+        p[0] * q0 + p[3] * q3,
+        p[0] * q1 + p[3] * q4,
+        p[0] * q2 + p[3] * q5,
+        p[1] * q0 + p[4] * q3,
+        p[1] * q1 + p[4] * q4,
+        p[1] * q2 + p[4] * q5,
+        p[2] * q0 + p[5] * q3,
+        p[2] * q1 + p[5] * q4,
+        p[2] * q2 + p[5] * q5,
+    )
+    dw, dx, dy, dz = quat_gradient(qw, qx, qy, qz, d_r)
+    radial = qw * dw + qx * dx + qy * dy + qz * dz  # the length of a quaternion changes nothing
+    set_column(lanes, D_QUAT, (dw - qw * radial) * shrink)
+    set_three(
+        lanes,
+        D_QUAT + 1,
+        (dx - qx * radial) * shrink,
+        (dy - qy * radial) * shrink,
+        (dz - qz * radial) * shrink,
+    )
+    d_p = (
+        q0 * r[0] + q1 * r[1] + q2 * r[2],
+        q0 * r[3] + q1 * r[4] + q2 * r[5],
+        q0 * r[6] + q1 * r[7] + q2 * r[8],
+        q3 * r[0] + q4 * r[1] + q5 * r[2],
+        q3 * r[3] + q4 * r[4] + q5 * r[5],
+        q3 * r[6] + q4 * r[7] + q5 * r[8],
+    )
+
+    # Mean in the image.
+    inverse_yy = 1.0 / yy
+    a, tu = math.sqrt(yy / det), column(sums, TU)
+    d_x2 = a * tu * PER_SCALE
+    d_y2 = (math.sqrt(inverse_yy) * column(sums, TV) - xy * inverse_yy * a * tu) * PER_SCALE
+    set_column(lanes, D_MEAN2D, d_x2)
+    set_column(lanes, D_MEAN2D + 1, d_y2)
+    set_column(lanes, ABS_MEAN2D, a * column(sums, ABS_X) * PER_SCALE)
+    set_column(lanes, ABS_MEAN2D + 1, column(sums, ABS_Y) * (PER_SCALE * PER_SCALE))
+    nearness = 1.0 / z
+    fx, fy = view.fx * nearness, view.fy * nearness
+    x_by_z, y_by_z = x * nearness, y * nearness
+    tx, ty = fx * d_x2, fy * d_y2
+    tz = -(x_by_z * tx + y_by_z * ty)
+
+    # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
+    px0, px1, px2 = camera_point(view, d_p[0], d_p[1], d_p[2])
+    py0, py1, py2 = camera_point(view, d_p[3], d_p[4], d_p[5])
+    u = min(max(x_by_z, view.min_u), view.max_u)
+    v = min(max(y_by_z, view.min_v), view.max_v)
+    # J = [fx/z, 0, -fx·u/z; 0, fy/z, -fy·v/z]; u and v follow x/z and y/z where they are not clamped.
+    d_u, d_v = -fx * px2, -fy * py2
+    tz = tz - (fx * px0 + fy * py1 + u * d_u + v * d_v) * nearness
+    d_u, d_v = if_within(d_u, x_by_z, view.min_u, view.max_u), if_within(d_v, y_by_z, view.min_v, view.max_v)
+    tx, ty = tx + d_u * nearness, ty + d_v * nearness
+    tz = tz - (d_u * u + d_v * v) * nearness
+    wx, wy, wz = camera_to_world(view, tx, ty, tz)
+    set_three(lanes, D_POSITION, wx, wy, wz)
+
+    # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
+    # K = Jᵀ·dL/dP·Wᵀ; its antisymmetric part turns.
+    set_three(lanes, D_SHIFT, tx, ty, tz)
+    set_three(
+        lanes,
+        D_TURN,
+        y * tz - z * ty - fx * u * px1 - fy * v * py1 - fy * py2,
+        z * tx - x * tz + fx * px2 + fx * u * px0 + fy * v * py0,
+        x * ty - y * tx + fy * py0 - fx * px1,
+    )
+    away = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
+    set_three(lanes, DIRECTION, ox * away, oy * away, oz * away)
+    set_column(lanes, AWAY, away)
+
+
+@inline
+def if_within(value, x, least, most):
+    """`value` where least <= x <= most, else 0."""
+    return keep_if_at_least(keep_if_at_least(value, x, fill(x, least)), fill(x, most), x)
 
 
 @kernel
@@ -156,149 +284,77 @@ def project_backward(
     basis = np.empty(16, np.float64)
     basis_gradient = np.zeros((16, 3), np.float64)
     coefficients = (degree + 1) * (degree + 1)
-    at = run_start
+    lanes = aligned(COLUMNS * LANES, np.float64)
+    sums = aligned(SUMS * LANES, np.float64)
     pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
-    for i in range(start, stop):
-        if at >= run_stop or visible[at] != i:
-            d_sh[i] = 0
-            d_means[i] = 0
-            d_quats[i] = 0
-            d_log_scales[i] = 0
-            d_opacity_logits[i] = 0
-            d_means2d[i] = 0
-            abs_means2d[i] = 0
-            continue
-        at += 1
-        sums = splat_sums[i]
-
-        # What `project` computed on the way.
-        ox = np.float64(means[i, 0]) - view.eye[0]
-        oy = np.float64(means[i, 1]) - view.eye[1]
-        oz = np.float64(means[i, 2]) - view.eye[2]
-        x, y, z = camera_point(view, ox, oy, oz)
-        qw, qx, qy, qz = (
-            np.float64(quats[i, 0]),
-            np.float64(quats[i, 1]),
-            np.float64(quats[i, 2]),
-            np.float64(quats[i, 3]),
-        )
-        shrink = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-        qw, qx, qy, qz = qw * shrink, qx * shrink, qy * shrink, qz * shrink
-        r = rotation_matrix(qw, qx, qy, qz)
-        sx = exp(np.float64(log_scales[i, 0]))
-        sy = exp(np.float64(log_scales[i, 1]))
-        sz = exp(np.float64(log_scales[i, 2]))
-        p = image_axes(view, x, y, z)
-        m = splat_axes(p, r, sx, sy, sz)
-        _, xy, yy, det, unblurred = covariance(m, view.blur)
-
-        # Opacity: dln(opacity)/dlogit = 1 - opacity.
-        d_opacity_logits[i] = sums[T] * sigmoid(-np.float64(opacity_logits[i]))
-
-        # Footprint: M = P·R·diag(s).
-        d_m = axes_gradient(m, xy, yy, det, unblurred, view.blur, view.antialiased, sums)
-        d_log_scales[i, 0] = d_m[0] * m[0] + d_m[3] * m[3]
-        d_log_scales[i, 1] = d_m[1] * m[1] + d_m[4] * m[4]
-        d_log_scales[i, 2] = d_m[2] * m[2] + d_m[5] * m[5]
-        q0, q1, q2 = d_m[0] * sx, d_m[1] * sy, d_m[2] * sz
-        q3, q4, q5 = d_m[3] * sx, d_m[4] * sy, d_m[5] * sz
-        d_r = (
-            p[0] * q0 + p[3] * q3,
-            p[0] * q1 + p[3] * q4,
-            p[0] * q2 + p[3] * q5,
-            p[1] * q0 + p[4] * q3,
-            p[1] * q1 + p[4] * q4,
-            p[1] * q2 + p[4] * q5,
-            p[2] * q0 + p[5] * q3,
-            p[2] * q1 + p[5] * q4,
-            p[2] * q2 + p[5] * q5,
-        )
-        dw, dx, dy, dz = quat_gradient(qw, qx, qy, qz, d_r)
-        radial = qw * dw + qx * dx + qy * dy + qz * dz  # the length of a quaternion changes nothing
-        d_quats[i, 0] = (dw - qw * radial) * shrink
-        d_quats[i, 1] = (dx - qx * radial) * shrink
-        d_quats[i, 2] = (dy - qy * radial) * shrink
-        d_quats[i, 3] = (dz - qz * radial) * shrink
-        d_p = (
-            q0 * r[0] + q1 * r[1] + q2 * r[2],
-            q0 * r[3] + q1 * r[4] + q2 * r[5],
-            q0 * r[6] + q1 * r[7] + q2 * r[8],
-            q3 * r[0] + q4 * r[1] + q5 * r[2],
-            q3 * r[3] + q4 * r[4] + q5 * r[5],
-            q3 * r[6] + q4 * r[7] + q5 * r[8],
-        )
-
-        # Mean in the image, with a, b, c of `project` as float64 has them.
-        inverse_yy = 1 / yy
-        a = math.sqrt(yy / det)
-        d_x2 = a * sums[TU] * PER_SCALE
-        d_y2 = (math.sqrt(inverse_yy) * sums[TV] - xy * inverse_yy * a * sums[TU]) * PER_SCALE
-        d_means2d[i, 0], d_means2d[i, 1] = d_x2, d_y2
-        abs_means2d[i, 0] = a * sums[ABS_X] * PER_SCALE
-        abs_means2d[i, 1] = sums[ABS_Y] * (PER_SCALE * PER_SCALE)
-        nearness = 1 / z
-        fx, fy = view.fx * nearness, view.fy * nearness
-        x_by_z, y_by_z = x * nearness, y * nearness
-        tx, ty = fx * d_x2, fy * d_y2
-        tz = -(x_by_z * tx + y_by_z * ty)
-
-        # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
-        px0, px1, px2 = camera_point(view, d_p[0], d_p[1], d_p[2])
-        py0, py1, py2 = camera_point(view, d_p[3], d_p[4], d_p[5])
-        u, v = min(max(x_by_z, view.min_u), view.max_u), min(max(y_by_z, view.min_v), view.max_v)
-        # J = [fx/z, 0, -fx·u/z; 0, fy/z, -fy·v/z]; u and v follow x/z and y/z where they are not clamped.
-        d_u, d_v = -fx * px2, -fy * py2
-        tz += (-fx * px0 - fy * py1 - u * d_u - v * d_v) * nearness
-        if view.min_u <= x_by_z <= view.max_u:
-            tx += d_u * nearness
-            tz -= d_u * u * nearness
-        if view.min_v <= y_by_z <= view.max_v:
-            ty += d_v * nearness
-            tz -= d_v * v * nearness
-
-        # Colour.
-        away = 1 / math.sqrt(ox * ox + oy * oy + oz * oz)
-        nx, ny, nz = ox * away, oy * away, oz * away
-        sh_basis(nx, ny, nz, degree, basis)
-        sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
-        red, green, blue = sh_sum(sh, i, basis, coefficients)
-        d_red = np.float64(sums[D_RED]) if red > 0 else 0.0
-        d_green = np.float64(sums[D_GREEN]) if green > 0 else 0.0
-        d_blue = np.float64(sums[D_BLUE]) if blue > 0 else 0.0
-        dx = dy = dz = 0.0
-        for k in range(coefficients):
-            d_sh[i, k, 0], d_sh[i, k, 1], d_sh[i, k, 2] = (
-                basis[k] * d_red,
-                basis[k] * d_green,
-                basis[k] * d_blue,
+    written = start
+    for group in range(run_start, run_stop, LANES):
+        for lane in range(LANES):  # beyond the end the last again
+            i = visible[min(group + lane, run_stop - 1)]
+            load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes)
+            for index in range(ABS_Y + 1):
+                sums[index * LANES + lane] = splat_sums[i, index]
+        differentiate_group(view, sums, lanes)
+        for lane in range(min(LANES, run_stop - group)):
+            i = np.int64(visible[group + lane])
+            zero_rows(
+                written, i, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d
             )
-            along = d_red * sh[i, k, 0] + d_green * sh[i, k, 1] + d_blue * sh[i, k, 2]
-            dx += along * basis_gradient[k, 0]
-            dy += along * basis_gradient[k, 1]
-            dz += along * basis_gradient[k, 2]
-        for k in range(coefficients, d_sh.shape[1]):
-            d_sh[i, k, 0] = d_sh[i, k, 1] = d_sh[i, k, 2] = 0
-        radial = nx * dx + ny * dy + nz * dz
-        dx, dy, dz = (
-            (dx - nx * radial) * away,
-            (dy - ny * radial) * away,
-            (dz - nz * radial) * away,
-        )
+            written = i + 1
+            for axis in range(3):
+                d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
+            for component in range(4):
+                d_quats[i, component] = lanes[(D_QUAT + component) * LANES + lane]
+            d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
+            for axis in range(2):
+                d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
+                abs_means2d[i, axis] = lanes[(ABS_MEAN2D + axis) * LANES + lane]
 
-        wx, wy, wz = camera_to_world(view, tx, ty, tz)
-        d_means[i, 0], d_means[i, 1], d_means[i, 2] = wx + dx, wy + dy, wz + dz
+            # Colour.
+            at = DIRECTION * LANES + lane
+            nx, ny, nz = lanes[at], lanes[at + LANES], lanes[at + 2 * LANES]
+            sh_basis(nx, ny, nz, degree, basis)
+            sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
+            red, green, blue = sh_sum(sh, i, basis, coefficients)
+            d_red = np.float64(splat_sums[i, D_RED]) if red > 0 else 0.0
+            d_green = np.float64(splat_sums[i, D_GREEN]) if green > 0 else 0.0
+            d_blue = np.float64(splat_sums[i, D_BLUE]) if blue > 0 else 0.0
+            dx = dy = dz = 0.0
+            for k in range(coefficients):
+                d_sh[i, k, 0], d_sh[i, k, 1] = basis[k] * d_red, basis[k] * d_green
+                d_sh[i, k, 2] = basis[k] * d_blue
+                along = d_red * sh[i, k, 0] + d_green * sh[i, k, 1] + d_blue * sh[i, k, 2]
+                dx += along * basis_gradient[k, 0]
+                dy += along * basis_gradient[k, 1]
+                dz += along * basis_gradient[k, 2]
+            for k in range(coefficients, d_sh.shape[1]):
+                d_sh[i, k, 0] = d_sh[i, k, 1] = d_sh[i, k, 2] = 0
+            radial = nx * dx + ny * dy + nz * dz
+            away = lanes[AWAY * LANES + lane]
+            dx, dy, dz = (dx - nx * radial) * away, (dy - ny * radial) * away, (dz - nz * radial) * away
 
-        # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
-        pose = pose_sums[i // POSE_BLOCK]
-        cx, cy, cz = camera_point(view, dx, dy, dz)
-        pose[0] += tx + cx
-        pose[1] += ty + cy
-        pose[2] += tz + cz
-        # K = Jᵀ·dL/dP·Wᵀ; its antisymmetric part turns.
-        k21 = -fx * u * px1 - fy * v * py1
-        k12 = fy * py2
-        k02 = fx * px2
-        k20 = -fx * u * px0 - fy * v * py0
-        pose[3] += y * tz - z * ty + k21 - k12
-        pose[4] += z * tx - x * tz + k02 - k20
-        pose[5] += x * ty - y * tx + fy * py0 - fx * px1
+            at = D_POSITION * LANES + lane
+            d_means[i, 0] = lanes[at] + dx
+            d_means[i, 1] = lanes[at + LANES] + dy
+            d_means[i, 2] = lanes[at + 2 * LANES] + dz
+            pose = pose_sums[i // POSE_BLOCK]
+            cx, cy, cz = camera_point(view, dx, dy, dz)
+            at = D_SHIFT * LANES + lane
+            pose[0] += lanes[at] + cx
+            pose[1] += lanes[at + LANES] + cy
+            pose[2] += lanes[at + 2 * LANES] + cz
+            for axis in range(3):
+                pose[3 + axis] += lanes[(D_TURN + axis) * LANES + lane]
+    zero_rows(written, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d)
+
+
+@inline
+def zero_rows(start, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d):
+    for i in range(start, stop):
+        d_means[i] = 0
+        d_quats[i] = 0
+        d_log_scales[i] = 0
+        d_opacity_logits[i] = 0
+        d_sh[i] = 0
+        d_means2d[i] = 0
+        abs_means2d[i] = 0

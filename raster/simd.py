@@ -5,8 +5,9 @@ is vector code on every machine: a float32 vector is one AVX-512 register, two o
 NEON. The lanes are a block of 8x2 pixels: small splats then waste fewer lanes than on a row of 16.
 
 A `Vector` exists only inside kernels; its element type, float32 or float64, is that of the array or
-scalar that it came from. Nothing here allows LLVM to assume that numbers are finite. Comparisons are
-false for NaN.
+scalar that it came from. + - * / and min, max, abs, math.sqrt take vectors, or a vector and a number, so
+that one source can serve for vectors and for scalars. Nothing here allows LLVM to assume that numbers are
+finite. Comparisons are false for NaN.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ BLOCK_WIDTH, BLOCK_HEIGHT = 8, 2
 """Pixels that a vector covers: lane = row·BLOCK_WIDTH + column."""
 
 LANES = BLOCK_WIDTH * BLOCK_HEIGHT
+
+CACHE_LINE = 64
+"""Bytes."""
 
 # The decorated function is called without its first parameter, which type checkers cannot know.
 intrinsic: Any = _numba_intrinsic
@@ -135,25 +139,6 @@ reciprocal = _vector_op(1, _emit_reciprocal)
 """1 / x."""
 
 
-def _bind(symbol: Any, function: Any) -> None:
-    """Makes an operator of two vectors of one type call `function`."""
-
-    @overload(symbol)
-    def bound(x, y):
-        if not (isinstance(x, Vector) and x == y):
-            return None
-
-        def call(x, y):
-            return function(x, y)
-
-        return call
-
-
-_bind(operator.add, _vector_op(2, lambda b, v, x, y: b.fadd(x, y)))
-_bind(operator.sub, _vector_op(2, lambda b, v, x, y: b.fsub(x, y)))
-_bind(operator.mul, _vector_op(2, lambda b, v, x, y: b.fmul(x, y)))
-
-
 @intrinsic
 def spread(typingctx: Any, scalar: Any) -> Any:
     """A float scalar in every lane."""
@@ -176,6 +161,39 @@ def fill(typingctx: Any, like: Any, value: Any) -> Any:
         return _spread(builder, context.cast(builder, args[1], signature.args[1], like.element))
 
     return like(like, value), codegen
+
+
+def _bind(symbol: Any, function: Any) -> None:
+    """Makes an operator or builtin of two vectors of one type, or of one and a number, call `function`."""
+
+    @overload(symbol)
+    def bound(x, y):
+        if isinstance(x, Vector) and x == y:
+            return lambda x, y: function(x, y)  # noqa: PLW0108 numba wants the names
+        if isinstance(x, Vector) and isinstance(y, types.Number):
+            return lambda x, y: function(x, fill(x, y))
+        if isinstance(x, types.Number) and isinstance(y, Vector):
+            return lambda x, y: function(fill(y, x), y)
+        return None
+
+
+def _bind_one(symbol: Any, function: Any) -> None:
+    """The same for what takes one vector."""
+
+    @overload(symbol)
+    def bound(x):
+        return (lambda x: function(x)) if isinstance(x, Vector) else None  # noqa: PLW0108
+
+
+_bind(operator.add, _vector_op(2, lambda b, v, x, y: b.fadd(x, y)))
+_bind(operator.sub, _vector_op(2, lambda b, v, x, y: b.fsub(x, y)))
+_bind(operator.mul, _vector_op(2, lambda b, v, x, y: b.fmul(x, y)))
+_bind(operator.truediv, divide)
+_bind(min, minimum)
+_bind(max, maximum)
+_bind_one(operator.neg, negate)
+_bind_one(abs, absolute)
+_bind_one(math.sqrt, sqrt)
 
 
 def _lane_constant(values: list[float]) -> Any:
@@ -280,6 +298,14 @@ def _touch(array, index):
         raise IndexError("a vector reaches beyond its array")
 
 
+@inline
+def aligned(count, dtype):
+    """`count` numbers of any contents that begin at a cache line; numba aligns to half of one."""
+    whole = np.empty(count + LANES, dtype)
+    skip = (-whole.ctypes.data % CACHE_LINE) // whole.itemsize
+    return whole[skip : skip + count]
+
+
 @intrinsic
 def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
     """Whether a lane of `vector` is above `scalar` (same float type)."""
@@ -371,6 +397,39 @@ def exp(x):
     if not (power < 1023.0):
         return x if x != x else 2.0**1023
     return _exp2_scalar(max(power, -1022.0))
+
+
+@inline
+def exp_lanes(x):
+    """e^x in every lane, as `exp`."""
+    # The order of the arguments keeps NaN, and so does the sum: it is 0 for all else.
+    power = minimum(fill(x, 1023.0), maximum(fill(x, -1022.0), x * LOG2_E))
+    return exp2(power) + (power - power)
+
+
+@intrinsic
+def log2_lanes(typingctx: Any, x: Any) -> Any:
+    """log2 of positive normal float64 numbers, to a few units in the last place; nothing for others.
+
+    x = 2^k·m with m in [√½, √2), and log2(m) = 2/ln(2)·artanh((m - 1) / (m + 1)) by its series.
+    """
+    if not (isinstance(x, Vector) and x.element == types.float64):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        llvm_type, ints = _float_type(context, x), _int_type(x)
+        bits = builder.bitcast(args[0], ints)
+        root_half = ir.Constant(ints, [int(np.float64(math.sqrt(0.5)).view(np.int64))] * LANES)
+        shift = ir.Constant(ints, [52] * LANES)
+        exponent = builder.ashr(builder.sub(bits, root_half), shift)
+        m = builder.bitcast(builder.sub(bits, builder.shl(exponent, shift)), llvm_type)
+        one = _constant(llvm_type, 1.0)
+        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
+        series = [2 / math.log(2) / (2 * term + 1) for term in range(11)]
+        log2_m = builder.fmul(s, _emit_polynomial(builder, _suffix(x), builder.fmul(s, s), series))
+        return builder.fadd(builder.sitofp(exponent, llvm_type), log2_m)
+
+    return x(x), codegen
 
 
 @intrinsic
