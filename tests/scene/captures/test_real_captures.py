@@ -24,7 +24,7 @@ def test_cameras_see_their_points(data_file, name, downscale, size, photos, held
         assert (camera.width, camera.height) == size
         assert photo.image().shape == (size[1], size[0], 3)
         assert photo.mask() is None
-    # Points lie before the cameras, and have the colours of the photos where they fall.
+    # Points have the colours of the photos where they fall, but those that something hides from there.
     distances, shuffled = [], []
     for photo in capture.photos[::4]:
         camera = photo.camera
@@ -36,7 +36,7 @@ def test_cameras_see_their_points(data_file, name, downscale, size, photos, held
         colours = capture.point_colours[seen].astype(float)
         distances.append(np.median(np.abs(pixels - colours)))
         shuffled.append(np.median(np.abs(pixels - np.roll(colours, 1000, axis=0))))
-    assert np.mean(distances) < 0.5 * np.mean(shuffled)
+    assert np.mean(distances) < 0.75 * np.mean(shuffled)
 
 
 @pytest.mark.parametrize("name", ["banana", "miku"])
