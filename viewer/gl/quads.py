@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import moderngl
 import numpy as np
@@ -66,7 +66,7 @@ class QuadsRenderer:
         for _ in self.load_steps(gaussians):
             pass
 
-    def load_steps(self, gaussians: Gaussians) -> Iterator[float]:
+    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
         """Replaces the scene in steps of a few milliseconds: yields the share done after each.
 
         The scene shown so far stays until the last step; closing the generator early leaves it so.

@@ -12,7 +12,7 @@ from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .view_uniforms import set_uniforms
 
-DEPTH_SPAN = 2.5
+DEPTH_SPAN = 1.6
 """Depth colours span so many scene radii (half the splats lie within one) on either side of the median."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import moderngl
@@ -91,7 +91,7 @@ def centre_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 def upload_steps(
     ctx: moderngl.Context, gaussians: Gaussians, *, limit: int | None = None
-) -> Iterator[float | SceneBuffers]:
+) -> Generator[float | SceneBuffers, None, None]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
 
     Closing the generator early releases what it had uploaded. `limit` is bytes a buffer may have.
