@@ -31,6 +31,9 @@ WAITING_FPS = 12.0
 MAX_FPS = 60.0
 """Where nothing else limits the rate: without a monitor to wait for a drag would take a whole core."""
 
+SAVE_SECONDS = 5.0
+"""Between two looks at whether preferences have changed: a crash loses no more than that."""
+
 ACTIVE_SECONDS = 0.5
 """How long after the last event the window keeps its full rate: long enough for tooltips to appear."""
 
@@ -51,6 +54,7 @@ class Window:
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
         self._saved: Preferences = preferences
+        self._save_due = 0.0
         if complaint:
             self.core.tell(complaint)
 
@@ -58,8 +62,8 @@ class Window:
 
     def start(self) -> None:
         """The GL context is there: make the picture and begin to load."""
-        self._ctx = moderngl.create_context()
         try:
+            self._ctx = moderngl.create_context()
             self.core.picture = choose_picture(self._ctx, self._renderer, on_ready=glfw.post_empty_event)
         except Exception as error:
             # An exception that leaves this callback would take the process down without a word.
@@ -95,6 +99,10 @@ class Window:
         flying = keys.held_step() is not None
         params.fps_idling.enable_idling = not (core.transition or flying)
         params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else IDLE_FPS
+        if core.now() >= self._save_due:
+            self._save_due = core.now() + SAVE_SECONDS
+            if problem := self._save_preferences():
+                core.tell(problem)
         if core.quitting:
             params.app_shall_exit = True
 
@@ -120,12 +128,20 @@ class Window:
         if core.picture is not None:
             core.picture.release()
             core.picture = None
-        if core.preferences != self._saved:
-            try:
-                save_preferences(core.preferences)
-            except OSError as error:
-                # Too late for the window; and no reason to call a good session a failure.
-                print(f"splatview: {config_folder()}: cannot be written ({error.strerror})", file=sys.stderr)
+        if problem := self._save_preferences():
+            # Too late for the window; and no reason to call a good session a failure.
+            print(f"splatview: {problem}", file=sys.stderr)
+
+    def _save_preferences(self) -> str | None:
+        """Saves them if they have changed; one line where that fails."""
+        if self.core.preferences == self._saved:
+            return None
+        self._saved = self.core.preferences
+        try:
+            save_preferences(self._saved)
+        except OSError as error:
+            return f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+        return None
 
 
 def run_window(
