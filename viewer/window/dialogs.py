@@ -13,8 +13,10 @@ from .shortcuts import MOUSE, SHORTCUTS
 
 
 def centred(width_em: float) -> None:
-    """Puts the next window into the middle."""
-    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, (0.5, 0.5))
+    """Puts the next window into the middle, no larger than the program's."""
+    viewport = imgui.get_main_viewport()
+    imgui.set_next_window_pos(viewport.get_center(), imgui.Cond_.appearing, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((0, 0), (viewport.size.x * 0.96, viewport.size.y * 0.9))
     imgui.set_next_window_size((imgui.get_font_size() * width_em, 0), imgui.Cond_.appearing)
 
 
