@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import TrainSettings, automatic_limit
 from splatview.trainer.shots import Shot, Shots
 from splatview.trainer.training import Trainer
+
+
+make_settings: Any = TrainSettings
 
 
 def run(trainer: Trainer, steps: int) -> list[float]:
@@ -35,6 +39,7 @@ def assert_equal(a: Trainer, b: Trainer) -> None:
 def test_a_run_learns_the_scene(make_trainer, shots: list[Shot], strategy: str) -> None:
     trainer = make_trainer(iterations=500, strategy=strategy)
     before = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    report = trainer.step()
     while not trainer.done:
         report = trainer.step()
     after = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
@@ -130,6 +135,7 @@ KILLED = """
 import sys
 import numpy as np
 from pathlib import Path
+from typing import Any
 from splatview.raster import Parameters
 from splatview.scene import look_at
 from splatview.trainer.checkpoint import save_checkpoint
@@ -218,7 +224,7 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"seed": -1}, "seed"),
     ):
         with pytest.raises(ValueError, match=name):
-            TrainSettings(**options)
+            make_settings(**options)
 
 
 def test_the_automatic_limit_follows_the_pixels() -> None:

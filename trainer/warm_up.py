@@ -1,0 +1,24 @@
+"""Loads or compiles every kernel that training needs, by training a toy for two steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import look_at
+from .initialise import initial_parameters
+from .settings import TrainSettings
+from .shots import Shot, Shots
+from .training import Trainer
+
+
+def warm_up() -> None:
+    """Takes about a second where kernels are cached, and a minute, once per installation, where not."""
+    camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
+    shot = Shot(camera, np.zeros((16, 16, 3), np.uint8))
+    points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
+    colours = np.full((32, 3), 128, np.uint8)
+    for strategy in ("mcmc", "classic"):
+        settings = TrainSettings(iterations=2, strategy=strategy, refine_until=1.0, max_splats=32)
+        trainer = Trainer(Shots([shot], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
+        while not trainer.done:
+            trainer.step()
