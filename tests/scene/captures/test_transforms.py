@@ -68,7 +68,7 @@ def test_nerfstudio(tmp_path, frames, photos, transforms, cameras_of, rng):
     positions, colours = rng.normal(size=(7, 3)), rng.uniform(size=(7, 3))
     cloud = Gaussians(
         means=positions.astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (7, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (7, 1)),
         log_scales=np.zeros((7, 3), np.float32),
         opacity_logits=np.zeros(7, np.float32),
         sh=rgb_to_sh(colours).astype(np.float32)[:, None],
@@ -143,7 +143,7 @@ def test_held_out_by_list(tmp_path, frames, photos, transforms):
 
 
 def test_masks_by_path_and_by_folder(tmp_path, frames, photos, transforms, png):
-    black_top = np.repeat(np.uint8([0, 255]), 15 * 40).reshape(30, 40)
+    black_top = np.repeat(np.array([0, 255], np.uint8), 15 * 40).reshape(30, 40)
     png(tmp_path / "other/m.png", black_top)
     png(tmp_path / "masks/2.png", black_top)
     frames[1]["mask_path"] = "other/m.png"
