@@ -22,6 +22,7 @@ import numpy as np
 
 from .bins import AHEAD, ask_ahead
 from .compiling import inline, kernel
+from .exp import exp2
 from .forward import (
     BLOCKS,
     CHUNK,
@@ -47,7 +48,6 @@ from .simd import (
     aligned,
     any_above,
     column_centres,
-    exp2,
     fill,
     fma,
     keep_if_at_least,

@@ -13,6 +13,7 @@ import numpy as np
 
 from .bins import MARGIN
 from .compiling import inline, kernel
+from .exp import exp2
 from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .simd import (
     BLOCK_HEIGHT,
@@ -23,7 +24,6 @@ from .simd import (
     ceil,
     column_centres,
     divide,
-    exp2,
     fill,
     floor,
     fma,

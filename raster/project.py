@@ -24,18 +24,8 @@ from ..scene.image_model import MIN_QUAT_COMPONENT
 from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 from .compiling import inline, kernel
-from .simd import (
-    LANES,
-    aligned,
-    exp,
-    exp_lanes,
-    fill,
-    keep_if_at_least,
-    keep_if_below,
-    load,
-    log2_lanes,
-    store,
-)
+from .exp import exp_lanes, log2_lanes
+from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY = range(13)
 RECORD = 16
@@ -82,7 +72,7 @@ def rotation_matrix(w, x, y, z):
 
 @inline
 def sigmoid(logit):
-    decay = exp(-abs(logit))
+    decay = math.exp(-abs(logit))
     return (1.0 if logit >= 0 else decay) / (1.0 + decay)
 
 

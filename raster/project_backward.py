@@ -13,6 +13,7 @@ import numpy as np
 from ..scene.sh import SH_C1, SH_C2, SH_C3
 from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
 from .compiling import inline, kernel
+from .exp import exp_lanes
 from .pool import SPLATS_PER_TASK
 from .project import (
     CONIC_SCALE,
@@ -35,7 +36,7 @@ from .project import (
     splat_axes,
     three_columns,
 )
-from .simd import LANES, aligned, exp_lanes, fill, keep_if_at_least
+from .simd import LANES, aligned, fill, keep_if_at_least
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums

@@ -52,15 +52,15 @@ class _VectorModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, ir.VectorType(element, LANES))
 
 
-def _int_type(vector: Vector) -> ir.VectorType:
+def int_type(vector: Vector) -> ir.VectorType:
     return ir.VectorType(ir.IntType(vector.element.bitwidth), LANES)
 
 
-def _float_type(context: Any, vector: Vector) -> ir.VectorType:
+def float_type(context: Any, vector: Vector) -> ir.VectorType:
     return context.get_value_type(vector)
 
 
-def _constant(llvm_type: Any, value: float) -> ir.Constant:
+def constant(llvm_type: Any, value: float) -> ir.Constant:
     return ir.Constant(llvm_type, [value] * LANES if isinstance(llvm_type, ir.VectorType) else value)
 
 
@@ -74,13 +74,13 @@ def _spread(builder: Any, scalar: Any) -> Any:
     return builder.shuffle_vector(one, ir.Constant(vector_type, ir.Undefined), zeros)
 
 
-def _call(builder: Any, name: str, result: Any, *args: Any) -> Any:
+def call_llvm(builder: Any, name: str, result: Any, *args: Any) -> Any:
     """Calls an LLVM intrinsic by its full name."""
     function_type = ir.FunctionType(result, [arg.type for arg in args])
     return builder.call(cgutils.get_or_insert_function(builder.module, function_type, name), args)
 
 
-def _suffix(vector: Vector) -> str:
+def suffix(vector: Vector) -> str:
     return f"v{LANES}f{vector.element.bitwidth}"
 
 
@@ -109,30 +109,30 @@ def _vector_op(arity: int, emit: Callable[..., Any]) -> Any:
     return intrinsic({1: one, 2: two, 3: three}[arity])
 
 
-fma = _vector_op(3, lambda b, v, x, y, z: _call(b, f"llvm.fmuladd.{_suffix(v)}", x.type, x, y, z))
+fma = _vector_op(3, lambda b, v, x, y, z: call_llvm(b, f"llvm.fmuladd.{suffix(v)}", x.type, x, y, z))
 """x·y + z, in one rounding where the machine can."""
 negate = _vector_op(1, lambda b, v, x: b.fneg(x))
 divide = _vector_op(2, lambda b, v, x, y: b.fdiv(x, y))
-absolute = _vector_op(1, lambda b, v, x: _call(b, f"llvm.fabs.{_suffix(v)}", x.type, x))
-sqrt = _vector_op(1, lambda b, v, x: _call(b, f"llvm.sqrt.{_suffix(v)}", x.type, x))
-floor = _vector_op(1, lambda b, v, x: _call(b, f"llvm.floor.{_suffix(v)}", x.type, x))
-ceil = _vector_op(1, lambda b, v, x: _call(b, f"llvm.ceil.{_suffix(v)}", x.type, x))
+absolute = _vector_op(1, lambda b, v, x: call_llvm(b, f"llvm.fabs.{suffix(v)}", x.type, x))
+sqrt = _vector_op(1, lambda b, v, x: call_llvm(b, f"llvm.sqrt.{suffix(v)}", x.type, x))
+floor = _vector_op(1, lambda b, v, x: call_llvm(b, f"llvm.floor.{suffix(v)}", x.type, x))
+ceil = _vector_op(1, lambda b, v, x: call_llvm(b, f"llvm.ceil.{suffix(v)}", x.type, x))
 minimum = _vector_op(2, lambda b, v, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
 """x < y ? x : y, so y where either is NaN."""
 maximum = _vector_op(2, lambda b, v, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
 """x > y ? x : y, so y where either is NaN."""
 keep_if_at_least = _vector_op(
-    3, lambda b, v, x, y, z: b.select(b.fcmp_ordered(">=", y, z), x, _constant(x.type, 0.0))
+    3, lambda b, v, x, y, z: b.select(b.fcmp_ordered(">=", y, z), x, constant(x.type, 0.0))
 )
 """x where y >= z, else 0."""
 keep_if_below = _vector_op(
-    3, lambda b, v, x, y, z: b.select(b.fcmp_ordered("<", y, z), x, _constant(x.type, 0.0))
+    3, lambda b, v, x, y, z: b.select(b.fcmp_ordered("<", y, z), x, constant(x.type, 0.0))
 )
 """x where y < z, else 0."""
 
 
 def _emit_reciprocal(b: Any, v: Vector, x: Any) -> Any:
-    return b.fdiv(_constant(x.type, 1.0), x, flags=("arcp",))
+    return b.fdiv(constant(x.type, 1.0), x, flags=("arcp",))
 
 
 reciprocal = _vector_op(1, _emit_reciprocal)
@@ -204,7 +204,7 @@ def _lane_constant(values: list[float]) -> Any:
             return None
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return ir.Constant(_float_type(context, like), values)
+            return ir.Constant(float_type(context, like), values)
 
         return like(like), codegen
 
@@ -233,7 +233,7 @@ def _load(typingctx: Any, array: Any, index: Any) -> Any:
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        llvm_type = _float_type(context, vector)
+        llvm_type = float_type(context, vector)
         address = _address(context, builder, array, args[0], args[1], llvm_type)
         return builder.load(address, align=array.dtype.bitwidth // 8)
 
@@ -320,118 +320,6 @@ def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
     return types.boolean(vector, scalar), codegen
 
 
-def exp2_coefficients(degree: int) -> list[float]:
-    """Polynomial of 2^f on [-½, ½], lowest power first: Chebyshev interpolation, near the best possible."""
-    polynomial = np.polynomial.Chebyshev.interpolate(np.exp2, degree, [-0.5, 0.5])
-    return polynomial.convert(kind=np.polynomial.Polynomial).coef.tolist()
-
-
-LOG2_E = math.log2(math.e)
-
-EXP2_DEGREE = {32: 4, 64: 11}
-"""By bits of the float type: relative errors of 3e-6, a hundredth of a grey level's rounding, and 3e-16."""
-
-
-def _emit_polynomial(builder: Any, suffix: str, x: Any, coefficients: list[float]) -> Any:
-    """Estrin's scheme: pairs of terms side by side, so that latencies overlap where Horner's add up."""
-    terms: list[Any] = [_constant(x.type, coefficient) for coefficient in coefficients]
-    while len(terms) > 1:
-        paired = [
-            _call(builder, f"llvm.fmuladd.{suffix}", x.type, high, x, low)
-            for low, high in zip(terms[::2], terms[1::2], strict=False)
-        ]
-        terms = paired + terms[len(paired) * 2 :]
-        x = builder.fmul(x, x)
-    return terms[0]
-
-
-@intrinsic
-def exp2(typingctx: Any, x: Any) -> Any:
-    """2^x for x in the range of normal numbers (-126 to 127 in float32); meaningless bits beyond it.
-
-    2^x = 2^k · 2^f, k the nearest integer: adding 1.5·2^(mantissa bits) leaves k in the low bits of the
-    sum, from where a shift moves it to the exponent (Schraudolph 1999, made exact by the polynomial).
-    """
-    if not isinstance(x, Vector):
-        return None
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        llvm_type, ints = _float_type(context, x), _int_type(x)
-        mantissa = 23 if x.element.bitwidth == 32 else 52
-        magic = _constant(llvm_type, 1.5 * 2.0**mantissa)
-        shifted = builder.fadd(args[0], magic)
-        fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
-        coefficients = exp2_coefficients(EXP2_DEGREE[x.element.bitwidth])
-        power = _emit_polynomial(builder, _suffix(x), fraction, coefficients)
-        exponent = builder.shl(builder.bitcast(shifted, ints), ir.Constant(ints, [mantissa] * LANES))
-        return builder.bitcast(builder.add(builder.bitcast(power, ints), exponent), llvm_type)
-
-    return x(x), codegen
-
-
-@intrinsic
-def _exp2_scalar(typingctx: Any, x: Any) -> Any:
-    """2^x of one float64 by the same polynomial; -1022 <= x <= 1023."""
-    if x != types.float64:
-        return None
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        number, integer = ir.DoubleType(), ir.IntType(64)
-        magic = ir.Constant(number, 1.5 * 2.0**52)
-        shifted = builder.fadd(args[0], magic)
-        fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
-        power = _emit_polynomial(builder, "f64", fraction, exp2_coefficients(EXP2_DEGREE[64]))
-        exponent = builder.shl(builder.bitcast(shifted, integer), ir.Constant(integer, 52))
-        return builder.bitcast(builder.add(builder.bitcast(power, integer), exponent), number)
-
-    return types.float64(types.float64), codegen
-
-
-@inline
-def exp(x):
-    """e^x of one float64 to a few units in the last place, several times as fast as the C library's call.
-
-    At most 2^1023, at least 2^-1022, NaN for NaN.
-    """
-    power = x * LOG2_E
-    if not (power < 1023.0):
-        return x if x != x else 2.0**1023
-    return _exp2_scalar(max(power, -1022.0))
-
-
-@inline
-def exp_lanes(x):
-    """e^x in every lane, as `exp`."""
-    # The order of the arguments keeps NaN, and so does the sum: it is 0 for all else.
-    power = minimum(fill(x, 1023.0), maximum(fill(x, -1022.0), x * LOG2_E))
-    return exp2(power) + (power - power)
-
-
-@intrinsic
-def log2_lanes(typingctx: Any, x: Any) -> Any:
-    """log2 of positive normal float64 numbers, to a few units in the last place; nothing for others.
-
-    x = 2^k·m with m in [√½, √2), and log2(m) = 2/ln(2)·artanh((m - 1) / (m + 1)) by its series.
-    """
-    if not (isinstance(x, Vector) and x.element == types.float64):
-        return None
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        llvm_type, ints = _float_type(context, x), _int_type(x)
-        bits = builder.bitcast(args[0], ints)
-        root_half = ir.Constant(ints, [int(np.float64(math.sqrt(0.5)).view(np.int64))] * LANES)
-        shift = ir.Constant(ints, [52] * LANES)
-        exponent = builder.ashr(builder.sub(bits, root_half), shift)
-        m = builder.bitcast(builder.sub(bits, builder.shl(exponent, shift)), llvm_type)
-        one = _constant(llvm_type, 1.0)
-        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
-        series = [2 / math.log(2) / (2 * term + 1) for term in range(11)]
-        log2_m = builder.fmul(s, _emit_polynomial(builder, _suffix(x), builder.fmul(s, s), series))
-        return builder.fadd(builder.sitofp(exponent, llvm_type), log2_m)
-
-    return x(x), codegen
-
-
 @intrinsic
 def sum_lanes(typingctx: Any, vectors: Any) -> Any:
     """The sums over the lanes of a tuple of up to 16 vectors, as one vector: lane i has the i-th sum.
@@ -451,7 +339,7 @@ def sum_lanes(typingctx: Any, vectors: Any) -> Any:
         stride = 1
         while stride < LANES:
             if len(rows) % 2:
-                rows.append(_constant(rows[0].type, 0.0))
+                rows.append(constant(rows[0].type, 0.0))
             # Even places of `stride` take sums of neighbours of x, odd ones those of y.
             low = [i + (LANES - stride if i & stride else 0) for i in range(LANES)]
             high = [i + (LANES if i & stride else stride) for i in range(LANES)]
@@ -480,7 +368,7 @@ def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
         address = builder.add(builder.ptrtoint(values.data, step.type), builder.mul(args[1], step))
         pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
         read, keep, data = (ir.Constant(ir.IntType(32), value) for value in (0, 3, 1))
-        _call(builder, "llvm.prefetch.p0", ir.VoidType(), pointer, read, keep, data)
+        call_llvm(builder, "llvm.prefetch.p0", ir.VoidType(), pointer, read, keep, data)
         return context.get_dummy_value()
 
     return types.void(array, types.intp), codegen

@@ -5,6 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+from splatview.raster import compiling
+
+HERE = Path(compiling.__file__).parent
 
 PROGRAM = """
 import time
@@ -42,6 +47,44 @@ def test_compiles_once_and_says_so_once(tmp_path):
     assert run(str(tmp_path)) == ["False", "0", "False"]
 
 
-def test_works_where_nothing_can_be_written(tmp_path):
+def test_nothing_is_cached_where_nothing_can_be_written(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
-    assert run(str(tmp_path / "file")) == ["True", "1", "False"]
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert compiling._cache_folder.__wrapped__(HERE) is None
+
+    @compiling.kernel
+    def one_more(number):
+        return number + 1
+
+    assert one_more(1) == 2
+
+
+def test_sources_of_both_packages_decide_the_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    package = tmp_path / "package"
+    package.mkdir()
+    source = package / "kernels.py"
+    source.write_text("one = 1\n")
+    first = compiling._cache_folder.__wrapped__(package)
+    assert first is not None
+    assert first.is_dir()
+    assert compiling._cache_folder.__wrapped__(package) == first
+    source.write_text("one = 2\n")
+    assert compiling._cache_folder.__wrapped__(package) != first
+
+
+def test_only_old_compiled_files_are_removed(tmp_path):
+    old, new = tmp_path / "old", tmp_path / "new"
+    for folder in (old, new):
+        (folder / "sub").mkdir(parents=True)
+        (folder / "sub" / "kernel.nbc").write_text("x")
+    (old / "letter.txt").write_text("not ours")
+    os.utime(old, (0, 0))
+    compiling._remove_old_caches(tmp_path)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "kernel.nbc",
+        "letter.txt",
+        "new",
+        "old",
+        "sub",
+    ]

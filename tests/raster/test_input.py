@@ -136,7 +136,7 @@ def anything(*shape: int):
 
 
 @given(anything(6, 3), anything(6, 4), anything(6, 3), anything(6), anything(6, 4, 3))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_bits_make_a_finite_picture_and_finite_gradients(means, quats, log_scales, logits, sh):
     # Colours beyond 10³⁰ could add up to infinity; that would be the picture they ask for.
     scene = raster.check_parameters(means, quats, log_scales, logits, np.where(np.abs(sh) > 1e30, np.nan, sh))
@@ -154,23 +154,20 @@ from splatview.raster.compiling import BOUNDSCHECK
 from splatview.scene import ImageModel, RenderSettings, look_at
 assert BOUNDSCHECK
 rng = np.random.default_rng(1)
-for dtype in (np.float32, np.float64):
-    for count, width, height in ((0, 5, 5), (1, 1, 1), (300, 33, 17), (2500, 70, 100)):
-        scene = raster.check_parameters(
-            rng.normal(size=(count, 3)).astype(dtype),
-            rng.normal(size=(count, 4)).astype(dtype),
-            rng.normal(-2, 1.5, size=(count, 3)).astype(dtype),
-            rng.normal(size=count).astype(dtype),
-            rng.normal(size=(count, 16, 3)).astype(dtype),
-        )
-        for eye in ((0, 0, -3), (0, 0, -0.5)):
-            camera = look_at(eye, (0, 0, 0), width=width, height=height)
-            for threads in (1, 2):
-                workspace = raster.Workspace()
-                frame = raster.draw_frame(
-                    scene, camera, RenderSettings(), workspace, dtype=dtype, threads=threads
-                )
-                raster.differentiate(scene, frame, np.ones_like(frame.image))
+for count, width, height in ((0, 5, 5), (1, 1, 1), (300, 33, 17), (2500, 70, 100)):
+    scene = raster.check_parameters(
+        rng.normal(size=(count, 3)).astype(np.float32),
+        rng.normal(size=(count, 4)).astype(np.float32),
+        rng.normal(-2, 1.5, size=(count, 3)).astype(np.float32),
+        rng.normal(size=count).astype(np.float32),
+        rng.normal(size=(count, 16, 3)).astype(np.float32),
+    )
+    for eye in ((0, 0, -3), (0, 0, -0.5)):
+        camera = look_at(eye, (0, 0, 0), width=width, height=height)
+        for threads in (1, 2):
+            workspace = raster.Workspace()
+            frame = raster.draw_frame(scene, camera, RenderSettings(), workspace, threads=threads)
+            raster.differentiate(scene, frame, np.ones_like(frame.image))
 
 # Vectors reach memory by address; the check beside them must work too.
 from splatview.raster.compiling import inline

@@ -254,5 +254,5 @@ def test_trained_scene(data_file, name):
     centre = np.median(scene.means, axis=0).astype(np.float64)
     radius = float(np.percentile(np.linalg.norm(scene.means - centre, axis=1), 90))
     eye = centre + radius * np.array([0.6, -0.5, -1.9])
-    camera = look_at(tuple(eye), tuple(centre), up=(0, -1, 0), width=250, height=141)
+    camera = look_at(tuple(eye), tuple(centre), up=(0, -1, 0), width=160, height=91)
     assert_close(scene, camera, RenderSettings(background=(0.2, 0.4, 0.6)))
