@@ -158,7 +158,7 @@ class Session:
         if self.held_out and (report.iteration % self.eval_every == 0 or self.trainer.done):
             evaluation = self.evaluation = self._evaluate(None)
         if metrics and (evaluation or report.iteration % METRICS_STEPS == 0 or self.trainer.done):
-            line = {
+            line: dict[str, Any] = {
                 "iteration": report.iteration,
                 "seconds": round(self.trainer.counters.seconds, 3),
                 "loss": report.loss,
@@ -166,6 +166,9 @@ class Session:
             }
             if evaluation:
                 line |= {"psnr": evaluation.psnr, "ssim": evaluation.ssim}
+            if self.trainer.done:
+                stages = self.trainer.clock.milliseconds
+                line["stages"] = {name: round(spent, 1) for name, spent in stages.items()}
             metrics.write(json.dumps(line) + "\n")
         if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
             self._checkpoint()

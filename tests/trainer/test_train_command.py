@@ -35,6 +35,7 @@ def test_a_run_writes_scene_metrics_table_and_pictures(capture_folder: Path, tmp
     lines = metrics_of(metrics)
     assert [line["iteration"] for line in lines] == [50, 60, 100, 120]
     assert all(set(line) >= {"iteration", "seconds", "loss", "gaussians"} for line in lines)
+    assert set(lines[-1]["stages"]) >= {"forward", "backward", "loss", "adam", "density"}
     evaluated = [line for line in lines if "psnr" in line]
     assert [line["iteration"] for line in evaluated] == [60, 120] and all("ssim" in e for e in evaluated)
     assert evaluated[1]["psnr"] > evaluated[0]["psnr"]
