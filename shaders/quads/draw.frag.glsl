@@ -1,5 +1,8 @@
 // One splat at one pixel. The target holds the colour gathered so far and, in alpha, the transmittance T:
 // blended front to back by rgb += T·(alpha·colour), T *= 1 - alpha.
+// Time on llvmpipe relative to this: alpha 0 in place of discard 0.98 (GPUs gain more from discarding),
+// noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
+// constant colour in place of all of main 0.74: most of it is reading and writing the target.
 // Flags: POINTS, OVERDRAW (counts splats in place of blending them).
 uniform float u_alpha_cut;
 uniform float u_max_alpha;

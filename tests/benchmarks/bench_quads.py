@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -75,21 +76,28 @@ def measure(
             renderer.early_stop = stop
         renderers.append(renderer)
     times: list[list[float]] = [[] for _ in variants]
+    cpu: list[list[float]] = [[] for _ in variants]
     stages: list[list[dict[str, float]]] = [[] for _ in variants]
     for frame in range(WARM_UP + frames):
         for i, (renderer, (blend, _)) in enumerate(zip(renderers, variants, strict=True)):
-            begun = time.perf_counter()
+            begun, cpu_begun = time.perf_counter(), time.process_time()
             renderer.draw(views(frame), RenderSettings(blend=blend))  # pyright: ignore[reportArgumentType]
             ctx.finish()
             elapsed = 1000 * (time.perf_counter() - begun)
             if frame >= WARM_UP:
                 times[i].append(elapsed)
+                cpu[i].append(1000 * (time.process_time() - cpu_begun))
                 stages[i].append(dict(renderer.finished_stats().ms))
     results = []
     for i, (blend, _) in enumerate(variants):
         median = float(np.median(times[i]))
+        alone = float(np.median(cpu[i])) / (os.cpu_count() or 1)
         peers = {
-            peer: {"median_ms": figures[len(scene)], "ratio": median / min(figures[len(scene)])}
+            peer: {
+                "median_ms": figures[len(scene)],
+                "ratio": median / min(figures[len(scene)]),
+                "ratio_alone": alone / min(figures[len(scene)]),
+            }
             for peer, figures in PEERS.items()
             if len(scene) in figures
         }
@@ -102,6 +110,9 @@ def measure(
                 "early_stop": renderers[i].early_stop,
                 "median_ms": median,
                 "range_ms": [min(times[i]), max(times[i])],
+                # Of all threads: what a software GL costs even where other programs share the machine.
+                "cpu_ms": float(np.median(cpu[i])),
+                "alone_ms": alone,
                 "stages_ms": {key: float(np.median([one[key] for one in stages[i]])) for key in stages[i][0]},
                 "peers": peers,
             }
@@ -140,8 +151,11 @@ def main() -> None:
             result["blend"],
             "off" if not result["early_stop"] else f"{result['early_stop']:g}",
             f"{result['median_ms']:.0f}",
+            f"{result['alone_ms']:.0f}",
             " / ".join(f"{result['stages_ms'][stage]:.0f}" for stage in ("project", "sort", "draw")),
-            f"{max(peer['ratio'] for peer in result['peers'].values()):.2f}" if result["peers"] else "-",
+            f"{max(peer['ratio_alone'] for peer in result['peers'].values()):.2f}"
+            if result["peers"]
+            else "-",
         ]
         for result in results
     ]
@@ -156,12 +170,13 @@ def main() -> None:
             "results": results,
             "table": {
                 "columns": [
-                    *("scene", "splats", "target", "early stop", "ms", "project / sort / draw"),
-                    "time / fastest peer's",
+                    *("scene", "splats", "target", "early stop", "ms", "ms alone", "project / sort / draw"),
+                    "alone / fastest peer's",
                 ],
                 "rows": rows,
                 "note": f"Medians of {options.frames} frames at {width}x{height} on {info.renderer}; "
-                f"peers' figures from another run on {PEER_MACHINE}.",
+                f'"alone" is the processor time of all threads over {os.cpu_count()} cores, what a frame takes '
+                f"where nothing else runs; peers' figures are of a run on {PEER_MACHINE}.",
             },
         },
     )
