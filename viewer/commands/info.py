@@ -29,14 +29,17 @@ def run(arguments: list[str]) -> int:
 
 def describe(gaussians: Gaussians) -> dict[str, Any]:
     """The receipt of a scene, ready for JSON."""
+    findings = check(gaussians)
     return {
         "count": len(gaussians),
         "bounds": bounds(gaussians.means),
         "sh_degree": {"stored": gaussians.sh_degree, "used": used_sh_degree(gaussians)},
-        "effects": [{"name": e.name, "on": bool(e.on), "why": e.why} for e in census(gaussians)],
+        "effects": [
+            {"name": e.name, "on": bool(e.on), "why": e.why} for e in census(gaussians, findings=findings)
+        ],
         "health": [
             {"name": f.name, "count": int(f.count), "what": f.what, "culled": bool(f.culled)}
-            for f in check(gaussians)
+            for f in findings
         ],
         "bytes": gaussians.nbytes,
         "comments": list(gaussians.comments),

@@ -60,9 +60,10 @@ def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
     """The scenes, merged, or the demo; and the camera that shows them first."""
     width, height = DEFAULT_SIZE
     if not paths:
-        from ...scene.demo import demo_camera, demo_scene
+        from ...scene.demo import demo_camera
+        from ..demo_cache import cached_demo
 
-        return demo_scene(), demo_camera(width, height)
+        return cached_demo(), demo_camera(width, height)
     gaussians = concatenate([load_scene(path) for path in paths])
     return gaussians, frame_camera(gaussians, width, height)
 

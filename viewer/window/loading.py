@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from ...scene import Gaussians, InputError, RenderSettings, concatenate
-from ...scene.demo import demo_scene
 from ...scene.effects import Effect, census, settings_for
 from ...scene.files import LoadCancelled, load_scene
 from ...scene.framing import robust_bounds
 from ...scene.health import Finding, check
+from ..demo_cache import cached_demo
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,8 +121,9 @@ class Examination:
         self._thread.join(timeout)
 
     def _run(self) -> None:
-        self.effects = tuple(census(self._gaussians))
-        self.findings = tuple(check(self._gaussians))
+        findings = check(self._gaussians)
+        self.effects = tuple(census(self._gaussians, findings=findings))
+        self.findings = tuple(findings)
 
 
 def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
@@ -152,10 +153,6 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
 
 def load_demo() -> Loading:
     """Starts to make the bundled scene, which the window opens with when it is given none."""
-
-    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
-        return demo_scene()
-
-    made = Loading("Demo", (), read)
+    made = Loading("Demo", (), cached_demo)
     made.stage, made.progress = "Making", None
     return made

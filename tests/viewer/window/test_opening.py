@@ -261,7 +261,7 @@ def test_the_up_axis_is_the_nearest_one(direction, expected):
 
 
 def test_the_demo_opens_without_a_file(core, wait_for_loading, monkeypatch):
-    monkeypatch.setattr(loading, "demo_scene", lambda: demo_scene(splats=3000))
+    monkeypatch.setattr(loading, "cached_demo", lambda **_: demo_scene(splats=3000))
     opening.begin_demo(core)
     wait_for_loading(core)
     assert core.scene is not None
