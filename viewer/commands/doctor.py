@@ -81,12 +81,14 @@ def installed(name: str) -> str | None:
 def gl_context() -> dict[str, Any]:
     """What OpenGL without a window offers."""
     from ..gl.context import create_headless_context, describe
+    from ..gl.resolving import float16_blending_truncates
 
     try:
         ctx = create_headless_context()
     except InputError as error:
         return {"works": False, "why": str(error)}
     info = describe(ctx)
+    truncates = float16_blending_truncates(ctx)
     ctx.release()
     return {
         "works": True,
@@ -94,6 +96,7 @@ def gl_context() -> dict[str, Any]:
         "version": info.version,
         "compute": info.has_compute,
         "software": info.is_software,
+        "float16_blending": "truncates" if truncates else "rounds",
     }
 
 
@@ -136,6 +139,8 @@ def as_text(findings: dict[str, Any]) -> str:
         compute = "compute shaders" if gl["compute"] else "no compute shaders: quads uses its GL 3.3 path"
         kind = "software, no GPU" if gl["software"] else "hardware"
         lines.append(f"OpenGL     {gl['version']}, {gl['renderer']} ({kind}; {compute})")
+        if gl["float16_blending"] == "truncates":
+            lines.append("float16    blending truncates instead of rounding: quads sums in float32 even so")
     else:
         lines.append(f"OpenGL     {gl['why']}")
     for name, result in findings["renderers"].items():

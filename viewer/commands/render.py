@@ -45,7 +45,11 @@ def make_parser() -> Parser:
     group.add_argument("--renderer", choices=RENDERERS, default="auto")
     group.add_argument("--mode", choices=MODES, default="splats", help="other than splats: quads only")
     group.add_argument("--sh-degree", type=int, choices=range(4), metavar="D", help="at most D, 0 to 3")
-    group.add_argument("--blend", choices=("float16", "float32"), help="target of quads (default: float16)")
+    group.add_argument(
+        "--blend",
+        choices=("float16", "float32"),
+        help="target of quads (default: float16; float32 too where the driver truncates: see doctor)",
+    )
     group.add_argument(
         "--antialiased",
         action=argparse.BooleanOptionalAction,

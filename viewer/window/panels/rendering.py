@@ -127,7 +127,7 @@ def image_model(core: Core) -> None:
         core.preferences.blend,
         ("float16", "float32"),
         "Precision of the target that splats are blended into. float16 is faster and within 4/255 of the "
-        "truth; float32 is for measuring.",
+        "truth; float32 is for measuring, and for drivers that truncate float16 (splatview doctor).",
     )
     if blend is not None:
         core.prefer(blend=blend)
