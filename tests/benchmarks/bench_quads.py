@@ -175,7 +175,7 @@ def main() -> None:
                 ],
                 "rows": rows,
                 "note": f"Medians of {options.frames} frames at {width}x{height} on {info.renderer}; "
-                f'"alone" is the processor time of all threads over {os.cpu_count()} cores, what a frame takes '
+                f'"alone" is the processor time of all threads over {os.cpu_count()} cores: a frame '
                 f"where nothing else runs; peers' figures are of a run on {PEER_MACHINE}.",
             },
         },
