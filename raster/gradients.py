@@ -34,10 +34,14 @@ class Gradients:
     """Wall-clock time by stage."""
 
 
-def differentiate(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
+def differentiate(
+    splats: Parameters, frame: Frame, d_image: np.ndarray, *, reuse: Gradients | None = None
+) -> Gradients:
     """Gradients from `d_image` (H, W, 4), dL/d(image) in the picture's dtype, alpha included.
 
-    `splats` must be what the frame was drawn from, and its workspace not used since.
+    `splats` must be what the frame was drawn from, and its workspace not used since. `reuse` gives the
+    arrays of earlier gradients to be overwritten, if they fit: fresh memory costs time where scenes are
+    large.
 
     Raises:
         ValueError: d_image has the wrong shape or dtype, or the image model's max_alpha is not below 1.
@@ -51,7 +55,7 @@ def differentiate(splats: Parameters, frame: Frame, d_image: np.ndarray) -> Grad
     clock = StageClock()
     splat_sums, background = _splat_sums(frame, d_image, clock)
     with clock.stage("project_backward"):
-        gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums)
+        gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums, reuse)
     return Gradients(
         parameters=gradients,
         means2d=means2d,
@@ -122,12 +126,19 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
 
 
 def _parameters(
-    splats: Parameters, frame: Frame, splat_sums: np.ndarray
+    splats: Parameters, frame: Frame, splat_sums: np.ndarray, reuse: Gradients | None
 ) -> tuple[Parameters, np.ndarray, np.ndarray, np.ndarray]:
     count = len(splats.means)
-    gradients = Parameters(*(np.empty_like(array) for array in splats))
-    means2d = np.empty((count, 2), splats.quats.dtype)
-    abs_means2d = np.empty_like(means2d)
+    fits = reuse is not None and all(
+        old.shape == array.shape and old.dtype == array.dtype
+        for old, array in zip(reuse.parameters, splats, strict=True)
+    )
+    if reuse is not None and fits:
+        gradients, means2d, abs_means2d = reuse.parameters, reuse.means2d, reuse.abs_means2d
+    else:
+        gradients = Parameters(*(np.empty_like(array) for array in splats))
+        means2d = np.empty((count, 2), splats.quats.dtype)
+        abs_means2d = np.empty_like(means2d)
     pose_sums = np.zeros((-(-count // POSE_BLOCK), 6))
     run(
         project_backward,

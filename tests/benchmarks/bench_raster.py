@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from splatview.measure.tables import FOLDER, write_results
 from splatview.raster import available_threads
-from splatview.raster.benchmark import FLOPS_PER_PIXEL_SPLAT, STAGES, measure_all, summary
+from splatview.raster.benchmark import FLOPS_PER_PIXEL_SPLAT, QUICK, STAGES, measure_all, summary
 
 COLUMNS = {
     "project": ("project",),
@@ -32,6 +32,8 @@ COLUMNS = {
 def table(results: list[dict[str, Any]]) -> dict[str, Any]:
     rows = []
     for result in results:
+        if (result["splats"], *result["size"]) not in QUICK:
+            continue
         times = [f"{sum(result['ms'][stage] for stage in stages):.1f}" for stages in COLUMNS.values()]
         width, height = result["size"]
         rate = [f"{result['gpixel_splats_per_s']:.1f}", f"{result['share_of_peak']:.0%}"]

@@ -131,6 +131,21 @@ def test_wrong_gradient_is_named(random_gaussians, d_image):
         raster.differentiate(scene, frame, d_image)
 
 
+def test_arrays_of_earlier_gradients_are_overwritten_where_they_fit(random_gaussians):
+    splats = raster.parameters_of(random_gaussians(30))
+    frame = raster.draw_frame(splats, CAMERA, RenderSettings(), raster.Workspace())
+    weights = np.ones_like(frame.image)
+    expected = raster.differentiate(splats, frame, weights)
+    other = raster.differentiate(splats, frame, -2 * weights)
+    again = raster.differentiate(splats, frame, weights, reuse=other)
+    assert again.parameters.sh is other.parameters.sh
+    for ours, theirs in zip(again.parameters, expected.parameters, strict=True):
+        assert np.array_equal(ours, theirs)
+    fewer = raster.parameters_of(random_gaussians(29))
+    frame = raster.draw_frame(fewer, CAMERA, RenderSettings(), raster.Workspace())
+    assert len(raster.differentiate(fewer, frame, weights, reuse=again).parameters.sh) == 29
+
+
 def anything(*shape: int):
     return arrays.arrays(np.float32, shape, elements=st.floats(width=32))
 
