@@ -20,7 +20,6 @@ from splatview.trainer.settings import TrainSettings, automatic_limit
 from splatview.trainer.shots import Shot, Shots
 from splatview.trainer.training import Trainer
 
-
 make_settings: Any = TrainSettings
 
 
