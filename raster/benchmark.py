@@ -21,9 +21,9 @@ from .compiling import kernel
 from .forward import draw_tiles
 from .simd import LANES, fill, fma, load, store
 
-FLOPS_PER_PIXEL_SPLAT = 29
+FLOPS_PER_PIXEL_SPLAT = 31
 """Floating-point operations of `forward.blend_chunk`'s inner loop a pixel, a fused multiply-add being two:
-4 for dy, u and v, 4 for the power, 13 for 2^power, 8 for weight, light and three colours."""
+4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, light and three colours."""
 
 STAGES = ("project", "sort", "bin", "forward", "backward", "gather", "project_backward")
 COUNTS = (1_000, 20_000, 100_000, 500_000, 2_000_000)
