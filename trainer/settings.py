@@ -18,13 +18,35 @@ from .loss import SSIM_WEIGHT
 PAPER_ITERATIONS = 30_000
 
 
-PIXELS_PER_SPLAT = 12
+PIXELS_PER_SPLAT = 30
+"""With more splats, few photos are learnt by heart: on `banana` at a quarter of its size, 12,000 splats
+(25 pixels each) score 0.1 dB more on held-out photos than 25,000, and 1.7 dB less on those trained."""
+
+SPLATS_FOR_A_MINUTE = 20_000
+"""What a budget of one minute can train; a longer one by the square root, as steps become slower too."""
+
 LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
 
-def automatic_limit(pixels: int) -> int:
-    """A sensible `max_splats` for photos of so many pixels together: beyond it, splats learn by heart."""
-    return min(max(pixels // PIXELS_PER_SPLAT, LEAST_LIMIT), MOST_LIMIT)
+def automatic_limit(pixels: int, minutes: float | None = None) -> int:
+    """A sensible `max_splats` for photos of so many pixels together, and a run of so many minutes."""
+    limit = min(max(pixels // PIXELS_PER_SPLAT, LEAST_LIMIT), MOST_LIMIT)
+    if minutes is not None:
+        limit = min(limit, max(round(SPLATS_FOR_A_MINUTE * math.sqrt(minutes)), LEAST_LIMIT))
+    return limit
+
+
+LEAST_PULL, MOST_PULL = 0.01, 0.1
+"""The first is that of Kheradmand et al. 2024."""
+
+
+def automatic_pull(photos: int) -> float:
+    """Sensible `opacity_pull` and `scale_pull` for so many photos: the fewer, the stronger.
+
+    Splats that serve few views then fade. On held-out photos of `banana` (13 to train on) 0.1 scores
+    0.6 dB more than 0.01, on those of `miku` (84) 0.6 dB less.
+    """
+    return min(max(1.3 / max(photos, 1), LEAST_PULL), MOST_PULL)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +65,16 @@ class TrainSettings:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
-    coarse: tuple[tuple[float, int], ...] = ()
+    coarse: tuple[tuple[float, int], ...] = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order."""
 
     sh_degree: int = 3
     sh_every: float = 1000 / PAPER_ITERATIONS
     """Share of the run after which one more band is trained."""
 
-    means_rate: float = 1.6e-4
-    """Times the extent of the scene, at the start..."""
-    means_rate_end: float = 1.6e-6
+    means_rate: float = 4.8e-4
+    """Times the extent of the scene, at the start (three times the paper's: short runs move farther)..."""
+    means_rate_end: float = 6e-6
     """... and at the end, exponentially in between."""
     quats_rate: float = 1e-3
     log_scales_rate: float = 5e-3
@@ -74,10 +96,10 @@ class TrainSettings:
     """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
     noise: float = 5e5
     """mcmc: noise on positions, in units of their rate."""
-    opacity_pull: float = 0.01
-    """mcmc: weight of the mean opacity in the loss."""
-    scale_pull: float = 0.01
-    """mcmc: weight of the mean scale, world units over the extent, in the loss."""
+    opacity_pull: float = LEAST_PULL
+    """mcmc: weight of the mean opacity in the loss; and..."""
+    scale_pull: float = LEAST_PULL
+    """... of the mean scale, world units over the extent. See `automatic_pull`."""
 
     def __post_init__(self) -> None:
         if self.iterations is None and self.minutes is None:

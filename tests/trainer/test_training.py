@@ -16,7 +16,7 @@ import pytest
 from splatview.scene import InputError
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.settings import TrainSettings, automatic_limit
+from splatview.trainer.settings import TrainSettings, automatic_limit, automatic_pull
 from splatview.trainer.shots import Shot, Shots
 from splatview.trainer.training import Trainer
 
@@ -226,5 +226,12 @@ def test_settings_that_make_no_sense_are_named() -> None:
             make_settings(**options)
 
 
-def test_the_automatic_limit_follows_the_pixels() -> None:
+def test_few_photos_pull_harder() -> None:
+    assert automatic_pull(1) == automatic_pull(13) == 0.1
+    assert automatic_pull(1000) == 0.01
+    assert 0.01 < automatic_pull(84) < 0.1
+
+
+def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
+    assert automatic_limit(10**8, 1) < automatic_limit(10**8, 10) < automatic_limit(10**8)
     assert automatic_limit(0) < automatic_limit(10**7) < automatic_limit(10**9)

@@ -20,7 +20,7 @@ from ...trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from ...trainer.evaluate import Evaluation
 from ...trainer.initialise import initial_parameters
 from ...trainer.session import Outputs, Progress, Session
-from ...trainer.settings import PAPER_ITERATIONS, TrainSettings, automatic_limit
+from ...trainer.settings import PAPER_ITERATIONS, TrainSettings, automatic_limit, automatic_pull
 from ...trainer.shots import Shots, shots_of
 from ...trainer.training import Trainer
 from ...trainer.warm_up import warm_up
@@ -177,13 +177,17 @@ def _new_trainer(capture: Capture, shots: Shots, seed: int, options) -> Trainer:
     iterations, minutes = options.iterations, options.minutes
     if iterations is None and minutes is None:
         iterations = PAPER_ITERATIONS
+    pull = automatic_pull(len(shots))
     settings = TrainSettings(
         iterations=iterations,
         minutes=minutes,
         seed=seed,
+        opacity_pull=pull,
+        scale_pull=pull,
         strategy=options.strategy or "mcmc",
         background=capture.background or (0.0, 0.0, 0.0),
-        max_splats=options.max_splats or automatic_limit(shots.pixel_count),
+        max_splats=options.max_splats
+        or automatic_limit(shots.pixel_count, minutes if iterations is None else None),
     )
     extent = capture.scene_radius
     parameters = initial_parameters(
