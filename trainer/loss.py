@@ -62,6 +62,7 @@ def photo_loss(
     if ssim_weight > 0 and not min(height, width) >= SSIM_WINDOW:
         raise ValueError(f"SSIM needs pictures of at least {SSIM_WINDOW}x{SSIM_WINDOW}, got {width}x{height}")
     threads = threads or available_threads()
+    photo, mask = _read_only(photo), _read_only(mask)
     number = image.dtype.type
     weights = gaussian_window().astype(number)
     rows, windows = height - SSIM_WINDOW + 1, width - SSIM_WINDOW + 1
@@ -89,6 +90,13 @@ def photo_loss(
     )
     l1 = float(differences.sum()) / (3 * height * width)
     return PhotoLoss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, d_image)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A view that may not be written to: numba compiles a kernel anew for arrays that may."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _tasks(rows: int, threads: int) -> list[tuple[int, int]]:
