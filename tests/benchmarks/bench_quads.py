@@ -1,4 +1,4 @@
-"""Frame time of `quads` while the camera turns, so that every frame projects and sorts anew.
+"""Frame time of `quads`, and of `cpu` beside it, while the camera turns: every frame projects and sorts anew.
 
     python tests/benchmarks/bench_quads.py [SCENE ...] [--orbit x,y,z,radius,height] [--size WxH] [--frames N]
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from splatview import raster
 from splatview.measure.tables import FOLDER, write_results
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.demo import demo_scene
@@ -66,7 +66,7 @@ def orbit_around(scene: Gaussians, size: tuple[int, int]) -> Views:
 def measure(
     ctx: moderngl.Context, name: str, scene: Gaussians, views: Views, frames: int
 ) -> list[dict[str, Any]]:
-    """Each blend precision and, beside it, no early stop: frame by frame in turn."""
+    """`quads` in each blend precision and without early stop, and `cpu`: frame by frame in turn."""
     variants = [("float16", None), ("float32", None), ("float32", 0.0)]
     renderers = []
     for _, stop in variants:
@@ -78,6 +78,8 @@ def measure(
     times: list[list[float]] = [[] for _ in variants]
     cpu: list[list[float]] = [[] for _ in variants]
     stages: list[list[dict[str, float]]] = [[] for _ in variants]
+    raster_times: list[float] = []
+    raster_cpu: list[float] = []
     for frame in range(WARM_UP + frames):
         for i, (renderer, (blend, _)) in enumerate(zip(renderers, variants, strict=True)):
             begun, cpu_begun = time.perf_counter(), time.process_time()
@@ -88,37 +90,64 @@ def measure(
                 times[i].append(elapsed)
                 cpu[i].append(1000 * (time.process_time() - cpu_begun))
                 stages[i].append(dict(renderer.finished_stats().ms))
+        begun, cpu_begun = time.perf_counter(), time.process_time()
+        raster.render(scene, views(frame), RenderSettings())
+        if frame >= WARM_UP:
+            raster_times.append(1000 * (time.perf_counter() - begun))
+            raster_cpu.append(1000 * (time.process_time() - cpu_begun))
     results = []
     for i, (blend, _) in enumerate(variants):
-        median = float(np.median(times[i]))
-        alone = float(np.median(cpu[i])) / (os.cpu_count() or 1)
-        peers = {
-            peer: {
-                "median_ms": figures[len(scene)],
-                "ratio": median / min(figures[len(scene)]),
-                "ratio_alone": alone / min(figures[len(scene)]),
-            }
-            for peer, figures in PEERS.items()
-            if len(scene) in figures
-        }
         results.append(
             {
-                "scene": name,
-                "splats": len(scene),
-                "visible": renderers[i].finished_stats().visible,
+                "renderer": "quads",
                 "blend": blend,
                 "early_stop": renderers[i].early_stop,
-                "median_ms": median,
-                "range_ms": [min(times[i]), max(times[i])],
-                # Of all threads: what a software GL costs even where other programs share the machine.
-                "cpu_ms": float(np.median(cpu[i])),
-                "alone_ms": alone,
+                "visible": renderers[i].finished_stats().visible,
+                **timing(name, scene, times[i], cpu[i]),
                 "stages_ms": {key: float(np.median([one[key] for one in stages[i]])) for key in stages[i][0]},
-                "peers": peers,
             }
         )
         renderers[i].release()
+    results.append({"renderer": "cpu", **timing(name, scene, raster_times, raster_cpu)})
     return results
+
+
+def timing(name: str, scene: Gaussians, wall_ms: list[float], cpu_ms: list[float]) -> dict[str, Any]:
+    """Medians and spread, and the ratio to the least figure of the fastest peer for this number of splats."""
+    median = float(np.median(wall_ms))
+    fastest = min((min(figures.get(len(scene), (math.inf,))) for figures in PEERS.values()), default=math.inf)
+    return {
+        "scene": name,
+        "splats": len(scene),
+        "median_ms": median,
+        "range_ms": [min(wall_ms), max(wall_ms)],
+        # Of all threads: twice this over the wall time of two cores tells whether others used them.
+        "cpu_ms": float(np.median(cpu_ms)),
+        "ratio_to_fastest_peer": median / fastest if math.isfinite(fastest) else None,
+    }
+
+
+def rows_of(results: list[dict[str, Any]]) -> list[list[str]]:
+    """Ours and, where their figures are known, the peers', scene by scene."""
+    rows = []
+    for result in results:
+        low, high = result["range_ms"]
+        name = "`cpu`" if result["renderer"] == "cpu" else f"`quads`, {result['blend']}"
+        if result.get("early_stop") == 0:
+            name += ", no early stop"
+        stages = result.get("stages_ms")
+        split = " / ".join(f"{stages[stage]:.0f}" for stage in ("project", "sort", "draw")) if stages else ""
+        ratio = result["ratio_to_fastest_peer"]
+        share = "" if ratio is None else f"{ratio:.2f}"
+        spread = f"{result['median_ms']:.0f} ({low:.0f} to {high:.0f})"
+        rows.append([f"splatview {name}", f"{result['splats']:,}", spread, split, share])
+    for splats in sorted({result["splats"] for result in results}):
+        known = {peer: figures[splats] for peer, figures in PEERS.items() if splats in figures}
+        fastest = min((min(figures) for figures in known.values()), default=math.nan)
+        for peer, (low, high) in known.items():
+            spread = f"{low} to {high}" if high > low else f"{low}"
+            rows.append([peer, f"{splats:,}", spread, "", f"{low / fastest:.2f}"])
+    return sorted(rows, key=lambda row: int(row[1].replace(",", "")))
 
 
 def main() -> None:
@@ -144,21 +173,6 @@ def main() -> None:
             print(result, flush=True)
             results.append(result)
     info = describe(ctx)
-    rows = [
-        [
-            result["scene"],
-            f"{result['splats']:,}",
-            result["blend"],
-            "off" if not result["early_stop"] else f"{result['early_stop']:g}",
-            f"{result['median_ms']:.0f}",
-            f"{result['alone_ms']:.0f}",
-            " / ".join(f"{result['stages_ms'][stage]:.0f}" for stage in ("project", "sort", "draw")),
-            f"{max(peer['ratio_alone'] for peer in result['peers'].values()):.2f}"
-            if result["peers"]
-            else "-",
-        ]
-        for result in results
-    ]
     write_results(
         options.output,
         {
@@ -169,14 +183,12 @@ def main() -> None:
             "peers": {"machine": PEER_MACHINE, "median_ms": {k: dict(v) for k, v in PEERS.items()}},
             "results": results,
             "table": {
-                "columns": [
-                    *("scene", "splats", "target", "early stop", "ms", "ms alone", "project / sort / draw"),
-                    "alone / fastest peer's",
-                ],
-                "rows": rows,
-                "note": f"Medians of {options.frames} frames at {width}x{height} on {info.renderer}; "
-                f'"alone" is the processor time of all threads over {os.cpu_count()} cores: a frame '
-                f"where nothing else runs; peers' figures are of a run on {PEER_MACHINE}.",
+                "columns": ["renderer", "splats", "ms", "project / sort / draw", "of the fastest peer's"],
+                "rows": rows_of(results),
+                "note": f"Medians (least to most) of {options.frames} frames at {width}x{height}, GL by "
+                f"{info.renderer}. The peers' figures (browsers and Python programs on {PEER_MACHINE}, the "
+                "same scenes, the same orbit) are of other runs and good to some 15 %; those that sort "
+                "asynchronously may have drawn an old order.",
             },
         },
     )
