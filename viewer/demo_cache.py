@@ -4,32 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import sys
 from collections.abc import Callable
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 
 from ..scene import Gaussians, InputError, demo
 from ..scene.demo import demo_scene
 from ..scene.files import load_scene, save_scene
+from .folders import cache_folder
 
 PATTERN = "demo-*.ply"
-
-
-def cache_folder() -> Path:
-    """The platform's place for what can be made again; SPLATVIEW_CACHE_DIR overrides it. It may not exist."""
-    if override := os.environ.get("SPLATVIEW_CACHE_DIR"):
-        return Path(override)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "splatview"
 
 
 def _stamp() -> str:

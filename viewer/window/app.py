@@ -13,6 +13,7 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip
 
+from ..folders import config_folder
 from ..gl.context import describe
 from . import keys, layout, opening, theme
 from .core import Core
@@ -20,7 +21,7 @@ from .display import best_gl_version
 from .dropping import install_drop_handler
 from .file_dialogs import FileDialogs
 from .picture import choose_picture
-from .preferences import Preferences, config_folder, load_preferences, save_preferences
+from .preferences import Preferences, load_preferences, save_preferences
 
 IDLE_FPS = 2.0
 """Frames a second when nothing happens; any event wakes the window at once."""

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from ...scene import InputError
+from ..folders import config_folder
 from .navigation import Lens, View
 from .navigation.rotations import orthonormal, unit
 from .navigation.view import MAX_FOV, MIN_FOV
-from .preferences import config_folder, write_json
+from .preferences import write_json
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,11 +7,11 @@ from functools import partial
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from ..folders import config_folder
 from . import dialogs, menus, overlays, viewport
 from .core import Core
 from .file_dialogs import FileDialogs
 from .panels import bookmarks, camera, messages, rendering, scene, statistics
-from .preferences import config_folder
 
 LAYOUT_FILE = "layout.ini"
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
+
+from ..folders import config_folder
 
 NavigationMode = Literal["orbit", "fly", "trackball"]
 BlendPrecision = Literal["float16", "float32"]
@@ -47,19 +48,6 @@ RANGES = {
     "resolution_scale": (0.125, 2.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
-
-
-def config_folder() -> Path:
-    """The platform's place for settings; SPLATVIEW_CONFIG_DIR overrides it. It may not exist yet."""
-    if override := os.environ.get("SPLATVIEW_CONFIG_DIR"):
-        return Path(override)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("APPDATA") or Path.home() / "AppData" / "Roaming")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Application Support"
-    else:
-        base = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    return base / "splatview"
 
 
 def load_preferences() -> tuple[Preferences, str | None]:

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from splatview.viewer.folders import config_folder
 from splatview.viewer.window.preferences import (
     FILE_NAME,
     MAX_RECENT,
     Preferences,
-    config_folder,
     load_preferences,
     save_preferences,
     with_recent,
