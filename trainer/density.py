@@ -122,6 +122,10 @@ class ClassicControl:
     ) -> None:
         """Nothing: the classic strategy moves no splat by itself."""
 
+    def totals(self) -> list[np.ndarray]:
+        """What `observe` adds to, in place."""
+        return [self.pulled, self.seen]
+
     def state(self) -> dict[str, np.ndarray]:
         """Arrays that `restore` takes."""
         return {"pulled": self.pulled, "seen": self.seen, "resets": np.array([self.resets])}

@@ -88,6 +88,10 @@ class SampledControl:
             threads,
         )
 
+    def totals(self) -> list[np.ndarray]:
+        """Nothing is added up."""
+        return []
+
     def state(self) -> dict[str, np.ndarray]:
         """Arrays that `restore` takes."""
         return {"initial_count": np.array([self.initial_count])}

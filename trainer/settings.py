@@ -62,6 +62,8 @@ class TrainSettings:
     minutes: float | None = None
     """Wall-clock length of the whole run; with both, the one that ends first."""
     seed: int = 0
+    batch: int = 1
+    """Photos a step, whose gradients are averaged."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
@@ -104,7 +106,7 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if self.iterations is None and self.minutes is None:
             raise ValueError("iterations or minutes must be given")
-        for name in ("iterations", "minutes", "max_splats", "least_refine_steps"):
+        for name in ("iterations", "minutes", "batch", "max_splats", "least_refine_steps"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be above 0, got {value}")

@@ -24,10 +24,11 @@ from ..raster.frame import StageClock
 from ..scene import Gaussians, RenderSettings
 from .adam import Pull, adam_step
 from .density import ClassicControl
+from .distributed import Alone, BatchSum, Group
 from .loss import photo_loss
 from .mcmc import SampledControl
 from .settings import TrainSettings
-from .shots import Shots
+from .shots import Shot, Shots
 from .splats import Splats, fresh
 
 
@@ -40,6 +41,7 @@ class DensityControl(Protocol):
     def after_step(
         self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
     ) -> None: ...
+    def totals(self) -> list[np.ndarray]: ...
     def state(self) -> dict[str, np.ndarray]: ...
     def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
@@ -82,13 +84,16 @@ class Trainer:
         settings: TrainSettings,
         *,
         threads: int | None = None,
+        group: Group | None = None,
     ) -> None:
+        """`group`: the processes that share each batch; every one of them has a trainer made alike."""
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
         self.shots = shots
         self.extent = float(extent)
         self.threads = threads or available_threads()
+        self.group: Group = group or Alone()
         self.splats: Splats = fresh(parameters)
         self.counters = Counters()
         self.clock = StageClock()
@@ -119,15 +124,64 @@ class Trainer:
         return self.splats.snapshot(comments=("Trained by splatview",))
 
     def step(self, seconds: float | None = None) -> StepReport:
-        """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time."""
+        """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time.
+
+        Raises:
+            KeyboardInterrupt, PeerLost: see `Group.agreed`; the scene is as the last step left it.
+        """
         begun = time.perf_counter()
         counters, settings = self.counters, self.settings
-        if seconds is not None:
-            counters.seconds = seconds
+        counters.seconds = self.group.agreed(counters.seconds if seconds is None else seconds)
         progress = self.progress
-        shot = self.shots.at(counters.iteration, settings.shrink_at(progress))
         self.splats = self.splats.with_sh_degree(max(settings.sh_degree_at(progress), self.splats.sh_degree))
+        splats = self.splats
+        gradients, seen, loss = self._look(progress)
 
+        counters.iteration += 1
+        rates = settings.rates(progress, self.extent)
+        with self.clock.stage("adam"):
+            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
+            pull = Pull()
+            if settings.strategy == "mcmc":
+                pull = Pull(settings.opacity_pull, settings.scale_pull / self.extent)
+            adam_step(splats, gradients, moved, rates, counters.iteration, pull=pull, threads=self.threads)
+        with self.clock.stage("density"):
+            self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
+            if progress < settings.refine_until and self._refinement_is_due(progress):
+                rng = np.random.default_rng([settings.seed, counters.iteration, 1])
+                self.splats = self.control.refine(splats, progress, rng)
+                counters.refined_at, counters.refined_progress = counters.iteration, progress
+        if seconds is None:
+            counters.seconds += time.perf_counter() - begun
+        return StepReport(counters.iteration, loss, len(self.splats), self.progress)
+
+    def _look(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
+        """Mean gradients over the step's photos, who was seen in them, and the mean loss."""
+        settings, group = self.settings, self.group
+        first, shrink = self.counters.iteration * settings.batch, settings.shrink_at(progress)
+        mine = range(first + group.rank, first + settings.batch, group.size)
+        observing = progress < settings.refine_until
+        if settings.batch == 1:
+            return self._look_at(self.shots.at(first, shrink), observing)
+        totals = self.control.totals() if observing and group.size > 1 else []
+        before = [total.copy() for total in totals]
+        batch = BatchSum(self.splats.parameters)
+        for place in mine:
+            looked = self._look_at(self.shots.at(place, shrink), observing)
+            with self.clock.stage("batch"):
+                batch.add(*looked)
+        with self.clock.stage("batch"):
+            noted = [total - old for total, old in zip(totals, before, strict=True)]
+            for total, old in zip(totals, before, strict=True):
+                total[:] = old  # should another process be gone, this step has not happened
+            group.add_up(noted)
+            result = batch.means(settings.batch, group, self.threads)
+            for total, new in zip(totals, noted, strict=True):
+                total += new
+        return result
+
+    def _look_at(self, shot: Shot, observing: bool) -> tuple[Parameters, list[np.ndarray], float]:
+        """The gradients by one photo, the splats that reach into it, and its loss."""
         splats = self.splats
         frame = draw_frame(
             splats.parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
@@ -138,41 +192,17 @@ class Trainer:
                 shot.pixels,
                 self._workspace,
                 mask=shot.mask,
-                ssim_weight=settings.ssim_weight,
+                ssim_weight=self.settings.ssim_weight,
                 threads=self.threads,
             )
         gradients = differentiate(splats.parameters, frame, compared.d_image)
         for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
             self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
-
         seen = [frame.visible[start:stop] for start, stop in frame.runs]
-        counters.iteration += 1
-        rates = settings.rates(progress, self.extent)
-        with self.clock.stage("adam"):
-            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
-            pull = Pull()
-            if settings.strategy == "mcmc":
-                pull = Pull(settings.opacity_pull, settings.scale_pull / self.extent)
-            adam_step(
-                splats,
-                gradients.parameters,
-                moved,
-                rates,
-                counters.iteration,
-                pull=pull,
-                threads=self.threads,
-            )
-        with self.clock.stage("density"):
-            self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
-            if progress < settings.refine_until:
+        if observing:
+            with self.clock.stage("density"):
                 self.control.observe(frame, gradients, seen)
-                if self._refinement_is_due(progress):
-                    rng = np.random.default_rng([settings.seed, counters.iteration, 1])
-                    self.splats = self.control.refine(splats, progress, rng)
-                    counters.refined_at, counters.refined_progress = counters.iteration, progress
-        if seconds is None:
-            counters.seconds += time.perf_counter() - begun
-        return StepReport(counters.iteration, compared.loss, len(self.splats), self.progress)
+        return gradients.parameters, seen, compared.loss
 
     def _refinement_is_due(self, progress: float) -> bool:
         settings, counters = self.settings, self.counters

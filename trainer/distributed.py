@@ -1,0 +1,189 @@
+"""Several processes train one scene: each looks at its share of a batch's photos, and all take the same step.
+
+What is added up over processes is the gradients (all-reduce) and what density control notes of a step;
+everything else is computed alike everywhere from equal seeds, so that parameters never need to be sent. The
+processes are those of ``torchrun``, on one machine or several, and talk by gloo.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+from collections.abc import Sequence
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
+
+from ..raster import Parameters
+from ..raster.pool import TASKS_PER_THREAD, available_threads
+from ..scene import InputError
+
+
+class PeerLost(InputError):
+    """Another process of the run has ended; this one's scene is as it was before the step."""
+
+
+class Group(Protocol):
+    """The processes of a run, as one of them sees them. All must make the same calls in the same order."""
+
+    rank: int
+    """Of this process, 0 to size - 1; 0 is the one that writes."""
+    size: int
+
+    def add_up(self, arrays: Sequence[np.ndarray]) -> None:
+        """Each array becomes, in place and everywhere, its sum over the processes. Raises PeerLost."""
+
+    def agreed(self, seconds: float) -> float:
+        """The first process's value, everywhere.
+
+        Raises:
+            KeyboardInterrupt: in all processes alike, once any was asked to stop.
+            PeerLost: another process is gone.
+        """
+        ...
+
+
+class Alone:
+    """A run of one process."""
+
+    rank, size = 0, 1
+
+    def add_up(self, arrays: Sequence[np.ndarray]) -> None:
+        """There is nothing to add."""
+
+    def agreed(self, seconds: float) -> float:
+        return seconds
+
+
+class Processes:
+    """A run of several, started by torchrun.
+
+    SIGINT and SIGTERM stop all of them after the same step: one that left by itself would leave the others
+    waiting, and torchrun passes the signal on besides, which is not to end the writing of the scene.
+    """
+
+    def __init__(self) -> None:
+        """Meets the others. Raises InputError where they cannot be reached."""
+        import torch
+        import torch.distributed
+
+        self._torch, self._distributed = torch, torch.distributed
+        try:
+            torch.distributed.init_process_group("gloo")
+        except (RuntimeError, ValueError) as error:
+            raise InputError(
+                f"the other processes cannot be reached ({first_line(error)}); start them with torchrun"
+            ) from None
+        self.rank = torch.distributed.get_rank()
+        self.size = torch.distributed.get_world_size()
+        self._stopping = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+
+    def add_up(self, arrays: Sequence[np.ndarray]) -> None:
+        for array in arrays:
+            try:
+                self._distributed.all_reduce(self._torch.from_numpy(array))
+            except RuntimeError as error:
+                self._lost(error)
+
+    def agreed(self, seconds: float) -> float:
+        said = np.array([seconds if self.rank == 0 else 0.0, float(self._stopping)])
+        self.add_up([said])
+        if said[1] > 0:
+            raise KeyboardInterrupt
+        return float(said[0])
+
+    def gathered(self, value: Any) -> list[Any]:
+        """Everybody's `value`, by rank: plain data. Raises PeerLost."""
+        values: list[Any] = [None] * self.size
+        try:
+            self._distributed.all_gather_object(values, value)
+        except RuntimeError as error:
+            self._lost(error)
+        return values
+
+    def leave(self) -> None:
+        """Ends the connections; the run is over."""
+        self._distributed.destroy_process_group()
+
+    def _stop(self, number: int, frame: Any) -> None:
+        self._stopping = True
+
+    def _lost(self, error: RuntimeError) -> NoReturn:
+        raise PeerLost(
+            f"process {self.rank} of {self.size} stops, for another one has ended ({first_line(error)})"
+        ) from None
+
+
+def first_line(error: Exception) -> str:
+    """The gist of torch's messages, which go on with addresses of code."""
+    return str(error).partition("\n")[0].rpartition("] ")[2].rstrip(". ")
+
+
+def is_launched() -> bool:
+    """Whether torchrun started this process as one of several."""
+    return "RANK" in os.environ and int(os.environ.get("WORLD_SIZE", "1")) > 1
+
+
+def share_of_cores() -> int:
+    """Threads for each of the processes on this machine."""
+    return max(available_threads() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")), 1)
+
+
+def digest(*parts: Any) -> str:
+    """Of arrays and plain values; equal digests mean equal parts."""
+    made = hashlib.sha256()
+    for part in parts:
+        made.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+    return made.hexdigest()
+
+
+def check_equal(group: Processes, parts: dict[str, str]) -> None:
+    """Compares a digest of everything that must be the same everywhere, by what it is called.
+
+    Raises:
+        InputError: one differs, in every process alike.
+    """
+    everybody = group.gathered(parts)
+    for rank, theirs in enumerate(everybody):
+        for name, value in everybody[0].items():
+            if theirs.get(name) != value:
+                raise InputError(
+                    f"process {rank} of {group.size} has other {name} than process 0;"
+                    " all must be given the same capture and options"
+                )
+
+
+class BatchSum:
+    """Gradients of a batch's photos, added up over photos and then over processes."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        ends = np.cumsum([array.size for array in parameters])
+        self._flat = np.zeros(ends[-1], np.float32)
+        pieces = np.split(self._flat, ends[:-1])
+        self._gradients = Parameters(
+            *(piece.reshape(array.shape) for piece, array in zip(pieces, parameters, strict=True))
+        )
+        self._seen = np.zeros(len(parameters.means), np.int32)
+        self._loss = np.zeros(1)
+
+    def add(self, gradients: Parameters, seen: Sequence[np.ndarray], loss: float) -> None:
+        """One photo's."""
+        for total, array in zip(self._gradients, gradients, strict=True):
+            total += array
+        for indices in seen:
+            self._seen[indices] = 1
+        self._loss += loss
+
+    def means(self, photos: int, group: Group, threads: int) -> tuple[Parameters, list[np.ndarray], float]:
+        """Mean gradients over `photos` of all processes, who was seen in any (int32), and the mean loss."""
+        group.add_up([self._flat, self._seen, self._loss])
+        self._flat *= np.float32(1 / photos)
+        seen = np.flatnonzero(self._seen).astype(np.int32)
+        return (
+            self._gradients,
+            np.array_split(seen, threads * TASKS_PER_THREAD),
+            float(self._loss[0]) / photos,
+        )
