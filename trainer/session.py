@@ -1,12 +1,15 @@
-"""A whole run without a window: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end."""
+"""A whole run, whoever drives it: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end.
+
+Without a window `run` does it all; with one, `thread.TrainingThread` calls the parts between which a user
+may pause.
+"""
 
 from __future__ import annotations
 
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
@@ -25,6 +28,9 @@ CHECKPOINT_SECONDS = 60.0
 
 METRICS_STEPS = 50
 """Steps between lines of metrics, besides those of evaluations."""
+
+EVALUATION_SHARE = 0.05
+"""Of the time, that evaluations by the clock may take."""
 
 MOST_PICTURES = 8
 """Side-by-side pictures that are written."""
@@ -79,8 +85,30 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
+class Stopwatch:
+    """Seconds of a run, pauses left out. Only one thread may use it."""
+
+    def __init__(self, started: float) -> None:
+        """`started`: time.perf_counter() of its zero."""
+        self._started = started
+        self._paused: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        return (time.perf_counter() if self._paused is None else self._paused) - self._started
+
+    def pause(self) -> None:
+        if self._paused is None:
+            self._paused = time.perf_counter()
+
+    def resume(self) -> None:
+        if self._paused is not None:
+            self._started += time.perf_counter() - self._paused
+            self._paused = None
+
+
 class Session:
-    """Runs a trainer to its end and keeps what it learns safe on the way."""
+    """Takes a trainer through its run and keeps what it learns safe on the way."""
 
     def __init__(
         self,
@@ -90,24 +118,31 @@ class Session:
         *,
         started: float,
         eval_every: int,
+        eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
         on_progress: Callable[[Progress], None] = lambda progress: None,
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
-        """`started`: time.perf_counter() of when the run, or this part of it, began; `notes` go into
-        checkpoints; `on_progress` is called after every step, `on_note` with a line for the user."""
+        """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
+        between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints;
+        `on_progress` is called after every step, `on_note` with a line for the user."""
         self.trainer, self.held_out, self.outputs = trainer, list(held_out), outputs
-        self.eval_every, self.notes = eval_every, notes or {}
+        self.eval_every, self.eval_seconds, self.notes = eval_every, eval_seconds, notes or {}
         self.on_progress, self.on_note = on_progress, on_note
         self.evaluation: Evaluation | None = None
         """The last one."""
-        self._started = started - trainer.counters.seconds
+        self.evaluated_at = 0
+        """Step of the last one."""
+        self.stopwatch = Stopwatch(started - trainer.counters.seconds)
         self._checkpointed = time.perf_counter()
+        self._evaluated = time.perf_counter()
+        self._evaluation_cost = 0.0
+        self._metrics: TextIO | None = None
 
     @property
     def seconds(self) -> float:
-        """Wall-clock time of the run, earlier parts included."""
-        return time.perf_counter() - self._started
+        """Wall-clock time of the run, earlier parts included, pauses not."""
+        return self.stopwatch.seconds
 
     def run(self) -> bool:
         """Trains to the end, saves the scene, and returns true; false after Ctrl-C.
@@ -119,16 +154,70 @@ class Session:
             InputError: the scene could not be saved where it should; the message says where it is.
         """
         completed = True
-        with _appended(self.outputs.metrics) as metrics:
-            try:
-                while not self.trainer.done:
-                    self._step(metrics)
-            except KeyboardInterrupt:
-                completed = False
-        self.trainer.counters.seconds = self.seconds
-        self._checkpoint()
-        self._save_scene()
+        try:
+            while not self.trainer.done:
+                self.step()
+        except KeyboardInterrupt:
+            completed = False
+        finally:
+            self.close()
+        self.keep()
         return completed
+
+    def step(self) -> Progress:
+        """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
+        report = self.trainer.step(self.seconds)
+        evaluation = None
+        if self.held_out and self._evaluation_is_due(report.iteration):
+            evaluation = self.evaluate()
+        if evaluation or report.iteration % METRICS_STEPS == 0 or self.trainer.done:
+            self._write_metrics(report, evaluation)
+        if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
+            self.checkpoint()
+        progress = Progress(report, self.seconds, evaluation)
+        self.on_progress(progress)
+        return progress
+
+    def evaluate(self, on_picture: Callable[[Shot, np.ndarray], None] | None = None) -> Evaluation:
+        """Measures the scene as it is on the held-out photos, of which there must be some."""
+        trainer, begun = self.trainer, time.perf_counter()
+        self.evaluation = evaluate(
+            trainer.splats.parameters,
+            self.held_out,
+            trainer.render_settings,
+            threads=trainer.threads,
+            on_picture=on_picture,
+        )
+        self.evaluated_at = trainer.counters.iteration
+        self._evaluated = time.perf_counter()
+        self._evaluation_cost = self._evaluated - begun
+        return self.evaluation
+
+    def checkpoint(self) -> bool:
+        """Writes the checkpoint; false, and a note, where it cannot be written."""
+        self._checkpointed = time.perf_counter()
+        try:
+            save_checkpoint(self.trainer, self.outputs.checkpoint, self.notes)
+        except InputError as error:
+            self.on_note(f"no checkpoint written: {error}")
+            return False
+        return True
+
+    def keep(self) -> None:
+        """Writes checkpoint and scene as they stand.
+
+        Raises:
+            InputError: the scene could not be saved where it should; the message says where it is.
+        """
+        self.trainer.counters.seconds = self.seconds
+        self.checkpoint()
+        self.save_scene()
+
+    def close(self) -> None:
+        """Closes the file of metrics; a later step opens it again."""
+        if self._metrics is not None:
+            self._metrics.close()
+            self._metrics = None
 
     def final_evaluation(self) -> Evaluation | None:
         """Measures the scene as it is and writes side-by-side pictures; None without held-out photos.
@@ -148,50 +237,47 @@ class Session:
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            return self._evaluate(write)
+            return self.evaluate(write)
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
-    def _step(self, metrics: TextIO | None) -> None:
-        report = self.trainer.step(self.seconds)
-        evaluation = None
-        if self.held_out and (report.iteration % self.eval_every == 0 or self.trainer.done):
-            evaluation = self.evaluation = self._evaluate(None)
-        if metrics and (evaluation or report.iteration % METRICS_STEPS == 0 or self.trainer.done):
-            line: dict[str, Any] = {
-                "iteration": report.iteration,
-                "seconds": round(self.trainer.counters.seconds, 3),
-                "loss": report.loss,
-                "gaussians": report.gaussians,
-            }
-            if evaluation:
-                line |= {"psnr": evaluation.psnr, "ssim": evaluation.ssim}
-            if self.trainer.done:
-                stages = self.trainer.clock.milliseconds
-                line["stages"] = {name: round(spent, 1) for name, spent in stages.items()}
-            metrics.write(json.dumps(line) + "\n")
-        if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
-            self._checkpoint()
-        self.on_progress(Progress(report, self.seconds, evaluation))
+    def _evaluation_is_due(self, iteration: int) -> bool:
+        if iteration % self.eval_every == 0 or self.trainer.done:
+            return True
+        if self.eval_seconds is None:
+            return False
+        pause = max(self.eval_seconds, self._evaluation_cost / EVALUATION_SHARE)
+        return time.perf_counter() - self._evaluated >= pause
 
-    def _evaluate(self, on_picture: Callable[[Shot, np.ndarray], None] | None) -> Evaluation:
-        trainer = self.trainer
-        return evaluate(
-            trainer.splats.parameters,
-            self.held_out,
-            trainer.render_settings,
-            threads=trainer.threads,
-            on_picture=on_picture,
-        )
-
-    def _checkpoint(self) -> None:
+    def _write_metrics(self, report: StepReport, evaluation: Evaluation | None) -> None:
+        if self.outputs.metrics is None:
+            return
+        line: dict[str, Any] = {
+            "iteration": report.iteration,
+            "seconds": round(self.trainer.counters.seconds, 3),
+            "loss": report.loss,
+            "gaussians": report.gaussians,
+        }
+        if evaluation:
+            line |= {"psnr": evaluation.psnr, "ssim": evaluation.ssim}
+        if self.trainer.done:
+            stages = self.trainer.clock.milliseconds
+            line["stages"] = {name: round(spent, 1) for name, spent in stages.items()}
         try:
-            save_checkpoint(self.trainer, self.outputs.checkpoint, self.notes)
-        except InputError as error:
-            self.on_note(f"no checkpoint written: {error}")
-        self._checkpointed = time.perf_counter()
+            if self._metrics is None:
+                # Lines are added, so that a resumed run goes on.
+                self._metrics = open(self.outputs.metrics, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+            self._metrics.write(json.dumps(line) + "\n")
+        except OSError as error:
+            # The scene is worth more than the curve of how it came about.
+            self.on_note(f"{self.outputs.metrics}: a line could not be written: {error.strerror or error}")
 
-    def _save_scene(self) -> None:
+    def save_scene(self) -> None:
+        """Writes the scene, beside the system's temporary files if need be.
+
+        Raises:
+            InputError: it could not be saved where it should; the message says where it is.
+        """
         scene = self.trainer.snapshot()
         try:
             save_scene(scene, self.outputs.scene)
@@ -201,13 +287,3 @@ class Session:
                 pass
             save_scene(scene, refuge)
             raise InputError(f"{error}; the trained scene is saved as {refuge}") from None
-
-
-@contextmanager
-def _appended(path: Path | None) -> Iterator[TextIO | None]:
-    """The file of metrics, or None. Lines are added, so that a resumed run goes on."""
-    if path is None:
-        yield None
-        return
-    with open(path, "a", encoding="utf-8", buffering=1) as file:
-        yield file
