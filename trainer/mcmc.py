@@ -62,6 +62,7 @@ class SampledControl:
             for array, values in zip(splats.parameters, copies, strict=True):
                 array[sources] = values
                 array[dead] = values
+            splats.renumber(dead)
             for group in (splats.first, splats.second):
                 for array in group:
                     array[sources] = 0

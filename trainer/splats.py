@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,17 @@ class Splats:
     """Adam's running average of the gradient, in the shapes of `parameters`."""
     second: Parameters
     """Adam's running average of the squared gradient."""
+    ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """(N,) int64: who is who. A splat keeps its number as long as it lives and no number is given twice, so
+    that what was chosen on an earlier snapshot can still be found. From 0 on where left out."""
+    next_id: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.ids) == 0:
+            self.ids = np.arange(self.next_id, self.next_id + len(self), dtype=np.int64)
+            self.next_id += len(self)
+        if len(self.ids) != len(self):
+            raise ValueError(f"ids must be {len(self)} numbers, got {len(self.ids)}")
 
     def __len__(self) -> int:
         return len(self.parameters.means)
@@ -31,27 +42,36 @@ class Splats:
 
     def take(self, indices: np.ndarray) -> Splats:
         """The splats at `indices` (integers or a mask), copied, averages included."""
-        return Splats(*(Parameters(*(array[indices] for array in group)) for group in self._groups()))
+        groups = (Parameters(*(array[indices] for array in group)) for group in self._groups())
+        return Splats(*groups, self.ids[indices], self.next_id)
 
     def joined(self, parameters: Parameters) -> Splats:
         """These and new splats behind them, whose averages are 0."""
         zeros = Parameters(*(np.zeros_like(array) for array in parameters))
         others = (parameters, zeros, zeros)
-        return Splats(
-            *(
-                Parameters(*(np.concatenate(pair) for pair in zip(group, other, strict=True)))
-                for group, other in zip(self._groups(), others, strict=True)
-            )
+        groups = (
+            Parameters(*(np.concatenate(pair) for pair in zip(group, other, strict=True)))
+            for group, other in zip(self._groups(), others, strict=True)
         )
+        behind = self.next_id + len(parameters.means)
+        ids = np.concatenate([self.ids, np.arange(self.next_id, behind, dtype=np.int64)])
+        return Splats(*groups, ids, behind)
+
+    def renumber(self, indices: np.ndarray) -> None:
+        """The splats at `indices`, distinct integers, are new ones in the places of old: in place."""
+        self.ids = self.ids.copy()  # earlier snapshots hold the other
+        self.ids[indices] = np.arange(self.next_id, self.next_id + len(indices))
+        self.next_id += len(indices)
 
     def with_sh_degree(self, degree: int) -> Splats:
         """The same with coefficients up to `degree`; new ones are 0."""
         missing = SH_COEFFICIENTS[degree] - self.parameters.sh.shape[1]
         if missing == 0:
             return self
-        return Splats(
-            *(group._replace(sh=np.pad(group.sh, ((0, 0), (0, missing), (0, 0)))) for group in self._groups())
+        groups = (
+            group._replace(sh=np.pad(group.sh, ((0, 0), (0, missing), (0, 0)))) for group in self._groups()
         )
+        return Splats(*groups, self.ids, self.next_id)
 
     def snapshot(self, comments: tuple[str, ...] = ()) -> Gaussians:
         """A copy that no later step changes."""
