@@ -74,18 +74,21 @@ def draw_frame(
     *,
     background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
-    early_stop: float = EARLY_STOP,
+    early_stop: float | None = None,
     threads: int | None = None,
 ) -> Frame:
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
-    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
+    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel
+    ends; None: that of the settings, or EARLY_STOP.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
     """
     if threads is not None and not threads >= 1:
         raise ValueError(f"threads must be at least 1, got {threads}")
+    if early_stop is None:
+        early_stop = EARLY_STOP if settings.early_stop is None else settings.early_stop
     if not 0 <= early_stop < 1:
         raise ValueError(f"early_stop must be in [0, 1), got {early_stop}")
     if settings.sh_degree is not None and not settings.sh_degree >= 0:

@@ -75,3 +75,10 @@ class RenderSettings:
     """Highest SH degree evaluated; None: all that the scene stores."""
     blend: Literal["float16", "float32"] = "float16"
     """Precision of the target that `quads` blends into; renderers that keep sums in registers use float32."""
+    early_stop: float | None = None
+    """Transmittance below which a pixel is finished; 0: never; None: the renderer's own (below 2e-4).
+    A pixel's error is at most this times the brightest colour behind."""
+
+    def __post_init__(self) -> None:
+        if self.early_stop is not None and not 0 <= self.early_stop < 1:
+            raise ValueError(f"early_stop must be in [0, 1), got {self.early_stop}")

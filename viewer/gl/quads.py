@@ -46,7 +46,8 @@ class QuadsRenderer:
 
     @property
     def early_stop(self) -> float:
-        """Blocks of the picture whose transmittance is below this everywhere are finished; 0: never.
+        """Blocks of the picture whose transmittance is below this everywhere are finished; 0: never. Where
+        the settings name one, that counts.
 
         A pixel's error is at most this times the brightest colour behind it."""
         return self._early_stop
@@ -108,7 +109,8 @@ class QuadsRenderer:
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
         projected_key = (*_view_key(camera), settings.model, sh_degree)
-        drawn_key = (projected_key, mode, settings.blend, self._early_stop)
+        early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
+        drawn_key = (projected_key, mode, settings.blend, early_stop)
         resolved_key = (drawn_key, settings.background)
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
@@ -134,7 +136,7 @@ class QuadsRenderer:
                     scene,
                     self._projector,
                     uniforms,
-                    early_stop=self._early_stop,
+                    early_stop=early_stop,
                 )
                 self._counters["drawn"] += 1
                 self._drawn_key = drawn_key
