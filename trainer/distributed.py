@@ -30,6 +30,8 @@ class Group(Protocol):
     rank: int
     """Of this process, 0 to size - 1; 0 is the one that writes."""
     size: int
+    stopping: bool
+    """Whether this process was asked to stop; see `agreed`."""
 
     def add_up(self, arrays: Sequence[np.ndarray]) -> None:
         """Each array becomes, in place and everywhere, its sum over the processes. Raises PeerLost."""
@@ -49,19 +51,20 @@ class Alone:
 
     rank, size = 0, 1
 
+    def __init__(self) -> None:
+        self.stopping = False
+
     def add_up(self, arrays: Sequence[np.ndarray]) -> None:
         """There is nothing to add."""
 
     def agreed(self, seconds: float) -> float:
+        if self.stopping:
+            raise KeyboardInterrupt
         return seconds
 
 
 class Processes:
-    """A run of several, started by torchrun.
-
-    SIGINT and SIGTERM stop all of them after the same step: one that left by itself would leave the others
-    waiting, and torchrun passes the signal on besides, which is not to end the writing of the scene.
-    """
+    """A run of several, started by torchrun."""
 
     def __init__(self) -> None:
         """Meets the others. Raises InputError where they cannot be reached."""
@@ -77,9 +80,7 @@ class Processes:
             ) from None
         self.rank = torch.distributed.get_rank()
         self.size = torch.distributed.get_world_size()
-        self._stopping = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._stop)
+        self.stopping = False
 
     def add_up(self, arrays: Sequence[np.ndarray]) -> None:
         for array in arrays:
@@ -89,7 +90,7 @@ class Processes:
                 self._lost(error)
 
     def agreed(self, seconds: float) -> float:
-        said = np.array([seconds if self.rank == 0 else 0.0, float(self._stopping)])
+        said = np.array([seconds if self.rank == 0 else 0.0, float(self.stopping)])
         self.add_up([said])
         if said[1] > 0:
             raise KeyboardInterrupt
@@ -104,13 +105,6 @@ class Processes:
             self._lost(error)
         return values
 
-    def leave(self) -> None:
-        """Ends the connections; the run is over."""
-        self._distributed.destroy_process_group()
-
-    def _stop(self, number: int, frame: Any) -> None:
-        self._stopping = True
-
     def _lost(self, error: RuntimeError) -> NoReturn:
         raise PeerLost(
             f"process {self.rank} of {self.size} stops, for another one has ended ({first_line(error)})"
@@ -120,6 +114,23 @@ class Processes:
 def first_line(error: Exception) -> str:
     """The gist of torch's messages, which go on with addresses of code."""
     return str(error).partition("\n")[0].rpartition("] ")[2].rstrip(". ")
+
+
+def stop_between_steps(group: Group) -> None:
+    """From now on SIGINT and SIGTERM end the run after a step, in all processes after the same one.
+
+    In the middle of a step they would leave a scene half moved, or other processes waiting. A run of one
+    process obeys the second SIGINT at once. One of several does not: torchrun passes on what it gets
+    besides, which is not to end the writing of the scene.
+    """
+
+    def stop(number: int, frame: Any) -> None:
+        if group.stopping and group.size == 1:
+            raise KeyboardInterrupt
+        group.stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
 
 
 def is_launched() -> bool:

@@ -73,6 +73,11 @@ class Shots:
         return len(self._sizes[1])
 
     @property
+    def all(self) -> list[Shot]:
+        """In full size, by name."""
+        return self._sizes[1]
+
+    @property
     def pixel_count(self) -> int:
         """Of all photos together."""
         return sum(shot.camera.width * shot.camera.height for shot in self._sizes[1])

@@ -17,7 +17,7 @@ from .folders import cache_folder
 PATTERN = "demo-*.ply"
 
 
-def _stamp() -> str:
+def demo_stamp() -> str:
     """Changes with anything that the demo's values depend on: its sources, and numpy's random numbers."""
     digest = hashlib.sha256(np.__version__.encode())
     for source in sorted(resources.files(demo).iterdir(), key=lambda entry: entry.name):
@@ -36,7 +36,7 @@ def cached_demo(
     Raises:
         LoadCancelled: `cancelled` turned true while the cached file was read.
     """
-    path = cache_folder() / PATTERN.replace("*", _stamp())
+    path = cache_folder() / PATTERN.replace("*", demo_stamp())
     if path.exists():
         with contextlib.suppress(InputError):
             return load_scene(path, progress=progress, cancelled=cancelled)

@@ -64,19 +64,22 @@ def demo_capture(
     width: int = 320,
     height: int = 240,
     splats: int | None = None,
+    truth: Gaussians | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Capture:
     """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
 
-    `seed` is of the noise alone. A renderer may be anything; this package knows none.
+    `truth` is `demo_truth(splats)` where the caller has it already. `seed` is of the noise alone. A renderer
+    may be anything; this package knows none.
 
     Raises:
         InputError: fewer than two photos.
     """
     if not photos >= 2:
         raise InputError(f"a demo capture needs at least two photos, got {photos}")
-    truth = demo_truth(splats)
+    if truth is None:
+        truth = demo_truth(splats)
     shots = []
     for i, camera in enumerate(demo_cameras(photos, width, height)):
         picture = render(truth, camera, RenderSettings())[..., :3]
