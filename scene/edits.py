@@ -17,8 +17,8 @@ from .projection import sigmoid
 from .sh import SH_C0
 from .sh_rotation import sh_rotation
 
-SELECTED, HIDDEN, DELETED, LOCKED = 1, 2, 4, 8
-"""State flags of a mark."""
+SELECTED, HIDDEN, DELETED, LOCKED, PREVIEW = 1, 2, 4, 8, 16
+"""State flags of a mark. PREVIEW: what a tool would take, were it applied now; only ever lit up."""
 
 NOT_SHOWN = HIDDEN | DELETED
 
