@@ -19,6 +19,7 @@ import numpy as np
 from ..scene import InputError
 from ..scene.files import save_scene
 from .checkpoint import save_checkpoint
+from .distributed import PeerLost
 from .evaluate import Evaluation, evaluate, side_by_side
 from .shots import Shot
 from .training import StepReport, Trainer
@@ -151,6 +152,7 @@ class Session:
         told and tried again: the disk may have room by then.
 
         Raises:
+            PeerLost: another process of the run has ended; what there is has been saved.
             InputError: the scene could not be saved where it should; the message says where it is.
         """
         completed = True
@@ -159,6 +161,9 @@ class Session:
                 self.step()
         except KeyboardInterrupt:
             completed = False
+        except PeerLost:
+            self.keep()
+            raise
         finally:
             self.close()
         self.keep()

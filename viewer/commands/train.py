@@ -10,8 +10,8 @@ from pathlib import Path
 from rich.console import Console
 
 from ...scene import InputError
-from ...trainer.distributed import Alone, Processes, is_launched, stop_between_steps
-from ...trainer.session import Progress, Session
+from ...trainer.distributed import Alone, PeerLost, Processes, is_launched, stop_between_steps
+from ...trainer.session import Outputs, Progress, Session
 from ...trainer.settings import PAPER_ITERATIONS
 from ...trainer.training import Trainer
 from .arguments import Parser, count, index, positive
@@ -122,11 +122,13 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             on_progress=show,
             on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
         )
-        completed = session.run()
+        try:
+            completed = session.run()
+        except PeerLost as error:
+            raise InputError(f"{error}; {_as_far(outputs)}") from None
     if not completed:
         console.print(
-            f"stopped at step {trainer.counters.iteration:,}: {outputs.scene} is as far as it came;"
-            f" go on with --resume {outputs.checkpoint}",
+            f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}",
             highlight=False,
             soft_wrap=True,
         )
@@ -134,6 +136,10 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
     evaluation = session.final_evaluation()
     print_summary(Console(), trainer, evaluation, outputs)
     return 0
+
+
+def _as_far(outputs: Outputs) -> str:
+    return f"{outputs.scene} is as far as it came; go on with --resume {outputs.checkpoint}"
 
 
 def _follow(trainer: Trainer) -> int:
