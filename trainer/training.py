@@ -6,8 +6,8 @@ Everything is numpy and the rasteriser's own backward pass; torch has no part in
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -31,9 +31,14 @@ from .settings import TrainSettings
 from .shots import Shot, Shots
 from .splats import Splats, fresh
 
+KEPT = ("seed", "strategy", "background", "model")
+"""Settings that a run keeps from its first step to its last."""
+
 
 class DensityControl(Protocol):
     """What decides where splats are born and die."""
+
+    settings: TrainSettings
 
     def begin(self, count: int) -> None: ...
     def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
@@ -118,6 +123,17 @@ class Trainer:
     def done(self) -> bool:
         """Whether the run is over."""
         return self.progress >= 1
+
+    def change(self, **settings: Any) -> None:
+        """Changes fields of the recipe, between two steps.
+
+        Raises:
+            ValueError: a value makes no sense, or is one that a run keeps; nothing is changed.
+        """
+        for name in KEPT:
+            if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
+                raise ValueError(f"{name} cannot be changed in a run")
+        self.settings = self.control.settings = replace(self.settings, **settings)
 
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, which later steps leave alone."""
