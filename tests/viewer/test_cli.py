@@ -70,7 +70,14 @@ def close(image: np.ndarray, truth: np.ndarray, bound: float) -> bool:
 
 @pytest.mark.parametrize(("renderer", "bound"), [("reference", 1e-6), ("cpu", 1e-4), ("quads", 1e-3)])
 def test_renderers_draw_what_the_reference_draws(rendered, gaussians, renderer, bound):
-    image = rendered(*VIEW, "--renderer", renderer, "--background", "0.2,0.4,0.6", "--blend", "float32")
+    image = rendered(
+        *VIEW,
+        "--renderer",
+        renderer,
+        "--background",
+        "0.2,0.4,0.6",
+        *(["--blend", "float32"] if renderer == "quads" else []),
+    )
     settings = RenderSettings(background=(0.2, 0.4, 0.6))
     truth = reference.render(gaussians, CAMERA, settings)
     assert image.shape == (32, 48, 4)

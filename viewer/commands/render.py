@@ -13,12 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from ...measure.knobs import Plan
 from ...scene import Gaussians, InputError, RenderSettings
 from ...scene.effects import settings_for
 from ...scene.files import load_scene
 from .arguments import Parser, colour, count, not_negative, number, positive
 from .cameras import Orbit, add_camera_options, check_camera_options, chosen_orbit
+from .knob_options import add_knob_options, check_knob_options, chosen_plan
 from .pictures import check_output, write_picture
+from .plans import draw_plan
 from .renderers import RENDERERS, HeadlessRenderer, make_headless
 
 MODES = ("splats", "points", "ellipsoids", "depth", "overdraw")
@@ -44,12 +47,6 @@ def make_parser() -> Parser:
     )
     group.add_argument("--renderer", choices=RENDERERS, default="auto")
     group.add_argument("--mode", choices=MODES, default="splats", help="other than splats: quads only")
-    group.add_argument("--sh-degree", type=int, choices=range(4), metavar="D", help="at most D, 0 to 3")
-    group.add_argument(
-        "--blend",
-        choices=("float16", "float32"),
-        help="target of quads (default: float16; float32 too where the driver truncates: see doctor)",
-    )
     group.add_argument(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -57,6 +54,7 @@ def make_parser() -> Parser:
     )
     group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
     group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
+    add_knob_options(parser)
     group = parser.add_argument_group("measuring")
     group.add_argument("--stats", action="store_true", help="print times and counts as one JSON object")
     group.add_argument("--frames", type=count, default=1, metavar="N", help="render N frames, write the last")
@@ -73,10 +71,10 @@ def run(arguments: list[str]) -> int:
     check_camera_options(args)
     check_picture_options(args)
     gaussians = load_scene(args.scene)
-    settings = chosen_settings(args, gaussians)
     orbit = chosen_orbit(args, gaussians)
     renderer = make_headless(args.renderer, mode=args.mode)
-    image, stats = render_frames(args, renderer, gaussians, orbit, settings)
+    plan = chosen_plan(args, chosen_settings(args, gaussians), renderer.name)
+    image, stats = render_frames(args, renderer, gaussians, orbit, plan)
     if args.output:
         write_picture(image, args.output, alpha=args.alpha)
         print(f"{args.output}: {image.shape[1]}x{image.shape[0]}, by {renderer.name}", file=sys.stderr)
@@ -98,6 +96,7 @@ def check_picture_options(args: argparse.Namespace) -> None:
             raise InputError("--alpha leaves the background out; drop --background or --alpha")
     if args.mode != "splats" and args.renderer not in ("auto", "quads"):
         raise InputError(f"--mode {args.mode} needs --renderer quads")
+    check_knob_options(args)
 
 
 def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSettings:
@@ -115,9 +114,7 @@ def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSet
     settings = replace(settings, model=replace(settings.model, **changes))
     # The truth leaves out nothing, not even what cannot be seen.
     if args.sh_degree is not None or args.renderer == "reference":
-        settings = replace(settings, sh_degree=args.sh_degree)
-    if args.blend is not None:
-        settings = replace(settings, blend=args.blend)
+        settings = replace(settings, sh_degree=None)
     return replace(settings, background=args.background or (0.0, 0.0, 0.0))
 
 
@@ -126,14 +123,14 @@ def render_frames(
     renderer: HeadlessRenderer,
     gaussians: Gaussians,
     orbit: Orbit,
-    settings: RenderSettings,
+    plan: Plan,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The last picture, and the figures of all. Times are wall-clock up to the pixels in memory.
 
     With --stats one frame is drawn first and not counted: it compiles and allocates.
     """
     if args.stats:
-        renderer.draw(gaussians, orbit.turned(WARM_UP_TURN), settings, args.mode)
+        draw_plan(renderer, gaussians, orbit.turned(WARM_UP_TURN), plan, args.mode)
     image = np.empty(0, np.float32)
     totals: list[float] = []
     stages: dict[str, list[float]] = {}
@@ -141,7 +138,7 @@ def render_frames(
     for frame in range(1, args.frames + 1):
         camera = orbit.turned(args.turn * frame) if args.turn else orbit.camera
         start = time.perf_counter()
-        image = renderer.draw(gaussians, camera, settings, args.mode)
+        image = draw_plan(renderer, gaussians, camera, plan, args.mode)
         totals.append(1e3 * (time.perf_counter() - start))
         if args.stats:
             visible, milliseconds = renderer.stats()

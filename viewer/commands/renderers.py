@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 RENDERERS = ("auto", "quads", "cpu", "reference")
 
+FOOTPRINT_BYTES = 8 * 16
+"""What `scene.projection.Footprints` has of a splat."""
+
 
 class HeadlessRenderer(Protocol):
     """One scene, many pictures."""
@@ -32,6 +35,10 @@ class HeadlessRenderer(Protocol):
 
     def stats(self) -> tuple[int, dict[str, float]]:
         """Of the last picture: splats that reached it, and milliseconds by stage."""
+        ...
+
+    def memory(self) -> int:
+        """Bytes held for the scene and the last picture, the `Gaussians` themselves not counted."""
         ...
 
 
@@ -65,6 +72,11 @@ class Quads:
         stats = self._renderer.finished_stats()
         return stats.visible, dict(stats.ms)
 
+    def memory(self) -> int:
+        from ..gl.memory import held_bytes
+
+        return held_bytes(self._renderer)
+
 
 class Cpu:
     """The numba rasteriser."""
@@ -78,6 +90,7 @@ class Cpu:
             print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
         self._workspace = Workspace()
         self._last: tuple[int, dict[str, float]] = (0, {})
+        self._image_bytes = 0
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
@@ -87,10 +100,14 @@ class Cpu:
         frame = draw_frame(parameters_of(gaussians), camera, settings, self._workspace)
         visible = sum(int(stop - start) for start, stop in frame.runs)
         self._last = visible, dict(frame.milliseconds)
+        self._image_bytes = frame.image.nbytes
         return frame.image
 
     def stats(self) -> tuple[int, dict[str, float]]:
         return self._last
+
+    def memory(self) -> int:
+        return self._workspace.nbytes + self._image_bytes
 
 
 class Reference:
@@ -118,6 +135,9 @@ class Reference:
 
         visible = len(project(*self._last).indices) if self._last else 0
         return visible, {"render": self._milliseconds}
+
+    def memory(self) -> int:
+        return 0 if self._last is None else FOOTPRINT_BYTES * len(self._last[0])
 
 
 def make_headless(name: str, *, mode: VisualMode = "splats") -> HeadlessRenderer:

@@ -1,0 +1,139 @@
+"""Every shortcut that trades accuracy for time, declared once: the command line, the ladder, the panel and
+the documentation all read this table.
+
+A knob's values go from exact to coarse. A renderer that is not in its `renderers` does not have it, and
+asking for it there is an error, never a silent difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from ..scene import InputError, RenderSettings
+
+GL, CPU, REFERENCE = ("quads",), ("cpu",), ("reference",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """All that decides a picture besides scene and camera: the settings, and what is done around them."""
+
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    resolution: float = 1.0
+    """Share of the sides that is drawn, and then enlarged to the full size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """One position of a knob."""
+
+    text: str
+    """As it is typed after the option, and shown."""
+    apply: Callable[[Plan], Plan]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knob:
+    """One shortcut."""
+
+    name: str
+    """Also its option: --name."""
+    title: str
+    changes: str
+    """What it does to the picture, and what it saves, in a line."""
+    renderers: tuple[str, ...]
+    values: tuple[Value, ...]
+    """From exact to coarse."""
+    monotone: bool = True
+    """Whether theory says that a coarser value cannot be nearer to the truth, but for luck."""
+
+    @property
+    def option(self) -> str:
+        return f"--{self.name}"
+
+    def value(self, text: str) -> Value:
+        """The value typed as `text`. Raises InputError with those that there are."""
+        for value in self.values:
+            if value.text == text:
+                return value
+        raise InputError(f"{self.option} {text}: choose from {', '.join(v.text for v in self.values)}")
+
+
+def _setting(text: str, **changes: Any) -> Value:
+    return Value(text=text, apply=partial(_with_settings, changes=changes))
+
+
+def _with_settings(plan: Plan, changes: Mapping[str, Any]) -> Plan:
+    return replace(plan, settings=replace(plan.settings, **changes))
+
+
+def _at_most_degree(plan: Plan, degree: int) -> Plan:
+    now = plan.settings.sh_degree
+    return _with_settings(plan, {"sh_degree": degree if now is None else min(now, degree)})
+
+
+def _at_resolution(plan: Plan, share: float) -> Plan:
+    return replace(plan, resolution=share)
+
+
+KNOBS: tuple[Knob, ...] = (
+    Knob(
+        name="sh-degree",
+        title="SH degree",
+        changes="highest band of view-dependent colour; lower saves reading and summing coefficients",
+        renderers=GL + CPU + REFERENCE,
+        values=tuple(
+            Value(text=str(degree), apply=partial(_at_most_degree, degree=degree)) for degree in (3, 2, 1, 0)
+        ),
+    ),
+    Knob(
+        name="blend",
+        title="Blend target",
+        changes="precision in which splats are summed; coarser moves fewer bytes",
+        renderers=GL,
+        values=(_setting("float32", blend="float32"), _setting("float16", blend="float16")),
+    ),
+    Knob(
+        name="early-stop",
+        title="Early stop",
+        changes="a pixel ends when less light than this comes through; splats behind it cost nothing",
+        renderers=GL + CPU,
+        values=tuple(_setting(text, early_stop=float(text)) for text in ("0", "1e-4", "1e-2")),
+    ),
+    Knob(
+        name="resolution",
+        title="Image scale",
+        changes="draws fewer pixels and enlarges them; the coarsest shortcut of all",
+        renderers=GL + CPU + REFERENCE,
+        values=tuple(
+            Value(text=text, apply=partial(_at_resolution, share=share))
+            for text, share in (("1", 1.0), ("1/2", 0.5), ("1/4", 0.25))
+        ),
+    ),
+)
+
+
+def knob(name: str) -> Knob:
+    """The knob called `name`. Raises InputError where there is none."""
+    for candidate in KNOBS:
+        if candidate.name == name:
+            return candidate
+    raise InputError(f"there is no knob {name!r}; there are {', '.join(k.name for k in KNOBS)}")
+
+
+def apply_choices(plan: Plan, choices: Mapping[str, str], renderer: str) -> Plan:
+    """`plan` with knobs set: name -> value as typed.
+
+    Raises:
+        InputError: a knob or value does not exist, or `renderer` does not have it.
+    """
+    for name, text in choices.items():
+        chosen = knob(name)
+        if renderer not in chosen.renderers:
+            owners = " and ".join(chosen.renderers)
+            raise InputError(f"{chosen.option} is not for --renderer {renderer}: {owners} can do it")
+        plan = chosen.value(text).apply(plan)
+    return plan

@@ -1,0 +1,223 @@
+"""`splatview ladder`: what accuracy costs in time, on this scene and this machine."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ...measure.knobs import KNOBS, Plan, knob
+from ...measure.ladder import Artist, Ladder, climb, rungs_for
+from ...measure.ladder_report import COLUMNS, as_json, cells, plot
+from ...measure.truth import AGREEMENT, disagreement
+from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.effects import settings_for, used_sh_degree
+from ...scene.files import load_scene
+from .arguments import Parser, count, positive
+from .cameras import Orbit, add_camera_options, check_camera_options, chosen_orbit
+from .pictures import check_output
+from .plans import SceneArtist
+from .renderers import automatic_choice, make_headless
+
+SECONDS, THOROUGH_SECONDS = 50.0, 300.0
+
+VIEW_TURN = 40.0
+"""Degrees between the views."""
+
+FRAME_TURN = 1e-3
+"""Degrees by which timed frames differ: enough that nothing is kept from the one before."""
+
+PLOTS = (".png", ".svg", ".pdf")
+
+EXIT_INTERRUPTED = 130
+
+
+def make_parser() -> Parser:
+    parser = Parser(
+        "ladder",
+        "Draws SCENE with each shortcut this program has, and prints what it saves in time and what it\n"
+        "costs in accuracy: PSNR, SSIM and the largest error against a float64 truth. Times are taken\n"
+        "beside the baseline's, pair by pair; differences below the noise floor are called the same.",
+    )
+    parser.add_argument("scene", metavar="SCENE")
+    add_camera_options(parser)
+    group = parser.add_argument_group("ladder")
+    group.add_argument("--views", type=count, default=2, metavar="N", help="views on an orbit (default: 2)")
+    group.add_argument(
+        "--renderers",
+        metavar="A,B",
+        help="which, the first with its defaults being the baseline (default: all, the automatic one first)",
+    )
+    names = ", ".join(k.name for k in KNOBS)
+    group.add_argument("--knobs", metavar="A,B", help=f"which (default: all): {names}")
+    group.add_argument(
+        "--seconds", type=positive, metavar="S", help=f"about how long to measure (default: {SECONDS:g})"
+    )
+    group.add_argument(
+        "--thorough", action="store_true", help=f"{THOROUGH_SECONDS:g} seconds, for less noise"
+    )
+    group.add_argument("--json", action="store_true", help="results as one JSON object")
+    group.add_argument("--plot", type=Path, metavar="P.png", help="time against accuracy, drawn")
+    return parser
+
+
+def run(arguments: list[str]) -> int:
+    begun = time.perf_counter()
+    args = make_parser().parse(arguments)
+    if args is None:
+        return 0
+    check_camera_options(args)
+    if args.plot is not None:
+        check_output(args.plot, PLOTS)
+    if args.thorough and args.seconds is not None:
+        raise InputError("--thorough and --seconds both say how long; give one of them")
+    knobs = None if args.knobs is None else [knob(name).name for name in args.knobs.split(",")]
+    names = chosen_renderers(args.renderers)
+    gaussians = load_scene(args.scene)
+    orbit = chosen_orbit(args, gaussians)
+    plan = Plan(settings=settings_for(gaussians))
+    console = Console(stderr=True)
+    artists: list[Artist] = [SceneArtist(make_headless(name), gaussians) for name in names]
+    views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
+    with console.status("Drawing the truth in float64"):
+        truths, apart = draw_truths(gaussians, views, plan.settings)
+    if not apart <= AGREEMENT:
+        raise InputError(
+            f"{args.scene}: the float64 rasteriser and the reference are {apart:.1e} apart on this scene; "
+            "without a truth there is nothing to measure against"
+        )
+    seconds = THOROUGH_SECONDS if args.thorough else args.seconds or SECONDS
+    rungs = rungs_for(artists, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
+    ladder = climb_with_progress(
+        console, rungs, views, truths, orbit=orbit, seconds=max(seconds - (time.perf_counter() - begun), 1.0)
+    )
+    size = f"{views[0].width}x{views[0].height}"
+    about = {
+        "scene": Path(args.scene).name,
+        "splats": len(gaussians),
+        "size": [views[0].width, views[0].height],
+        "truth": {"by": "float64 rasteriser", "largest_difference_from_reference": apart},
+    }
+    if args.json:
+        print(json.dumps(as_json(ladder, about)))
+    else:
+        print_ladder(Console(), ladder, f"{Path(args.scene).name}, {len(gaussians):,} splats, {size}", apart)
+    if args.plot is not None:
+        plot(ladder, args.plot, title=f"{Path(args.scene).name}, {len(gaussians):,} splats at {size}")
+        print(f"{args.plot}: the plot", file=sys.stderr)
+    return 0 if ladder.complete else EXIT_INTERRUPTED
+
+
+def chosen_renderers(given: str | None) -> list[str]:
+    """Names of the renderers to measure, the baseline's first."""
+    if given is not None:
+        names = list(dict.fromkeys(given.split(",")))
+        for name in names:
+            if name not in MEASURED:
+                raise InputError(f"--renderers {name}: choose from {', '.join(MEASURED)}")
+        return names
+    first, why = automatic_choice()
+    others = [name for name in MEASURED if name != first]
+    if first == "cpu":
+        from ..gl.context import create_headless_context
+
+        try:
+            create_headless_context().release()
+        except InputError as error:
+            print(f"splatview: only cpu is measured: {error} ({why})", file=sys.stderr)
+            return [first]
+    return [first, *others]
+
+
+MEASURED = ("quads", "cpu")
+
+
+def draw_truths(
+    gaussians: Gaussians, views: list[Camera], settings: RenderSettings
+) -> tuple[list[np.ndarray], float]:
+    """The float64 pictures of `views`, and how far the first is from the reference in sampled blocks.
+
+    All stored SH bands, no early stop: the truth leaves out nothing, not even what cannot be seen.
+    """
+    from ...raster import Workspace, draw_frame, parameters_of
+
+    exact = replace(settings, sh_degree=None, early_stop=0.0)
+    workspace = Workspace()
+    truths = [
+        draw_frame(parameters_of(gaussians), view, exact, workspace, dtype=np.float64).image for view in views
+    ]
+    return truths, disagreement(truths[0], gaussians, views[0], exact)
+
+
+def climb_with_progress(console: Console, rungs, views, truths, *, orbit: Orbit, seconds: float) -> Ladder:
+    """Measures with a progress bar. Ctrl-C ends it early: what was measured by then is the result."""
+    stopped = threading.Event()
+
+    def moved(view: int, number: int) -> Camera:
+        return orbit.turned(VIEW_TURN * view + FRAME_TURN * (number + 1))
+
+    with Progress(
+        BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"), console=console
+    ) as progress:
+        task = progress.add_task("", total=1.0)
+
+        def show(share: float, text: str) -> None:
+            progress.update(task, completed=share, description=text)
+
+        with on_interrupt(stopped.set):
+            return climb(
+                rungs,
+                views,
+                truths,
+                moved=moved,
+                seconds=seconds,
+                on_progress=show,
+                cancelled=stopped.is_set,
+            )
+
+
+@contextmanager
+def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C does `action` instead of raising, so that no picture is left half drawn. Main thread only."""
+    previous = signal.signal(signal.SIGINT, lambda *_: action())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> None:
+    """The table that a person reads: by renderer, the Pareto front in bold."""
+    table = Table(*COLUMNS[:2], title=title)
+    for column in COLUMNS[2:]:
+        table.add_column(column, justify="right")
+    last = None
+    for one in ladder.rungs:
+        renderer = one.rung.artist.name
+        if last not in (None, renderer):
+            table.add_section()
+        last = renderer
+        row = cells(one, ladder)
+        if one.rung.knob == "renderer":
+            row[1] += " (baseline)" if one is ladder.baseline else ""
+        table.add_row(*row, style="bold" if one.pareto else None)
+    console.print(table)
+    console.print(
+        f"Noise floor: a ratio within {ladder.noise:.0%} of 1 is chance (the baseline against itself,"
+        f" {ladder.rounds} pairs). Truth: float64, within {apart:.0e} of the reference in sampled blocks."
+        f" Pareto (bold): nothing else here is both faster and nearer to the truth.",
+        highlight=False,
+    )
+    if not ladder.complete:
+        console.print("Stopped early: fewer pairs than planned.", highlight=False)
