@@ -1,0 +1,1 @@
+"""The inner loops of selecting and detecting, compiled by numba: arrays in, arrays out, no scene."""
