@@ -1,0 +1,209 @@
+"""What one operation alters, in a form that goes both ways and takes little room.
+
+A change is made before anything is altered; applying it cannot fail half way but by lack of memory, and
+then what was altered is put back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from ..scene import Gaussians
+from ..scene.adjustment import Adjustment
+from ..scene.crop import Crop
+from . import kernels
+from .runs import SplatSet
+from .state import State
+
+ADJUSTMENT_BYTES = 1000
+"""A palette entry in Python's memory, about."""
+
+
+class Part(Protocol):
+    """A step of a change. Each way needs the state that the other way leaves."""
+
+    def apply(self, state: State) -> None: ...
+
+    def revert(self, state: State) -> None: ...
+
+    @property
+    def nbytes(self) -> int: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Toggle:
+    """State flags flipped on some splats: its own reverse."""
+
+    splats: SplatSet
+    bits: int
+
+    def apply(self, state: State) -> None:
+        runs = self.splats.runs
+        if len(runs):
+            kernels.toggle(state.marks, runs, self.bits)
+            state.marks_changed(int(runs[0, 0]), int(runs[-1].sum()))
+
+    revert = apply
+
+    @property
+    def nbytes(self) -> int:
+        return self.splats.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class Readjust:
+    """Some splats get other adjustments, one for each that they had."""
+
+    splats: SplatSet
+    before: tuple[Adjustment, ...]
+    after: tuple[Adjustment, ...]
+    """The palettes."""
+    lookup: np.ndarray
+    """(len(before),) uint32: the entry of `after` for each of `before`."""
+    back: np.ndarray | SplatEntries
+    """The reverse; where two entries became one, those that the splats had."""
+
+    def apply(self, state: State) -> None:
+        self._write(state, self.lookup)
+        state.set_palette(self.after)
+
+    def revert(self, state: State) -> None:
+        self._write(state, self.back)
+        state.set_palette(self.before)
+
+    def _write(self, state: State, entries: np.ndarray | SplatEntries) -> None:
+        if isinstance(entries, np.ndarray) and np.array_equal(entries, np.arange(len(entries))):
+            return  # the palette alone says it
+        runs = self.splats.runs
+        if isinstance(entries, SplatEntries):
+            kernels.put_entries(state.marks, runs, entries.values)
+        else:
+            kernels.remap(state.marks, runs, entries)
+        if len(runs):
+            state.marks_changed(int(runs[0, 0]), int(runs[-1].sum()))
+
+    @property
+    def nbytes(self) -> int:
+        new = len(set(self.after) - set(self.before))
+        back = self.back if isinstance(self.back, np.ndarray) else self.back.values
+        return self.splats.nbytes + self.lookup.nbytes + back.nbytes + new * ADJUSTMENT_BYTES
+
+
+@dataclass(frozen=True, eq=False)
+class SplatEntries:
+    """The palette entry of each splat of a set, in the smallest type that holds them."""
+
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Recrop:
+    """Other crops."""
+
+    before: tuple[Crop, ...]
+    after: tuple[Crop, ...]
+
+    def apply(self, state: State) -> None:
+        state.set_crops(self.after)
+
+    def revert(self, state: State) -> None:
+        state.set_crops(self.before)
+
+    @property
+    def nbytes(self) -> int:
+        return ADJUSTMENT_BYTES * len(set(self.after) ^ set(self.before))
+
+
+@dataclass(frozen=True, eq=False)
+class Rewrite:
+    """Other values of one attribute for some splats. The scene's array is not written to: the state gets
+    a scene that has a new one, and shares all others."""
+
+    attribute: str
+    splats: SplatSet
+    before: np.ndarray
+    after: np.ndarray
+    """(count, ...), in the attribute's type."""
+
+    def apply(self, state: State) -> None:
+        self._write(state, self.after)
+
+    def revert(self, state: State) -> None:
+        self._write(state, self.before)
+
+    def _write(self, state: State, rows: np.ndarray) -> None:
+        values = getattr(state.gaussians, self.attribute).copy()
+        values[self.splats.mask] = rows
+        state.set_scene(replace(state.gaussians, **{self.attribute: values}))
+
+    @property
+    def nbytes(self) -> int:
+        return self.splats.nbytes + self.before.nbytes + self.after.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class Append:
+    """More splats, after those that are there."""
+
+    before: Gaussians
+    after: Gaussians
+    marks: np.ndarray
+    """(added,) uint32."""
+
+    def apply(self, state: State) -> None:
+        state.set_scene(self.after, np.concatenate([state.marks, self.marks]))
+
+    def revert(self, state: State) -> None:
+        state.set_scene(self.before, state.marks[: len(self.before)].copy())
+
+    @property
+    def nbytes(self) -> int:
+        added = self.after.nbytes * len(self.marks) // max(len(self.after), 1)
+        return added + self.marks.nbytes
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Change:
+    """What came of one operation."""
+
+    title: str
+    """For the history: what was done, and to how many."""
+    count: int
+    """Splats that it concerns."""
+    parts: tuple[Part, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+    """What the user should be told besides."""
+
+    def apply(self, state: State) -> None:
+        done: list[Part] = []
+        try:
+            for part in self.parts:
+                part.apply(state)
+                done.append(part)
+        except BaseException:
+            for part in reversed(done):
+                part.revert(state)
+            raise
+
+    def revert(self, state: State) -> None:
+        undone: list[Part] = []
+        try:
+            for part in reversed(self.parts):
+                part.revert(state)
+                undone.append(part)
+        except BaseException:
+            for part in reversed(undone):
+                part.apply(state)
+            raise
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it holds, about."""
+        return sum(part.nbytes for part in self.parts)
+
+
+def splats_in_words(count: int) -> str:
+    return "1 splat" if count == 1 else f"{count:,} splats"

@@ -1,0 +1,300 @@
+"""A scene under edit: what is in force, and how it came about."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ..scene import Gaussians, InputError
+from ..scene.adjustment import Adjustment, adjustment_rows
+from ..scene.crop import Crop, crop_rows
+from ..scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits
+from ..scene.files import load_scene, save_scene
+from . import kernels
+from .changes import Change
+from .fingerprint import fingerprint
+from .history import History, Step
+from .operations.operation import Operation
+from .runs import SplatSet
+from .state import State
+from .tools import NoTools, Tools
+
+MAX_SPLATS = 2**31 - 1
+"""Runs are counted in 32 bits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counts:
+    total: int
+    selected: int
+    hidden: int
+    """Not counting deleted ones, as `locked`."""
+    deleted: int
+    locked: int
+    shown: int
+    """Neither hidden nor deleted; crops apart."""
+    selectable: int
+    """Shown and not locked; crops apart."""
+
+    @property
+    def kept(self) -> int:
+        """Not deleted; crops apart."""
+        return self.total - self.deleted
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """An operation and what it would alter, as the document stood when `versions` were its versions."""
+
+    operation: Operation
+    change: Change
+    versions: tuple[int, int, int, int]
+
+
+Event = Literal["apply", "undo", "redo", "preview", "cancel"]
+
+Listener = Callable[[Event, Step], None]
+"""Called after the document has changed."""
+
+
+class Document:
+    """The edits of one scene, with undo. Belongs to one thread, but for `plan`, which only reads.
+
+    `gaussians` is never written to. A selected splat is never hidden, deleted or locked; operations that
+    change splats pass over deleted and locked ones.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        *,
+        name: str = "scene",
+        folder: Path | None = None,
+        tools: Tools | None = None,
+        load: Callable[[Path], Gaussians] = load_scene,
+        save: Callable[[Gaussians, Path], None] = save_scene,
+    ) -> None:
+        """`name` is that of the scene's file; `folder` is what relative paths of operations start from
+        (default: the working directory). `load` and `save` read and write the scenes that operations name.
+
+        Raises:
+            InputError: the scene has more splats than can be edited.
+        """
+        if len(gaussians) > MAX_SPLATS:
+            raise InputError(f"{name}: has {len(gaussians):,} splats; at most {MAX_SPLATS:,} can be edited")
+        self.name = name
+        self.folder = folder
+        self.tools: Tools = tools or NoTools()
+        self.load, self.save = load, save
+        self.listeners: list[Listener] = []
+        self._original = gaussians
+        self._state = State(gaussians)
+        self.history = History(self._state)
+        self._preview: Step | None = None
+        self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
+        self._counts: tuple[int, Counts] | None = None
+        self._exported: tuple[tuple[int, ...], int] | None = None
+
+    # What is in force.
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The scene to be drawn with `edits`: another object whenever its own values or their number change."""
+        return self._state.gaussians
+
+    @property
+    def marks(self) -> np.ndarray:
+        """(N,) uint32; only to be read."""
+        return self._state.marks
+
+    @property
+    def palette(self) -> tuple[Adjustment, ...]:
+        return self._state.palette
+
+    @property
+    def crops(self) -> tuple[Crop, ...]:
+        return self._state.crops
+
+    @property
+    def versions(self) -> tuple[int, int, int, int]:
+        """Of scene, marks, palette and crops: equal exactly if nothing has changed in between."""
+        return self._state.versions
+
+    @property
+    def edits(self) -> SceneEdits:
+        """What renderers read: the same object as long as nothing changes."""
+        versions = self.versions
+        if self._edits is None or self._edits[0] != versions:
+            state, counts = self._state, self.counts
+            flags = SELECTED * (counts.selected > 0) | DELETED * (counts.deleted > 0)
+            # A deleted splat may also be hidden or locked: those counts do not tell.
+            flags |= HIDDEN * (counts.hidden > 0 or counts.deleted > 0)
+            flags |= LOCKED * (counts.locked > 0 or counts.deleted > 0)
+            edits = SceneEdits(
+                marks=state.marks,
+                palette=state.palette,
+                crops=state.crops,
+                marks_version=state.marks_version,
+                palette_version=state.palette_version,
+                crops_version=state.crops_version,
+                changes=tuple(state.changes),
+                flags=flags,
+            )
+            self._edits = (versions, edits)
+        return self._edits[1]
+
+    @property
+    def counts(self) -> Counts:
+        """Counted once after each change of the marks."""
+        version = self._state.marks_version
+        if self._counts is None or self._counts[0] != version:
+            selected, hidden, deleted, locked, shown, selectable = kernels.flag_counts(self.marks).tolist()
+            counts = Counts(
+                total=len(self.marks),
+                selected=selected,
+                hidden=hidden,
+                deleted=deleted,
+                locked=locked,
+                shown=shown,
+                selectable=selectable,
+            )
+            self._counts = (version, counts)
+        return self._counts[1]
+
+    @property
+    def exported_count(self) -> int:
+        """Splats that an export would have: neither deleted nor cropped away."""
+        versions = self.versions
+        if self._exported is None or self._exported[0] != versions:
+            visible = self.cropped_in()
+            count = self.counts.kept
+            if len(visible):
+                count = int(np.count_nonzero(visible & ((self.marks & DELETED) == 0)))
+            self._exported = (versions, count)
+        return self._exported[1]
+
+    def cropped_in(self, *, crops: tuple[Crop, ...] | None = None, only: int = 0) -> np.ndarray:
+        """Which splats the crops in force (or `crops` in their stead) leave: (N,) bool, or of length 0
+        where there are none. Splats without any flag of `only` are not looked at and count as left."""
+        rows = crop_rows(self.crops if crops is None else crops)
+        if not len(rows):
+            return np.zeros(0, bool)
+        return kernels.cropped_in(self.gaussians.means, self.marks, adjustment_rows(self.palette), rows, only)
+
+    def splats(self, care: int, value: int) -> SplatSet:
+        """Those whose flags within `care` are exactly `value`."""
+        return SplatSet.of_flags(self.marks, care, value)
+
+    @property
+    def selected(self) -> SplatSet:
+        return self.splats(SELECTED, SELECTED)
+
+    @cached_property
+    def identity(self) -> dict[str, object]:
+        """What tells the unedited scene from others: name, count, fingerprint."""
+        return {
+            "name": self.name,
+            "count": len(self._original),
+            "fingerprint": fingerprint(self._original),
+        }
+
+    def path(self, text: str) -> Path:
+        """The file that an operation names."""
+        return Path(self.folder or os.curdir, Path(text).expanduser())
+
+    # Changing it.
+
+    def plan(self, operation: Operation) -> Planned:
+        """What `operation` would do now; for slow ones in a thread of its own, while nothing is changed.
+
+        Raises:
+            InputError: it cannot be done here.
+        """
+        versions = self.versions
+        return Planned(operation, operation.plan(self), versions)
+
+    def apply(self, operation: Operation | Planned) -> Change:
+        """Does it, as the next step of the history. A preview that is in force gives way.
+
+        Raises:
+            InputError: it cannot be done here, or what was planned is out of date. Nothing has changed then.
+        """
+        self.cancel_preview()
+        planned = operation if isinstance(operation, Planned) else self.plan(operation)
+        if planned.versions != self.versions:
+            raise InputError("the scene was edited in the meantime; do it again")
+        step = Step(planned.operation, planned.change)
+        self.history.do(step)
+        self._tell("apply", step)
+        return step.change
+
+    def undo(self) -> Step | None:
+        """Takes the last step back, or the preview if there is one; returns it, or None."""
+        if self._preview is not None:
+            return self.cancel_preview()
+        return self._told("undo", self.history.undo())
+
+    def redo(self) -> Step | None:
+        self.cancel_preview()
+        return self._told("redo", self.history.redo())
+
+    def jump(self, position: int) -> None:
+        """Undoes or redoes until `position` steps are in force."""
+        self.cancel_preview()
+        if not 0 <= position <= len(self.history.steps):
+            raise ValueError(f"position must be in 0 to {len(self.history.steps)}, got {position}")
+        while self.history.position > position:
+            self.undo()
+        while self.history.position < position:
+            self.redo()
+
+    def preview(self, operation: Operation) -> Change:
+        """Shows what `operation` would do, in place of the preview before: for gizmos and sliders that are
+        being dragged. It is no step of the history until `commit_preview`.
+
+        Raises:
+            InputError: it cannot be done here; no preview is in force then.
+        """
+        self.cancel_preview()
+        step = Step(operation, operation.plan(self))
+        step.change.apply(self._state)
+        self._preview = step
+        self._tell("preview", step)
+        return step.change
+
+    @property
+    def previewed(self) -> Step | None:
+        return self._preview
+
+    def commit_preview(self) -> Change | None:
+        """Makes the preview the next step of the history."""
+        step, self._preview = self._preview, None
+        if step is None:
+            return None
+        self.history.do(step, applied=True)
+        self._tell("apply", step)
+        return step.change
+
+    def cancel_preview(self) -> Step | None:
+        """Takes the preview back; returns it."""
+        step = self._preview
+        if step is not None:
+            step.change.revert(self._state)
+            self._preview = None
+            self._tell("cancel", step)
+        return step
+
+    def _told(self, event: Event, step: Step | None) -> Step | None:
+        if step is not None:
+            self._tell(event, step)
+        return step
+
+    def _tell(self, event: Event, step: Step) -> None:
+        for listener in tuple(self.listeners):
+            listener(event, step)

@@ -1,0 +1,125 @@
+"""Operations that choose splats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from ...scene import InputError
+from ...scene.edits import SELECTED
+from .. import detecting, kernels, selecting
+from ..changes import Change, Toggle, splats_in_words
+from ..json_form import from_json, quoted, to_json
+from ..runs import SplatSet
+from .operation import Operation
+
+if TYPE_CHECKING:
+    from ..document import Document
+
+Mode = Literal["set", "add", "remove", "intersect"]
+
+MODES: dict[str, int] = {"set": 0, "add": 1, "remove": 2, "intersect": 3}
+INVERT = 4
+"""As `kernels.selection_change` counts them."""
+
+VERBS = {"set": "Select", "add": "Add", "remove": "Deselect", "intersect": "Keep selected"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Select(Operation):
+    """In JSON `by` is an object whose ``kind`` is a name in SELECTORS, its other keys that one's fields."""
+
+    op: ClassVar[str] = "select"
+    summary: ClassVar[str] = "Select splats by a shape, by colour, by a range of an attribute, ..."
+
+    by: Any
+    """One of SELECTORS: says which splats are meant."""
+    mode: Mode = "set"
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise ValueError(f"mode must be one of {', '.join(MODES)}, got {self.mode!r}")
+
+    def plan(self, document: Document) -> Change:
+        wanted = self.by.mask(document.gaussians, document.edits, document.tools)
+        return selection(document, wanted, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
+
+    def to_json(self) -> dict[str, Any]:
+        return {"op": self.op, "by": {"kind": kind_of(self.by), **to_json(self.by)}, "mode": self.mode}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> Self:
+        return super().from_json({**data, **one_of(selecting.SELECTORS, data, "by")})
+
+
+def kind_of(chosen: Any) -> str:
+    """The name of a selector or detector in its registry."""
+    for registry in (selecting.SELECTORS, detecting.DETECTORS):
+        for kind, cls in registry.items():
+            if type(chosen) is cls:
+                return kind
+    raise ValueError(f"by must be a selector or a detector, got {type(chosen).__name__}")
+
+
+def one_of(registry: dict[str, type], data: dict[str, Any], key: str) -> dict[str, Any]:
+    """{key: the object of `registry` that data[key] describes by ``kind``}; {} where there is no such key.
+
+    Raises:
+        InputError: it describes none.
+    """
+    if key not in data:
+        return {}
+    described = data[key]
+    if not isinstance(described, dict) or "kind" not in described:
+        raise InputError(f"{key} must be an object with a kind, one of {', '.join(sorted(registry))}")
+    rest = dict(described)
+    kind = rest.pop("kind")
+    if not isinstance(kind, str) or kind not in registry:
+        raise InputError(f"{key}: unknown kind {quoted(kind)}; there are {', '.join(sorted(registry))}")
+    try:
+        return {key: from_json(registry[kind], rest)}
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectAll(Operation):
+    op: ClassVar[str] = "select_all"
+    summary: ClassVar[str] = "Select everything that is shown and not locked"
+
+    def plan(self, document: Document) -> Change:
+        return selection(document, np.ones(len(document.marks), bool), MODES["set"], "Select all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectNone(Operation):
+    op: ClassVar[str] = "select_none"
+    summary: ClassVar[str] = "Select nothing"
+
+    def plan(self, document: Document) -> Change:
+        splats = document.selected
+        return Change(
+            title="Select none", count=len(splats), parts=(Toggle(splats, SELECTED),) if len(splats) else ()
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectInverse(Operation):
+    op: ClassVar[str] = "select_inverse"
+    summary: ClassVar[str] = "Swap what is selected with what is not"
+
+    def plan(self, document: Document) -> Change:
+        return selection(document, np.ones(len(document.marks), bool), INVERT, "Invert the selection")
+
+
+def selection(document: Document, wanted: np.ndarray, mode: int, title: str) -> Change:
+    """The change to the selection by `wanted` (N,) bool."""
+    visible = document.cropped_in()
+    changed = SplatSet.of_mask(kernels.selection_change(document.marks, wanted, visible, mode))
+    return Change(
+        title=f"{title}: {splats_in_words(len(changed))}",
+        count=len(changed),
+        parts=(Toggle(changed, SELECTED),) if len(changed) else (),
+    )

@@ -1,0 +1,56 @@
+"""What a document is at this moment: the scene, a mark a splat, the palette, the crops, and their versions."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ..scene import Gaussians
+from ..scene.adjustment import IDENTITY, Adjustment
+from ..scene.crop import Crop
+
+CHANGES_KEPT = 64
+"""Runs of changed marks that are remembered: a renderer that missed more reads all marks anew."""
+
+
+class State:
+    """Only `changes` alter it, and each alteration raises the version of what it alters."""
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self.gaussians = gaussians
+        self.marks = np.zeros(len(gaussians), np.uint32)
+        self.palette: tuple[Adjustment, ...] = (IDENTITY,)
+        self.crops: tuple[Crop, ...] = ()
+        self.scene_version = 0
+        self.marks_version = 0
+        self.palette_version = 0
+        self.crops_version = 0
+        self.changes: deque[tuple[int, int, int]] = deque(maxlen=CHANGES_KEPT)
+
+    @property
+    def versions(self) -> tuple[int, int, int, int]:
+        """Of scene, marks, palette and crops: equal if and only if nothing has changed since."""
+        return (self.scene_version, self.marks_version, self.palette_version, self.crops_version)
+
+    def marks_changed(self, start: int, stop: int) -> None:
+        """To be called after `marks[start:stop]` was written to."""
+        self.marks_version += 1
+        self.changes.append((self.marks_version, start, stop))
+
+    def set_palette(self, palette: tuple[Adjustment, ...]) -> None:
+        self.palette = palette
+        self.palette_version += 1
+
+    def set_crops(self, crops: tuple[Crop, ...]) -> None:
+        self.crops = crops
+        self.crops_version += 1
+
+    def set_scene(self, gaussians: Gaussians, marks: np.ndarray | None = None) -> None:
+        """Another scene in its place, with `marks` if it has more or fewer splats."""
+        self.gaussians = gaussians
+        self.scene_version += 1
+        if marks is not None:
+            self.marks = marks
+            self.marks_version += 1
+            self.changes.clear()
