@@ -45,6 +45,9 @@ class Group(Protocol):
         """
         ...
 
+    def leave(self) -> None:
+        """Ends the connections, at the end of the run."""
+
 
 class Alone:
     """A run of one process."""
@@ -62,6 +65,9 @@ class Alone:
             raise KeyboardInterrupt
         return seconds
 
+    def leave(self) -> None:
+        """There is nobody to leave."""
+
 
 class Processes:
     """A run of several, started by torchrun."""
@@ -76,7 +82,7 @@ class Processes:
             torch.distributed.init_process_group("gloo")
         except (RuntimeError, ValueError) as error:
             raise InputError(
-                f"the other processes cannot be reached ({first_line(error)}); start them with torchrun"
+                f"the other processes cannot be reached ({gist(error)}); start them with torchrun"
             ) from None
         self.rank = torch.distributed.get_rank()
         self.size = torch.distributed.get_world_size()
@@ -105,15 +111,19 @@ class Processes:
             self._lost(error)
         return values
 
+    def leave(self) -> None:
+        # Without this the interpreter's end would be an abort.
+        self._distributed.destroy_process_group()
+
     def _lost(self, error: RuntimeError) -> NoReturn:
         raise PeerLost(
-            f"process {self.rank} of {self.size} stops, for another one has ended ({first_line(error)})"
+            f"process {self.rank} of {self.size} stops, for another one has ended ({gist(error)})"
         ) from None
 
 
-def first_line(error: Exception) -> str:
-    """The gist of torch's messages, which go on with addresses of code."""
-    return str(error).partition("\n")[0].rpartition("] ")[2].rstrip(". ")
+def gist(error: Exception) -> str:
+    """The gist of torch's messages, which go on with advice and begin with addresses of code."""
+    return str(error).partition("\n")[0].partition(". ")[0].rpartition("] ")[2].rstrip(".")
 
 
 def stop_between_steps(group: Group) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import shutil
 import tempfile
@@ -33,7 +32,7 @@ def cached_demo_capture(*, progress: Callable[[float], None] = lambda share: Non
         InputError: the folder cannot be written.
     """
     folder = cache_folder() / f"{PREFIX}{_stamp()}" / "demo"
-    if (folder / "transforms.json").is_file():
+    if _is_whole(folder):
         return folder
     capture = demo_capture(
         render, truth=cached_demo(), photos=PHOTOS, width=WIDTH, height=HEIGHT, progress=progress
@@ -41,18 +40,26 @@ def cached_demo_capture(*, progress: Callable[[float], None] = lambda share: Non
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         for old in cache_folder().glob(f"{PREFIX}*"):
-            shutil.rmtree(old, ignore_errors=True)
+            if old != folder.parent:
+                shutil.rmtree(old, ignore_errors=True)
         with tempfile.TemporaryDirectory(dir=cache_folder(), prefix=".demo-") as made:
             save_capture(capture, Path(made) / "demo")
             folder.parent.mkdir(exist_ok=True)
-            # Another process may have been faster; its photos are the same.
-            with contextlib.suppress(FileExistsError):
+            try:
                 (Path(made) / "demo").rename(folder)
+            except OSError:
+                # Another process may have been faster; its photos are the same.
+                if not _is_whole(folder):
+                    raise
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be written: {error.strerror or error}; SPLATVIEW_CACHE_DIR names another place"
         ) from None
     return folder
+
+
+def _is_whole(folder: Path) -> bool:
+    return (folder / "transforms.json").is_file()
 
 
 def _stamp() -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ...scene import InputError
-from ...trainer.distributed import Alone, PeerLost, Processes, is_launched, stop_between_steps
+from ...trainer.distributed import Alone, Group, PeerLost, Processes, is_launched, stop_between_steps
 from ...trainer.session import Outputs, Progress, Session
 from ...trainer.settings import PAPER_ITERATIONS
 from ...trainer.training import Trainer
@@ -76,18 +76,22 @@ def run(arguments: Sequence[str]) -> int:
     if not options.headless:
         raise InputError("training has no window yet; add --headless")
     group = Processes() if is_launched() else Alone()
+    try:
+        return _train(options, group, started)
+    finally:
+        group.leave()
+
+
+def _train(options: argparse.Namespace, group: Group, started: float) -> int:
     console = Console(stderr=True, quiet=group.rank > 0)
     try:
         ready = prepare(options, console, group)
     except ToldElsewhere:
         return EXIT_BAD_INPUT
-    trainer = ready.trainer
     console.print(_opening(ready), highlight=False, soft_wrap=True)
     started += ready.uncounted + ready_kernels(console)
     stop_between_steps(group)
-    if group.rank > 0:
-        return _follow(trainer)
-    return _lead(ready, options, console, started)
+    return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 
 def _opening(ready: Run) -> str:

@@ -70,7 +70,13 @@ def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
             raise ToldElsewhere
         raise InputError(problems[rank] if rank == 0 else f"process {rank}: {problems[rank]}")
     assert run is not None
-    _check_equal(run, group)
+    try:
+        _check_equal(run, group)
+    except InputError:
+        # All of them notice.
+        if group.rank > 0:
+            raise ToldElsewhere from None
+        raise
     return run
 
 
@@ -208,9 +214,9 @@ def _check_equal(run: Run, group: Processes) -> None:
     check_equal(
         group,
         {
+            "options": digest(trainer.settings),
             "photos": digest(trainer.shots.names(), *(shot.pixels for shot in trainer.shots.all)),
             "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
-            "options": digest(trainer.settings),
             "checkpoint": digest(trainer.counters.iteration),
         },
     )
