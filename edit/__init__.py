@@ -1,1 +1,1 @@
-"""Editing a scene without touching it: selections, operations, history, recipes, pruning. Imports scene only."""
+"""Editing a scene without touching it: selections, operations, history, recipes. Imports scene only."""

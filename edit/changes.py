@@ -14,7 +14,7 @@ import numpy as np
 from ..scene import Gaussians
 from ..scene.adjustment import Adjustment
 from ..scene.crop import Crop
-from . import kernels
+from .loops import marks as kernels
 from .runs import SplatSet
 from .state import State
 

@@ -16,10 +16,10 @@ from ..scene.adjustment import Adjustment, adjustment_rows
 from ..scene.crop import Crop, crop_rows
 from ..scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits
 from ..scene.files import load_scene, save_scene
-from . import kernels
 from .changes import Change
 from .fingerprint import fingerprint
 from .history import History, Step
+from .loops import marks as kernels
 from .operations.operation import Operation
 from .runs import SplatSet
 from .state import State
@@ -105,7 +105,7 @@ class Document:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The scene to be drawn with `edits`: another object whenever its own values or their number change."""
+        """The scene to be drawn with `edits`; another object whenever its values or their number change."""
         return self._state.gaussians
 
     @property

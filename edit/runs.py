@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import kernels
+from .loops import marks as kernels
 
 
 @dataclass(frozen=True, eq=False)

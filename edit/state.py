@@ -1,4 +1,4 @@
-"""What a document is at this moment: the scene, a mark a splat, the palette, the crops, and their versions."""
+"""What a document is at this moment: scene, a mark a splat, palette, crops, and the versions of each."""
 
 from __future__ import annotations
 

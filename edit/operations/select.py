@@ -9,9 +9,10 @@ import numpy as np
 
 from ...scene import InputError
 from ...scene.edits import SELECTED
-from .. import detecting, kernels, selecting
+from .. import detecting, selecting
 from ..changes import Change, Toggle, splats_in_words
 from ..json_form import from_json, quoted, to_json
+from ..loops import marks as kernels
 from ..runs import SplatSet
 from .operation import Operation
 

@@ -1,16 +1,13 @@
-"""The loops over all marks of a scene, compiled: a pass over five million takes some milliseconds.
+"""The loops over all marks of a scene: a pass over five million takes some milliseconds.
 
-All are in this one file because numba's cache on disk notices changes of a kernel's own file only.
 Runs are (R, 2) int32, start and count each, ascending and apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import numba
 import numpy as np
+
+from .compiling import kernel
 
 FLAG_BITS = 15
 """The state flags that exist; the other four bits of a mark's low byte are 0."""
@@ -19,15 +16,7 @@ SHIFT = 8
 """`scene.edits.PALETTE_SHIFT`, as a constant that the compiler sees."""
 
 
-def _kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles without the GIL; cached on disk where there is a place for it."""
-    try:
-        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no folder can be written to
-        return numba.njit(nogil=True, error_model="numpy")(function)
-
-
-@_kernel
+@kernel
 def mask_runs(mask: np.ndarray) -> np.ndarray:
     """The runs of True in `mask` (N,) bool."""
     n = len(mask)
@@ -50,7 +39,7 @@ def mask_runs(mask: np.ndarray) -> np.ndarray:
     return runs
 
 
-@_kernel
+@kernel
 def flag_runs(marks: np.ndarray, care: int, value: int) -> np.ndarray:
     """The runs of splats whose flags within `care` are exactly `value`."""
     n = len(marks)
@@ -78,7 +67,7 @@ def flag_runs(marks: np.ndarray, care: int, value: int) -> np.ndarray:
     return runs
 
 
-@_kernel
+@kernel
 def fill_mask(runs: np.ndarray, mask: np.ndarray) -> None:
     """Sets `mask` (N,) bool to True in the runs."""
     for r in range(len(runs)):
@@ -86,7 +75,7 @@ def fill_mask(runs: np.ndarray, mask: np.ndarray) -> None:
         mask[start : start + runs[r, 1]] = True
 
 
-@_kernel
+@kernel
 def toggle(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
     """Flips `bits` in the runs: twice is as if never."""
     flipped = np.uint32(bits)
@@ -95,7 +84,7 @@ def toggle(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
             marks[i] ^= flipped
 
 
-@_kernel
+@kernel
 def flag_counts(marks: np.ndarray) -> np.ndarray:
     """(6,) int64: marks that are selected; hidden and not deleted; deleted; locked and not deleted; neither
     hidden nor deleted; neither hidden, deleted nor locked."""
@@ -115,7 +104,7 @@ def flag_counts(marks: np.ndarray) -> np.ndarray:
     return np.array([selected, hidden, deleted, locked, shown, free])
 
 
-@_kernel
+@kernel
 def entry_usage(marks: np.ndarray, entries: int) -> np.ndarray:
     """(entries,) int64: how many marks name each entry of the palette."""
     usage = np.zeros(entries, np.int64)
@@ -124,7 +113,7 @@ def entry_usage(marks: np.ndarray, entries: int) -> np.ndarray:
     return usage
 
 
-@_kernel
+@kernel
 def entry_usage_in(marks: np.ndarray, runs: np.ndarray, entries: int) -> np.ndarray:
     """As `entry_usage`, of the marks in the runs."""
     usage = np.zeros(entries, np.int64)
@@ -134,7 +123,7 @@ def entry_usage_in(marks: np.ndarray, runs: np.ndarray, entries: int) -> np.ndar
     return usage
 
 
-@_kernel
+@kernel
 def remap(marks: np.ndarray, runs: np.ndarray, lookup: np.ndarray) -> None:
     """In the runs, entry e of the palette becomes lookup[e] (uint32)."""
     for r in range(len(runs)):
@@ -143,7 +132,7 @@ def remap(marks: np.ndarray, runs: np.ndarray, lookup: np.ndarray) -> None:
             marks[i] = flags | (lookup[marks[i] >> np.uint32(SHIFT)] << np.uint32(SHIFT))
 
 
-@_kernel
+@kernel
 def take_entries(marks: np.ndarray, runs: np.ndarray, out: np.ndarray) -> None:
     """The entries of the marks in the runs, one after the other, into `out`, any unsigned type."""
     at = 0
@@ -153,7 +142,7 @@ def take_entries(marks: np.ndarray, runs: np.ndarray, out: np.ndarray) -> None:
             at += 1
 
 
-@_kernel
+@kernel
 def put_entries(marks: np.ndarray, runs: np.ndarray, values: np.ndarray) -> None:
     """The reverse of `take_entries`."""
     at = 0
@@ -164,7 +153,7 @@ def put_entries(marks: np.ndarray, runs: np.ndarray, values: np.ndarray) -> None
             at += 1
 
 
-@_kernel
+@kernel
 def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray, mode: int) -> np.ndarray:
     """Which splats change between selected and not: (N,) bool.
 
@@ -194,7 +183,7 @@ def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray,
     return changed
 
 
-@_kernel
+@kernel
 def cropped_in(
     means: np.ndarray, marks: np.ndarray, palette: np.ndarray, crops: np.ndarray, only: int
 ) -> np.ndarray:
