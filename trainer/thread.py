@@ -15,99 +15,26 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
-
-import numpy as np
+from typing import Any, TypeVar
 
 from ..raster import available_threads
-from ..scene import Gaussians, InputError
+from ..scene import InputError
 from ..scene.files import save_scene
 from .checkpoint import save_checkpoint
 from .evaluate import Evaluation
 from .history import History
+from .published import Snapshot, Status, pace_of
 from .session import Session
-from .settings import TrainSettings
-
-State = Literal["training", "paused", "done", "failed"]
 
 Answer = TypeVar("Answer")
 
 PUBLISH_SHARE = 0.02
 """Of the time, that making snapshots may take: a large scene is shown less often, not trained slower."""
 
-LEAST_SHARE = 0.02
-"""Of the cores: less would look like a program that hangs."""
-
 RATE_SECONDS = 3.0
 """Over about so long are steps a second averaged."""
-
-
-class Pace(NamedTuple):
-    """How a share of the cores is kept to."""
-
-    threads: int
-    duty: float
-    """Of the time, that the threads work; they sleep in between."""
-
-
-def pace_of(share: float, cores: int) -> Pace:
-    """As few threads as have the share, asleep for what they are too many."""
-    wanted = min(max(share, LEAST_SHARE), 1.0) * cores
-    threads = max(math.ceil(wanted - 1e-9), 1)
-    return Pace(threads, min(wanted / threads, 1.0))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Snapshot:
-    """The scene as it stood after a step. Nothing changes it any more."""
-
-    gaussians: Gaussians
-    ids: np.ndarray
-    """(N,) int64: who is who, see `Splats.ids`."""
-    iteration: int
-    seconds: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Status:
-    """Where the run stands."""
-
-    state: State
-    settings: TrainSettings
-    iteration: int
-    progress: float
-    """Share of the run that is over, 0 to 1."""
-    seconds: float
-    """Of the run, pauses left out."""
-    gaussians: int
-    sh_degree: int
-    """In training by now."""
-    loss: float
-    """Of the latest step; NaN before the first."""
-    rate: float = 0.0
-    """Steps a second, sleep included; 0 while not known."""
-    evaluation: Evaluation | None = None
-    """The latest one, and..."""
-    evaluated_at: int = 0
-    """... its step."""
-    failure: str | None = None
-    """One line on what ended the training."""
-    activity: str = ""
-    """What takes longer than a step, while it lasts: "Saving"."""
-    saved_at: int | None = None
-    """Step at which scene and checkpoint were last written by this thread."""
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Of the run at the present pace; None where that cannot be told."""
-        left = []
-        if self.settings.iterations is not None and self.rate > 0:
-            left.append((self.settings.iterations - self.iteration) / self.rate)
-        if self.settings.minutes is not None:
-            left.append(60 * self.settings.minutes - self.seconds)
-        return max(min(left), 0.0) if left else None
 
 
 class TrainingThread:
@@ -140,7 +67,8 @@ class TrainingThread:
         self.published = 0
         """Snapshots made."""
         self._session = session
-        self._on_change = on_change
+        self.on_change = on_change
+        """May be set at any time."""
         self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._notes: deque[str] = deque(maxlen=100)
         self._slot: deque[Snapshot] = deque(maxlen=1)
@@ -338,7 +266,7 @@ class TrainingThread:
             self._unseen = True
             self._tell(state="failed", failure=one_line(error), rate=0.0)
             self._publish()
-            self._on_change()
+            self.on_change()
             return
         ended = time.perf_counter()
         self._step_due = ended + (ended - begun) * (1 / pace.duty - 1)
@@ -355,7 +283,7 @@ class TrainingThread:
             if self._steps_wanted == 0:
                 self._session.stopwatch.pause()
                 self._publish()
-                self._on_change()
+                self.on_change()
         elif (
             self.snapshot_seconds is not None and not self._slot and time.perf_counter() >= self._snapshot_due
         ):
@@ -423,7 +351,7 @@ class TrainingThread:
         if self.status.state == "training":
             self._tell(state="paused", rate=0.0)
         self._publish()
-        self._on_change()
+        self.on_change()
 
     def _resume(self) -> None:
         if self._session.trainer.done:
@@ -433,7 +361,7 @@ class TrainingThread:
         self._step_due = 0.0
         self._session.stopwatch.resume()
         self._tell(state="training", failure=None, rate=0.0)
-        self._on_change()
+        self.on_change()
 
     def _want_step(self) -> None:
         if self.status.state == "training":
@@ -448,7 +376,7 @@ class TrainingThread:
     def _stop(self) -> None:
         self._pause()
         self._keep()
-        self._on_change()
+        self.on_change()
 
     def _finish(self) -> None:
         """The run is over: everything that a run without a window writes, is written."""
@@ -456,7 +384,7 @@ class TrainingThread:
         self._session.stopwatch.pause()
         self._publish()
         self._tell(state="done", rate=0.0)
-        self._on_change()
+        self.on_change()
         try:
             self._keep()
             self._tell(activity="Measuring held-out photos")
@@ -468,7 +396,7 @@ class TrainingThread:
         except Exception as error:
             self._note(error)
         self._tell(activity="")
-        self._on_change()
+        self.on_change()
 
     def _keep(self) -> None:
         """Writes scene and checkpoint. After a failure the checkpoint is left as it was before: that one

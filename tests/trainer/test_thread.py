@@ -19,9 +19,10 @@ from splatview.scene.files import load_scene
 from splatview.trainer import session as sessions
 from splatview.trainer import thread as threads
 from splatview.trainer.checkpoint import load_checkpoint
+from splatview.trainer.published import Status, pace_of
 from splatview.trainer.session import Outputs, Session, Stopwatch
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.thread import Status, TrainingThread, pace_of
+from splatview.trainer.thread import TrainingThread
 
 
 @pytest.fixture
