@@ -41,11 +41,11 @@ class _Wish:
     since: float
 
     def same_picture(self, other: _Wish) -> bool:
-        return (
-            self.gaussians is other.gaussians
-            and self.settings == other.settings
-            and self.camera.same_view(other.camera)
-        )
+        return self.gaussians is other.gaussians and self.same_view(other)
+
+    def same_view(self, other: _Wish) -> bool:
+        """Of whatever scene."""
+        return self.settings == other.settings and self.camera.same_view(other.camera)
 
 
 class CpuTexture:
@@ -62,7 +62,8 @@ class CpuTexture:
         on_ready: Callable[[], object] = lambda: None,
     ):
         self._ctx = ctx
-        self._threads = threads
+        self.threads = threads
+        """Cores to draw with; None: all. May be changed at any time."""
         self._on_ready = on_ready
         self._change = threading.Condition()
         # Guarded by _change:
@@ -94,7 +95,9 @@ class CpuTexture:
         wish = _Wish(self._gaussians, camera, settings, time.monotonic())
         with self._change:
             if self._wish is None or not self._wish.same_picture(wish):
-                self._wish, self._resting = wish, False
+                # A scene that changes before an eye at rest, as in training, is drawn sharp at once.
+                self._resting = self._resting and self._wish is not None and self._wish.same_view(wish)
+                self._wish = wish
                 self._change.notify()
             elif not self._resting and wish.since - self._wish.since >= REST_SECONDS:
                 # Only a window that still asks for it says that it rests: a slow one may just be late.
@@ -108,7 +111,7 @@ class CpuTexture:
         """The full picture (H, W, 4) float32, rendered while the caller waits."""
         if self._gaussians is None:
             return np.zeros((camera.height, camera.width, 4), np.float32)
-        return raster.render(self._gaussians, camera, settings, threads=self._threads)
+        return raster.render(self._gaussians, camera, settings, threads=self.threads)
 
     @property
     def busy(self) -> bool:
@@ -149,7 +152,7 @@ class CpuTexture:
                     return
                 wish = self._wish
                 assert wish is not None
-                moving = coarse is not wish and self._motion.scale < 1
+                moving = coarse is not wish and not self._resting and self._motion.scale < 1
             try:
                 self._render(wish, moving, workspace)
             except Exception as error:
@@ -174,7 +177,7 @@ class CpuTexture:
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
         frame = raster.draw_frame(
-            raster.parameters_of(wish.gaussians), camera, wish.settings, workspace, threads=self._threads
+            raster.parameters_of(wish.gaussians), camera, wish.settings, workspace, threads=self.threads
         )
         self.status = ""
         visible = sum(stop - start for start, stop in frame.runs)

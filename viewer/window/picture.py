@@ -21,6 +21,8 @@ class Picture(Protocol):
     """What the statistics panel calls it."""
     modes: tuple[VisualMode, ...]
     """What it can show."""
+    threads: int | None
+    """Cores that drawing may take, where the processor draws; None: all. May be set at any time."""
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
@@ -66,6 +68,7 @@ class GpuPicture:
     """The GL renderer that suits the context, drawing straight into the window's context."""
 
     modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
+    threads: int | None = None
 
     def __init__(self, ctx: moderngl.Context):
         self._renderer = make_renderer(ctx)
@@ -127,6 +130,14 @@ class CpuPicture:
         self._gaussians = EMPTY
         self._gpu_holds: Gaussians | None = None
         self._by_gpu = False
+
+    @property
+    def threads(self) -> int | None:
+        return self._cpu.threads
+
+    @threads.setter
+    def threads(self, threads: int | None) -> None:
+        self._cpu.threads = threads
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         yield 0.0

@@ -109,6 +109,25 @@ def test_moving_pictures_are_smaller_where_pixels_are_dear(texture, random_gauss
     np.testing.assert_array_equal(rest(texture, camera(0.2)), raster.render(scene, camera(0.2), SETTINGS))
 
 
+def test_a_scene_that_changes_before_an_eye_at_rest_is_sharp_at_once(texture, random_gaussians, monkeypatch):
+    first, second = random_gaussians(300), random_gaussians(300, seed=1)
+    texture.load(first)
+    monkeypatch.setattr(cpu_texture.MotionScale, "learn", lambda *_: None)  # stays at a half
+    rest(texture, camera())
+    texture.draw(camera(0.2), SETTINGS)
+    rest(texture, camera(0.2))
+    before = texture.stats.drawn
+    texture.load(second)
+    shown = rest(texture, camera(0.2))
+    assert texture.stats.drawn == before + 1, "no coarse picture came first"
+    np.testing.assert_array_equal(shown, raster.render(second, camera(0.2), SETTINGS))
+    texture.load(first)
+    texture.draw(camera(0.3), SETTINGS)
+    until(lambda: texture.stats.drawn > before + 1)
+    texture.draw(camera(0.3), SETTINGS)
+    assert texture.texture.size == (48, 32), "an eye that moves gets the coarse one"
+
+
 def test_a_new_scene_makes_the_old_picture_stale(texture, random_gaussians):
     first, second = random_gaussians(100), random_gaussians(100, seed=9)
     texture.load(first)

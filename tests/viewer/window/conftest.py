@@ -35,6 +35,7 @@ class RecordingPicture:
     status = ""
     texture: Any = None
     stats: Any = None
+    threads: int | None = None
 
     def __init__(self) -> None:
         self.loaded: list[Gaussians] = []
