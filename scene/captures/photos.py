@@ -10,6 +10,7 @@ from PIL import Image
 
 from ..errors import InputError
 from .capture import Pixels
+from .orientation import as_posed, stored_size
 from .posed import Shot
 from .resample import area_averaged, undistorted, wholly_valid
 
@@ -26,10 +27,10 @@ class Decoded:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height by the file's header. Raises InputError."""
+    """Width and height by the file's header, as the pixels are stored. Raises InputError."""
     try:
         with Image.open(path) as image:
-            return image.size
+            return stored_size(image)
     except Exception as error:
         raise _undecodable(path, error) from None
 
@@ -41,11 +42,11 @@ def downscaled_size(width: int, height: int, downscale: int) -> tuple[int, int]:
 def read_pixels(shot: Shot, downscale: int, background: tuple[float, float, float]) -> tuple[Pixels, bool]:
     """The photo as it is trained on, and whether any of the background shows in it. Raises InputError."""
     lens = shot.lens
-    decoded = _decode(shot.path, background)
+    decoded = _decode(shot.path, (lens.width, lens.height), background)
     _check_size(shot.path, decoded.rgb, lens.width, lens.height)
     image, mask = decoded.rgb, None
     if shot.mask is not None:
-        mask = _decode_mask(shot.mask)
+        mask = _decode_mask(shot.mask, (lens.width, lens.height))
         _check_size(shot.mask, mask, lens.width, lens.height)
     if any(lens.distortion):
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
@@ -64,9 +65,10 @@ def read_pixels(shot: Shot, downscale: int, background: tuple[float, float, floa
     return Pixels(image=image, mask=mask), decoded.is_transparent
 
 
-def _decode(path: Path, background: tuple[float, float, float]) -> Decoded:
+def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, float]) -> Decoded:
     try:
-        with Image.open(path) as image:
+        with Image.open(path) as file:
+            image = as_posed(file, size)
             if image.mode in ("I", "I;16", "I;16B", "I;16L", "F"):
                 return Decoded(_deep_grey(np.asarray(image)), False)
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
@@ -85,9 +87,13 @@ def _deep_grey(values: np.ndarray) -> np.ndarray:
     return np.repeat(grey[..., None], 3, axis=2)
 
 
-def _decode_mask(path: Path) -> np.ndarray:
+def _decode_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     try:
-        with Image.open(path) as image:
+        with Image.open(path) as file:
+            image = as_posed(file, size)
+            if "A" in image.getbands() and image.getextrema()[-1] != (255, 255):
+                # Cut-outs: what is transparent is ignored, whatever colour lies under it.
+                return np.asarray(image.getchannel("A")) >= MASK_THRESHOLD
             return np.asarray(image.convert("L")) >= MASK_THRESHOLD
     except Exception as error:
         raise _undecodable(path, error) from None
