@@ -251,10 +251,16 @@ def noise_floor(ratios: Sequence[float]) -> float:
 
 
 def mark_pareto(measured: Sequence[Measured]) -> None:
-    """Sets `pareto` where no other rung has both time and accuracy at least as good and one better."""
+    """Sets `pareto` where no other rung has both time and accuracy at least as good and one better.
+
+    Time is the ratio to the baseline's frames beside it: medians of times that were taken at different
+    moments compare the moments.
+    """
     for one in measured:
         one.pareto = not any(
-            other.ms <= one.ms and other.psnr >= one.psnr and (other.ms < one.ms or other.psnr > one.psnr)
+            other.ratio <= one.ratio
+            and other.psnr >= one.psnr
+            and (other.ratio < one.ratio or other.psnr > one.psnr)
             for other in measured
             if other is not one
         )

@@ -199,9 +199,9 @@ def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
 
 def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> None:
     """The table that a person reads: by renderer, the Pareto front in bold."""
-    table = Table(*COLUMNS[:2], title=title)
-    for column in COLUMNS[2:]:
-        table.add_column(column, justify="right")
+    table = Table(COLUMNS[0], title=title)
+    for column in COLUMNS[1:]:
+        table.add_column(column, justify="right", no_wrap=True)
     last = None
     for one in ladder.rungs:
         renderer = one.rung.artist.name
@@ -209,14 +209,14 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
             table.add_section()
         last = renderer
         row = cells(one, ladder)
-        if one.rung.knob == "renderer":
-            row[1] += " (baseline)" if one is ladder.baseline else ""
+        if one is ladder.baseline:
+            row[0] += ", the baseline"
         table.add_row(*row, style="bold" if one.pareto else None)
     console.print(table)
     console.print(
         f"Noise floor: a ratio within {ladder.noise:.0%} of 1 is chance (the baseline against itself,"
         f" {ladder.rounds} pairs). Truth: float64, within {apart:.0e} of the reference in sampled blocks."
-        f" Pareto (bold): nothing else here is both faster and nearer to the truth.",
+        f" Bold: nothing else here is both faster and nearer to the truth.",
         highlight=False,
     )
     if not ladder.complete:

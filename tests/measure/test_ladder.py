@@ -1,0 +1,159 @@
+"""The ladder's arithmetic, with renderers whose speed and errors are known."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+
+from splatview.measure.knobs import Plan
+from splatview.measure.ladder import Measured, climb, mark_pareto, noise_floor, rungs_for
+from splatview.measure.ladder_report import as_json, cells, plot, ratio_text
+from splatview.scene import Camera, RenderSettings
+
+SIZE = (24, 16)
+CAMERA = Camera(width=24, height=16, fx=20, fy=20, cx=12, cy=8, world_to_camera=np.eye(4))
+TRUTH = np.full((16, 24, 4), 0.5)
+
+
+class Pretender:
+    """Takes so many ms, and is off by `error`, more with each SH degree that is left out."""
+
+    def __init__(self, name: str, milliseconds: float, error: float):
+        self.name, self.milliseconds, self.error = name, milliseconds, error
+        self.cameras: list[bytes] = []
+
+    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+        degree = 3 if plan.settings.sh_degree is None else plan.settings.sh_degree
+        time.sleep((self.milliseconds - 2 * (3 - degree)) / 1e3 * plan.resolution)
+        self.cameras.append(camera.world_to_camera.tobytes())
+        return TRUTH + self.error + 0.01 * (3 - degree)
+
+    def memory(self, plan: Plan) -> int:
+        return 1 << 20
+
+
+def moved(view: int, number: int) -> Camera:
+    matrix = np.eye(4)
+    matrix[0, 3] = view + 1e-6 * (number + 1)
+    return Camera(width=24, height=16, fx=20, fy=20, cx=12, cy=8, world_to_camera=matrix)
+
+
+@pytest.fixture(scope="module")
+def ladder():
+    artists = [Pretender("cpu", 12, 1e-6), Pretender("quads", 30, 1e-3)]
+    rungs = rungs_for(artists, Plan(), used_sh_degree=3, knobs=["sh-degree", "resolution"])
+    made = climb(rungs, [CAMERA] * 2, [TRUTH] * 2, moved=moved, seconds=60, rounds=4)
+    return made, artists
+
+
+def found(made, knob: str, value: str) -> Measured:
+    return next(one for one in made.rungs if (one.rung.knob, one.rung.value) == (knob, value))
+
+
+def test_each_renderer_has_its_defaults_and_each_value_that_differs(ladder):
+    made, _ = ladder
+    names = [(one.rung.artist.name, one.rung.knob, one.rung.value) for one in made.rungs]
+    knobs = [
+        ("sh-degree", "2"),
+        ("sh-degree", "1"),
+        ("sh-degree", "0"),
+        ("resolution", "1/2"),
+        ("resolution", "1/4"),
+    ]
+    expected = [(name, *knob) for name in ("cpu", "quads") for knob in [("renderer", name), *knobs]]
+    assert names == expected
+    assert found(made, "sh-degree", "1").rung.options == ("--renderer", "cpu", "--sh-degree", "1")
+
+
+def test_degrees_that_the_scene_does_not_use_are_no_rungs():
+    plan = Plan(settings=RenderSettings(sh_degree=1))
+    rungs = rungs_for([Pretender("cpu", 1, 0)], plan, used_sh_degree=1, knobs=["sh-degree"])
+    assert [rung.value for rung in rungs] == ["cpu", "0"]
+
+
+def test_errors_are_those_against_the_truth(ladder):
+    made, _ = ladder
+    assert made.baseline.psnr == pytest.approx(120, abs=0.1)
+    assert found(made, "renderer", "quads").psnr == pytest.approx(60, abs=0.1)
+    assert found(made, "sh-degree", "0").max_error == pytest.approx(0.03, rel=1e-3)
+
+
+def test_times_are_ratios_to_the_baseline_beside(ladder):
+    made, _ = ladder
+    assert made.baseline.ratio == 1
+    assert found(made, "renderer", "quads").ratio > 1.5
+    assert found(made, "resolution", "1/4").ratio < 0.8
+    assert all(len(one.ratios) == 4 for one in made.rungs[1:])
+    assert 0.01 <= made.noise < 1
+
+
+def test_no_timed_frame_is_drawn_twice(ladder):
+    _, artists = ladder
+    still = CAMERA.world_to_camera.tobytes()
+    for artist in artists:
+        timed = [camera for camera in artist.cameras if camera != still]
+        assert len(set(timed)) == len(timed) > 0
+
+
+def test_the_pareto_front_has_no_rung_that_another_beats():
+    def rung(ratio: float, psnr: float) -> Measured:
+        return Measured(rung=None, psnr=psnr, ratios=[ratio])  # type: ignore[arg-type]
+
+    measured = [
+        rung(1, math.inf),
+        rung(0.5, 60),
+        rung(0.2, 30),
+        rung(0.6, 60),
+        rung(1.1, 90),
+    ]
+    mark_pareto(measured)
+    assert [one.pareto for one in measured] == [True, True, True, False, False]
+
+
+def test_the_noise_floor_follows_scatter_and_number():
+    rng = np.random.default_rng(1)
+    ratios = rng.normal(1, 0.1, 400)
+    assert noise_floor(ratios[:2]) == math.inf
+    assert noise_floor([1.0] * 9) == 0.01
+    assert noise_floor(ratios) < noise_floor(ratios[:20])
+    # 19 of 20 medians of 25 lie within the floor that 25 such pairs give, but for the floor's own scatter.
+    medians = np.median(rng.normal(1, 0.1, (500, 25)), axis=1)
+    assert np.mean(np.abs(medians - 1) <= noise_floor(ratios[:25])) > 0.85
+
+
+def test_differences_within_the_noise_are_no_claim(ladder):
+    made, _ = ladder
+    close = Measured(rung=made.baseline.rung, ratios=[1 + made.noise / 2])
+    far = Measured(rung=made.baseline.rung, ratios=[1 + 2 * made.noise])
+    assert ratio_text(close, made).startswith("same")
+    assert not ratio_text(far, made).startswith("same")
+
+
+def test_a_cancelled_ladder_says_so():
+    calls = iter(range(100))
+    rungs = rungs_for([Pretender("cpu", 1, 0)], Plan(), used_sh_degree=3)
+    made = climb(
+        rungs, [CAMERA], [TRUTH], moved=moved, seconds=60, rounds=9, cancelled=lambda: next(calls) > 8
+    )
+    assert not made.complete
+    assert made.rounds < 9
+
+
+def test_json_has_what_scripts_rely_on_and_no_infinities(ladder):
+    made, _ = ladder
+    text = json.dumps(as_json(made, {"scene": "x"}), allow_nan=False)
+    data = json.loads(text)
+    assert {"machine", "baseline", "noise", "rungs"} <= set(data)
+    keys = {"knob", "value", "renderer", "options", "ms", "ratio", "psnr", "ssim", "max_error", "pareto"}
+    assert all(keys <= set(rung) for rung in data["rungs"])
+
+
+def test_the_plot_is_a_picture(ladder, tmp_path):
+    made, _ = ladder
+    plot(made, tmp_path / "ladder.png", title="test")
+    assert (tmp_path / "ladder.png").read_bytes().startswith(b"\x89PNG")
+    assert len(cells(made.rungs[1], made)) == 8
