@@ -116,13 +116,15 @@ def test_the_pareto_front_has_no_rung_that_another_beats():
 
 def test_the_noise_floor_follows_scatter_and_number():
     rng = np.random.default_rng(1)
-    ratios = rng.normal(1, 0.1, 400)
+    ratios = rng.normal(1, 0.1, 400).tolist()
     assert noise_floor(ratios[:2]) == math.inf
     assert noise_floor([1.0] * 9) == 0.01
     assert noise_floor(ratios) < noise_floor(ratios[:20])
-    # 19 of 20 medians of 25 lie within the floor that 25 such pairs give, but for the floor's own scatter.
-    medians = np.median(rng.normal(1, 0.1, (500, 25)), axis=1)
-    assert np.mean(np.abs(medians - 1) <= noise_floor(ratios[:25])) > 0.85
+    # What one run of 25 pairs says of the noise holds for the medians of others, nearly always.
+    runs = rng.normal(1, 0.1, (200, 25))
+    floors = np.array([noise_floor(run.tolist()) for run in runs])
+    medians = np.abs(np.median(runs, axis=1) - 1)
+    assert 0.85 < np.mean(medians[:, None] <= floors[None]) < 1
 
 
 def test_differences_within_the_noise_are_no_claim(ladder):
@@ -135,7 +137,7 @@ def test_differences_within_the_noise_are_no_claim(ladder):
 
 def test_a_cancelled_ladder_says_so():
     calls = iter(range(100))
-    rungs = rungs_for([Pretender("cpu", 1, 0)], Plan(), used_sh_degree=3)
+    rungs = rungs_for([Pretender("cpu", 8, 0)], Plan(), used_sh_degree=3)
     made = climb(
         rungs, [CAMERA], [TRUTH], moved=moved, seconds=60, rounds=9, cancelled=lambda: next(calls) > 8
     )
