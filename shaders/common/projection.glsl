@@ -36,10 +36,12 @@ mat3 rotation_matrix(vec4 quat, float largest) {
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-// False where the splat is culled. `position` is relative to the scene's centre, `scale` and `opacity` are
-// activated, `quat` is wxyz of any length. Every guard is phrased so that NaN fails it.
-bool project(vec3 position, vec4 quat, vec3 scale, float opacity, out Footprint f) {
-    vec3 offset = (position - u_eye_high) - u_eye_low;
+// From the eye to `position`, which is relative to the scene's centre.
+vec3 from_eye(vec3 position) { return (position - u_eye_high) - u_eye_low; }
+
+// False where the splat is culled. `offset` is from the eye, `scale` and `opacity` are activated, `quat` is
+// wxyz of any length. Every guard is phrased so that NaN fails it.
+bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f) {
     vec3 t = u_camera_from_world * offset;
     float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
     if (!(t.z >= u_near) || !(largest >= MIN_QUAT_COMPONENT)) return false;

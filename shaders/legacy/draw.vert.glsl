@@ -1,52 +1,25 @@
 // quads/draw.vert.glsl for OpenGL 3.3: the same quads, fetched from textures.
-// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE, POINTS.
-#include "legacy/texels.glsl"
+// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE, POINTS, TINTS.
+#include "common/texels.glsl"
+#include "common/quad.glsl"
+#include "common/tint.glsl"
 
 uniform usampler2D u_order;    // splats, nearest first
 uniform sampler2D u_shapes;
 uniform sampler2D u_bounds;
-uniform sampler2D u_colours;
+uniform sampler2D u_colours;   // alpha is 0 where the splat is culled
 uniform int u_ordered;         // how many of `u_order` to draw
-uniform vec2 u_size;
-
-flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the exponent one of 2
-flat out float v_c;
-flat out vec4 v_colour;   // rgb, opacity
-
-const float ROOT_HALF_LOG2_E = 0.84932180028801904;  // exp(-q/2) = exp2(-(0.849 sqrt q)²)
-const float POINT_RADIUS = 1.6;                      // px
-const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
 
 void main() {
-    gl_Position = vec4(0.0, 0.0, 0.0, 1.0);  // all four vertices: no area
-    v_shape = v_colour = vec4(0.0);
-    v_c = 0.0;
+    place_nothing();
     uint slot = uint(gl_InstanceID) * uint(QUADS_PER_INSTANCE) + uint(gl_VertexID >> 2);
     if (slot >= uint(u_ordered)) return;
-    ivec2 texel = texel_of(texelFetch(u_order, texel_of(slot), 0).r);
-    v_colour = texelFetch(u_colours, texel, 0);
-    if (!(v_colour.a > 0.0)) return;  // culled
-
-    vec4 shape = texelFetch(u_shapes, texel, 0), bound = texelFetch(u_bounds, texel, 0);
-    v_shape = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
-    v_c = bound.x * ROOT_HALF_LOG2_E;
-    vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
-#if POINTS
-    v_shape.zw = vec2(POINT_RADIUS);
-    vec2 position = shape.xy + corner * (POINT_RADIUS + 1.0);
-#else
-    vec2 major = bound.zw;
-    float major_length = length(major);
-    vec2 along = major / major_length;
-    vec2 minor = bound.y * vec2(-along.y, along.x);
-    vec2 position;
-    if (major_length <= LARGE) {
-        // 1/64 px wider: vertices snap to 1/256 px and must not lose a pixel on the edge.
-        position = shape.xy + corner.x * (major + along / 64.0) + corner.y * (minor + vec2(-along.y, along.x) / 64.0);
-    } else {
-        vec2 extent = sqrt(min(major * major + minor * minor, vec2(1e36))) + 0.02;
-        position = clamp(shape.xy + corner * extent, vec2(-1.0), u_size + 1.0);
-    }
-#endif
-    gl_Position = vec4(position / u_size * 2.0 - 1.0, 0.0, 1.0);
+    uint splat = texelFetch(u_order, texel_of(slot), 0).r;
+    ivec2 texel = texel_of(splat);
+    vec4 colour = texelFetch(u_colours, texel, 0);
+    if (!(colour.a > 0.0)) return;
+    place_quad(
+        texelFetch(u_shapes, texel, 0),
+        texelFetch(u_bounds, texel, 0),
+        vec4(tinted(splat, colour.rgb), colour.a));
 }

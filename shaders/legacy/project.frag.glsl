@@ -1,8 +1,8 @@
 // One fragment a splat: footprint and colour, into textures that the draw fetches from. A culled splat
 // is discarded: its texels stay 0, and the query of samples passed counts the others.
-// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED, DEPTH (the depth in place of the colour).
-#include "legacy/texels.glsl"
-#include "common/projection.glsl"
+// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED, DEPTH (the depth in place of the colour), and those of edits.
+#include "common/texels.glsl"
+#include "common/edits.glsl"
 #include "common/sh.glsl"
 
 uniform sampler2D u_positions;  // xyz relative to the scene's centre, opacity
@@ -22,10 +22,11 @@ void main() {
     uint splat = uint(texel.y) * uint(TEXTURE_WIDTH) + uint(texel.x);
     if (splat >= uint(u_splats)) discard;
     vec4 position = texelFetch(u_positions, texel, 0);
+    vec4 quat = texelFetch(u_quats, texel, 0);
+    Splat s = unedited(position.xyz, quat, texelFetch(u_scales, texel, 0).xyz, position.w);
     Footprint f;
-    if (!project(position.xyz, texelFetch(u_quats, texel, 0), texelFetch(u_scales, texel, 0).xyz, position.w, f))
-        discard;
-    vec3 rgb = sh_colour(splat, f.direction);
+    if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) discard;
+    vec3 rgb = graded(splat, sh_colour(splat, harmonics_direction(splat, f.direction)));
     if (!is_finite(rgb)) discard;
 #if DEPTH
     rgb = vec3(f.depth);

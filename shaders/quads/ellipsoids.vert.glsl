@@ -1,7 +1,8 @@
-// The box that each ellipsoid covers on screen; one page of the scene, drawn with a depth test instead of a sort.
-// Flags: QUADS_PER_INSTANCE, ANTIALIASED (no effect on surfaces).
+// One page of the scene as ellipsoids, drawn with a depth test instead of a sort.
+// Flags: QUADS_PER_INSTANCE, TINTS, and those of ellipsoid.
 #include "quads/culled.glsl"
-#include "common/projection.glsl"
+#include "common/ellipsoid.glsl"
+#include "common/tint.glsl"
 layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
 layout(std430, binding = 1) readonly buffer Quats { vec4 quats[]; };
 layout(std430, binding = 2) readonly buffer Scales { vec4 scales_opacity[]; };
@@ -10,52 +11,13 @@ layout(std430, binding = 4) readonly buffer DepthKeys { uint depth_keys[]; };
 uniform uint u_page_first;
 uniform uint u_page_count;
 
-flat out mat3 v_to_sphere;  // camera axes to the ellipsoid's own, where it is the unit sphere
-flat out vec3 v_centre;     // the eye's offset to it, in those
-flat out vec3 v_colour;
-
-const float SIGMAS = 1.5;         // the surface drawn
-const float LEAST_OPACITY = 0.2;  // fainter splats would hide the others
-const float LEAST_PIXELS = 0.7;   // no axis thinner: it would shimmer
-
-// Least and greatest x/z (or y/z) of the ellipsoid with centre (along, z) and rows `row`, `row_z` of its axes.
-vec2 tangents(float along, float z, vec3 row, vec3 row_z) {
-    float a = z * z - dot(row_z, row_z);
-    float b = along * z - dot(row, row_z);
-    float c = along * along - dot(row, row);
-    float root = sqrt(max(b * b - a * c, 0.0));
-    return (vec2(b) + vec2(-root, root)) / a;
-}
-
 void main() {
+    place_nothing();
     uint local = uint(gl_InstanceID) * uint(QUADS_PER_INSTANCE) + uint(gl_VertexID >> 2);
     uint splat = u_page_first + local;
-    gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
     if (local >= u_page_count || depth_keys[splat] == CULLED) return;
-    vec4 scale = scales_opacity[local];
-    if (scale.w < LEAST_OPACITY) return;
-
     vec3 position = vec3(positions[3u * local], positions[3u * local + 1u], positions[3u * local + 2u]);
-    vec3 t = u_camera_from_world * ((position - u_eye_high) - u_eye_low);
-    vec4 quat = quats[local];
-    float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
-    mat3 turned = u_camera_from_world * rotation_matrix(quat, largest);
-    vec3 s = max(scale.xyz * SIGMAS, vec3(LEAST_PIXELS * t.z / u_focal.x));
-    mat3 axes = mat3(turned[0] * s.x, turned[1] * s.y, turned[2] * s.z);
-    vec3 row_x = vec3(axes[0].x, axes[1].x, axes[2].x);
-    vec3 row_y = vec3(axes[0].y, axes[1].y, axes[2].y);
-    vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
-
-    vec2 low = vec2(-1.0), high = u_size + 1.0;
-    if (t.z * t.z > dot(row_z, row_z) * 1.01) {  // else it reaches the eye's plane: the whole image
-        vec2 x = tangents(t.x, t.z, row_x, row_z), y = tangents(t.y, t.z, row_y, row_z);
-        low = max(low, vec2(x.x, y.x) * u_focal + u_principal - 0.5);
-        high = min(high, vec2(x.y, y.y) * u_focal + u_principal + 0.5);
-        if (any(greaterThanEqual(low, high))) return;
-    }
-    v_to_sphere = transpose(mat3(turned[0] / s.x, turned[1] / s.y, turned[2] / s.z));
-    v_centre = v_to_sphere * t;
-    v_colour = colours[splat].rgb;
-    vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1);
-    gl_Position = vec4(mix(low, high, corner) / u_size * 2.0 - 1.0, 0.0, 1.0);
+    vec4 scale_opacity = scales_opacity[local];
+    Splat s = unedited(position, quats[local], scale_opacity.xyz, scale_opacity.w);
+    place_ellipsoid(splat, s, tinted(splat, colours[splat].rgb));
 }

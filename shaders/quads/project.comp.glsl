@@ -1,7 +1,8 @@
 // One invocation a splat: footprint, colour and depth key. A culled splat gets the key CULLED and no record.
-// Flags: GROUP_SIZE, SH_DEGREE, SH_STORED (coefficients a splat has in its buffer), ANTIALIASED.
+// Flags: GROUP_SIZE, SH_DEGREE, SH_STORED (coefficients a splat has in its buffer), ANTIALIASED, and those of
+// edits.
 #include "quads/culled.glsl"
-#include "common/projection.glsl"
+#include "common/edits.glsl"
 #include "common/sh.glsl"
 layout(local_size_x = GROUP_SIZE) in;
 
@@ -35,12 +36,13 @@ void main() {
     uint local = gl_GlobalInvocationID.x;
     if (local >= u_page_count) return;
     uint splat = u_page_first + local;
+    depth_keys[splat] = CULLED;
     vec3 position = vec3(positions[3u * local], positions[3u * local + 1u], positions[3u * local + 2u]);
     vec4 scale_opacity = scales_opacity[local];
-    depth_keys[splat] = CULLED;
+    Splat s = unedited(position, quats[local], scale_opacity.xyz, scale_opacity.w);
     Footprint f;
-    if (!project(position, quats[local], scale_opacity.xyz, scale_opacity.w, f)) return;
-    vec3 colour = sh_colour(local, f.direction);
+    if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) return;
+    vec3 colour = graded(splat, sh_colour(local, harmonics_direction(splat, f.direction)));
     if (!is_finite(colour)) return;
     shapes[splat] = vec4(f.mean, f.conic.xy);
     bounds[splat] = vec4(f.conic.z, f.minor_axis, f.major_axis);

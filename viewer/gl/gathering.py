@@ -15,8 +15,9 @@ import moderngl
 import numpy as np
 
 from .closing import Closing
+from .edit_textures import EditTextures
 from .frame import VisualMode
-from .programs import load_render_program
+from .programs import RenderPrograms
 from .projector import QUADS_PER_INSTANCE, SLABS, Projector
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
@@ -40,25 +41,28 @@ def quad_indices(quads: int) -> np.ndarray:
     return (np.arange(quads, dtype=np.uint32)[:, None] * 4 + corners).ravel()
 
 
+def mode_program(
+    programs: RenderPrograms, folder: str, mode: VisualMode, edits: EditTextures
+) -> tuple[moderngl.Program, moderngl.VertexArray]:
+    """What draws a mode: a vertex shader from `folder` of ``shaders/``, a fragment shader from quads."""
+    surfaces = mode == "ellipsoids"
+    stage = "ellipsoids" if surfaces else "draw"
+    own = {"ANTIALIASED": False} if surfaces else MODE_FLAGS[mode]
+    edited = edits.now.flags(projects=surfaces, shows=mode)
+    flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **own, **edited}
+    program, array = programs.get(f"{folder}/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags)
+    edits.use(program)
+    return program, array
+
+
 class Gathering:
     """Programs are compiled for a mode when it is first shown."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._programs: dict[str, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._programs = RenderPrograms(ctx, self._indices)
         self._closing = Closing(ctx)
-
-    def _program(self, mode: VisualMode) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if mode not in self._programs:
-            flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **MODE_FLAGS.get(mode, {"ANTIALIASED": False})}
-            stage = "ellipsoids" if mode == "ellipsoids" else "draw"
-            program = load_render_program(
-                self._ctx, f"quads/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags
-            )
-            array = self._ctx.vertex_array(program, [], index_buffer=self._indices, index_element_size=4)
-            self._programs[mode] = program, array
-        return self._programs[mode]
 
     def draw(
         self,
@@ -67,11 +71,12 @@ class Gathering:
         scene: SceneBuffers,
         projector: Projector,
         uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
         *,
         early_stop: float,
     ) -> None:
         """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode."""
-        program, array = self._program(mode)
+        program, array = mode_program(self._programs, "quads", mode, edits)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
             self._draw_ellipsoids(target, scene, projector, program, array)
@@ -119,9 +124,7 @@ class Gathering:
 
     def release(self) -> None:
         self._closing.release()
-        for program, array in self._programs.values():
-            array.release()
-            program.release()
+        self._programs.release()
         self._indices.release()
 
 

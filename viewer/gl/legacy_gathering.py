@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 import moderngl
 
+from .edit_textures import EditTextures
 from .frame import VisualMode
-from .gathering import FRONT_TO_BACK, MODE_FLAGS, quad_indices
-from .programs import load_render_program
+from .gathering import FRONT_TO_BACK, mode_program, quad_indices
+from .programs import RenderPrograms
 from .projection_pass import ProjectionPass
 from .projector import QUADS_PER_INSTANCE
-from .scene_textures import TEXTURE_WIDTH, SceneTextures
+from .scene_textures import SceneTextures
 from .targets import ColourTarget
 from .view_uniforms import Uniform, set_uniforms
 
@@ -22,22 +23,7 @@ class LegacyGathering:
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._programs: dict[str, tuple[moderngl.Program, moderngl.VertexArray]] = {}
-
-    def _program(self, mode: VisualMode) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if mode not in self._programs:
-            flags = {
-                "TEXTURE_WIDTH": TEXTURE_WIDTH,
-                "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE,
-                **MODE_FLAGS.get(mode, {"ANTIALIASED": False}),
-            }
-            stage = "ellipsoids" if mode == "ellipsoids" else "draw"
-            program = load_render_program(
-                self._ctx, f"legacy/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags
-            )
-            array = self._ctx.vertex_array(program, [], index_buffer=self._indices, index_element_size=4)
-            self._programs[mode] = program, array
-        return self._programs[mode]
+        self._programs = RenderPrograms(ctx, self._indices)
 
     def draw_splats(
         self,
@@ -45,11 +31,12 @@ class LegacyGathering:
         target: ColourTarget,
         projection: ProjectionPass,
         uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
         order: moderngl.Texture,
         ordered: int,
     ) -> None:
         """Fills `target` with the first `ordered` splats of `order`; all modes but ellipsoids."""
-        program, array = self._program(mode)
+        program, array = mode_program(self._programs, "legacy", mode, edits)
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         if not ordered:
@@ -67,10 +54,11 @@ class LegacyGathering:
         target: ColourTarget,
         projection: ProjectionPass,
         uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
         scene: SceneTextures,
     ) -> None:
         """Fills `target` with surfaces; a depth test takes the place of the order."""
-        program, array = self._program("ellipsoids")
+        program, array = mode_program(self._programs, "legacy", "ellipsoids", edits)
         framebuffer = target.with_depth()
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
@@ -87,7 +75,5 @@ class LegacyGathering:
         array.render(moderngl.TRIANGLES, instances=-(-scene.splats // QUADS_PER_INSTANCE))
 
     def release(self) -> None:
-        for program, array in self._programs.values():
-            array.release()
-            program.release()
+        self._programs.release()
         self._indices.release()

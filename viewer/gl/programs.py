@@ -93,6 +93,36 @@ def load_render_program(
         raise _explain(error, origins) from error
 
 
+class RenderPrograms:
+    """Render programs, each with a vertex array that has no attributes; compiled when first asked for."""
+
+    def __init__(self, ctx: moderngl.Context, indices: moderngl.Buffer | None = None) -> None:
+        self._ctx = ctx
+        self._indices = indices
+        self._made: dict[object, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+
+    def get(
+        self, vertex: str, fragment: str, flags: Mapping[str, float | bool]
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        """The variant by `flags`, as of `load_render_program`; it draws the indices (uint32), if any.
+
+        Raises:
+            ShaderError: it does not compile.
+        """
+        variant = (vertex, fragment, frozenset(flags.items()))
+        if variant not in self._made:
+            program = load_render_program(self._ctx, vertex, fragment, flags)
+            array = self._ctx.vertex_array(program, [], index_buffer=self._indices, index_element_size=4)
+            self._made[variant] = program, array
+        return self._made[variant]
+
+    def release(self) -> None:
+        for program, array in self._made.values():
+            array.release()
+            program.release()
+        self._made.clear()
+
+
 def load_compute(
     ctx: moderngl.Context, name: str, flags: Mapping[str, float | bool] | None = None
 ) -> moderngl.ComputeShader:

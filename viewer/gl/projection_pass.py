@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import moderngl
 
-from .programs import load_render_program
-from .scene_textures import TEXTURE_WIDTH, SceneTextures
+from .edit_textures import EditTextures
+from .programs import RenderPrograms
+from .scene_textures import SceneTextures
+from .texel_array import TEXTURE_WIDTH
 from .view_uniforms import Uniform, set_uniforms
 
 
@@ -18,7 +20,7 @@ class ProjectionPass:
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
-        self._programs: dict[tuple[int, bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._programs = RenderPrograms(ctx)
         self._textures: tuple[moderngl.Texture, ...] = ()
         self._framebuffer: moderngl.Framebuffer | None = None
         self._passed = ctx.query(samples=True)
@@ -35,6 +37,7 @@ class ProjectionPass:
         self,
         scene: SceneTextures,
         uniforms: dict[str, Uniform],
+        edits: EditTextures,
         *,
         sh_degree: int,
         antialiased: bool,
@@ -43,8 +46,17 @@ class ProjectionPass:
         """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours."""
         if self._framebuffer is None:
             raise RuntimeError("resize() comes before run()")
-        program, triangle = self._program(min(sh_degree, scene.sh_degree), antialiased, depth)
+        flags = {
+            "SH_DEGREE": min(sh_degree, scene.sh_degree),
+            "ANTIALIASED": antialiased,
+            "DEPTH": depth,
+            **edits.now.flags(),
+        }
+        program, triangle = self._programs.get(
+            "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
+        )
         set_uniforms(program, uniforms)
+        edits.use(program)
         for unit, (name, texture) in enumerate(
             (
                 ("positions", scene.positions),
@@ -78,23 +90,6 @@ class ProjectionPass:
             self._counting = False
         return self._visible
 
-    def _program(
-        self, sh_degree: int, antialiased: bool, depth: bool
-    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        variant = (sh_degree, antialiased, depth)
-        if variant not in self._programs:
-            flags = {
-                "TEXTURE_WIDTH": TEXTURE_WIDTH,
-                "SH_DEGREE": sh_degree,
-                "ANTIALIASED": antialiased,
-                "DEPTH": depth,
-            }
-            program = load_render_program(
-                self._ctx, "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
-            )
-            self._programs[variant] = (program, self._ctx.vertex_array(program, []))
-        return self._programs[variant]
-
     def _release_sized(self) -> None:
         if self._framebuffer is not None:
             self._framebuffer.release()
@@ -105,6 +100,4 @@ class ProjectionPass:
 
     def release(self) -> None:
         self._release_sized()
-        for program, triangle in self._programs.values():
-            triangle.release()
-            program.release()
+        self._programs.release()

@@ -6,6 +6,7 @@ import moderngl
 import numpy as np
 
 from ...scene.gaussians import SH_COEFFICIENTS
+from .edit_textures import EditTextures
 from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
 from .sort import RadixSort
@@ -34,7 +35,7 @@ class Projector:
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
-        self._programs: dict[tuple[int, int, bool], moderngl.ComputeShader] = {}
+        self._programs: dict[object, moderngl.ComputeShader] = {}
         self._scan = load_compute(
             ctx,
             "quads/scan.comp.glsl",
@@ -68,11 +69,25 @@ class Projector:
         return buffer
 
     def project(
-        self, scene: SceneBuffers, uniforms: dict[str, Uniform], *, sh_degree: int, antialiased: bool
+        self,
+        scene: SceneBuffers,
+        uniforms: dict[str, Uniform],
+        edits: EditTextures,
+        *,
+        sh_degree: int,
+        antialiased: bool,
     ) -> None:
         """Fills records and keys of all splats, then keys and order of the visible ones, by index."""
-        program = self._program(min(sh_degree, scene.sh_degree), scene.sh_degree, antialiased)
+        flags = {
+            "GROUP_SIZE": GROUP_SIZE,
+            "SH_DEGREE": min(sh_degree, scene.sh_degree),
+            "SH_STORED": SH_COEFFICIENTS[scene.sh_degree],
+            "ANTIALIASED": antialiased,
+            **edits.now.flags(),
+        }
+        program = self._program(flags)
         set_uniforms(program, uniforms)
+        edits.use(program)
         for slot, buffer in enumerate(
             (self.shapes, self.bounds, self.colours, self.depth_keys, self._counts), start=4
         ):
@@ -110,15 +125,9 @@ class Projector:
         start = SLAB_ENDS[slab - 1] if slab else 0.0
         return int(self.splats * (SLAB_ENDS[slab] - start)) + 2
 
-    def _program(self, degree: int, stored: int, antialiased: bool) -> moderngl.ComputeShader:
-        variant = (degree, stored, antialiased)
+    def _program(self, flags: dict[str, float | bool]) -> moderngl.ComputeShader:
+        variant = frozenset(flags.items())
         if variant not in self._programs:
-            flags = {
-                "GROUP_SIZE": GROUP_SIZE,
-                "SH_DEGREE": degree,
-                "SH_STORED": SH_COEFFICIENTS[stored],
-                "ANTIALIASED": antialiased,
-            }
             self._programs[variant] = load_compute(self._ctx, "quads/project.comp.glsl", flags)
         return self._programs[variant]
 

@@ -8,12 +8,15 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.edits import SceneEdits
+from .edit_textures import EditTextures
 from .frame import FrameStats, VisualMode
 from .gathering import Gathering
+from .overlay import Overlay
 from .projector import RECORD_BYTES, Projector
 from .resolving import Resolving, depth_range, float16_blending_truncates
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
-from .targets import ColourTarget, Precision
+from .targets import PictureTargets
 from .timers import StageTimers
 from .view_uniforms import view_uniforms
 
@@ -35,10 +38,9 @@ class QuadsRenderer:
         self._source: Gaussians | None = None
         self._gathering = Gathering(ctx)
         self._resolving = Resolving(ctx)
-        self._truncates = float16_blending_truncates(ctx)
+        self._edits = EditTextures(ctx)
         self._early_stop = EARLY_STOP
-        self._gathered: ColourTarget | None = None
-        self._shown: ColourTarget | None = None
+        self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._projected_key: object = None
         self._drawn_key: object = None
         self._resolved_key: object = None
@@ -95,22 +97,36 @@ class QuadsRenderer:
         if self._scene is not None:
             self._scene.release()
         self._projector.resize(scene.splats)
+        self._edits.clear(scene.centre)
         self._scene, self._source = scene, source
         self._projected_key = None
 
-    def draw(self, camera: Camera, settings: RenderSettings, *, mode: VisualMode = "splats") -> None:
-        """Brings `framebuffer` up to date; does nothing where it is.
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        """Brings `framebuffer` up to date; does nothing where it is. A new selection is only drawn anew.
+
+        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark.
 
         Raises:
             RuntimeError: no scene was loaded.
+            ValueError: the edits are another scene's.
+            InputError: they do not fit into the driver's textures.
         """
         if self._scene is None:
             raise RuntimeError("load() comes before draw()")
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
-        projected_key = (*_view_key(camera), settings.model, sh_degree)
+        editing = self._edits.update(edits, overlay, scene.splats)
+        projected_key = (*_view_key(camera), settings.model, sh_degree, editing.footprints)
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
-        drawn_key = (projected_key, mode, settings.blend, early_stop)
+        drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
         resolved_key = (drawn_key, settings.background)
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
@@ -119,7 +135,11 @@ class QuadsRenderer:
         if projected_key != self._projected_key:
             with self._timers.stage("project"):
                 self._projector.project(
-                    scene, uniforms, sh_degree=sh_degree, antialiased=settings.model.antialiased
+                    scene,
+                    uniforms,
+                    self._edits,
+                    sh_degree=sh_degree,
+                    antialiased=settings.model.antialiased,
                 )
             with self._timers.stage("sort"):
                 self._projector.sort()
@@ -129,69 +149,56 @@ class QuadsRenderer:
             self._drawn_key = None
         with self._timers.stage("draw"):
             if drawn_key != self._drawn_key:
-                self._make_targets((camera.width, camera.height), settings, mode)
+                self._targets.fit((camera.width, camera.height), settings.blend, mode)
                 self._gathering.draw(
                     mode,
-                    self._target(self._gathered),
+                    self._targets.gathered,
                     scene,
                     self._projector,
                     uniforms,
+                    self._edits,
                     early_stop=early_stop,
                 )
                 self._counters["drawn"] += 1
                 self._drawn_key = drawn_key
             self._resolving.draw(
                 mode,
-                self._target(self._gathered),
-                self._target(self._shown),
+                self._targets.gathered,
+                self._targets.shown,
                 background=settings.background,
                 depths=depth_range(scene, camera),
             )
             self._resolved_key = resolved_key
         previous.use()
 
-    def _make_targets(self, size: tuple[int, int], settings: RenderSettings, mode: VisualMode) -> None:
-        # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
-        wide = settings.blend == "float32" or mode in ("depth", "overdraw") or self._truncates
-        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
-        self._shown = self._fitting(self._shown, size, settings.blend)
-
-    def _fitting(
-        self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
-    ) -> ColourTarget:
-        if target is not None:
-            if (target.size, target.precision) == (size, precision):
-                return target
-            target.release()
-        return ColourTarget(self._ctx, size, precision)
-
-    @staticmethod
-    def _target(target: ColourTarget | None) -> ColourTarget:
-        if target is None:
-            raise RuntimeError("draw() comes first")
-        return target
-
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
         """The picture drawn last; its row 0 is the picture's top row."""
-        return self._target(self._shown).framebuffer
+        return self._targets.shown.framebuffer
 
     @property
     def texture(self) -> moderngl.Texture:
         """RGBA over the background, alpha = 1 - T, of the settings' `blend` precision."""
-        return self._target(self._shown).texture
+        return self._targets.shown.texture
 
     def read(self) -> np.ndarray:
         """The picture drawn last: (H, W, 4) float32, row 0 on top. Waits for the GPU."""
-        return self._target(self._shown).read()
+        return self._targets.shown.read()
 
     def render(
-        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings | None = None
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        settings: RenderSettings | None = None,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
     ) -> np.ndarray:
         """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
         if gaussians is not self._source:
             self.load(gaussians)
-        self.draw(camera, settings or RenderSettings())
+        self.draw(camera, settings or RenderSettings(), mode=mode, edits=edits, overlay=overlay)
         return self.read()
 
     @property
@@ -217,9 +224,8 @@ class QuadsRenderer:
 
     def release(self) -> None:
         """Gives back all GPU memory; the renderer is of no use afterwards."""
-        for target in (self._gathered, self._shown):
-            if target is not None:
-                target.release()
+        self._targets.release()
+        self._edits.release()
         if self._scene is not None:
             self._scene.release()
         self._projector.release()

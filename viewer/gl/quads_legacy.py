@@ -17,13 +17,17 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.edits import SceneEdits
+from .edit_textures import Editing, EditTextures
 from .frame import FrameStats, VisualMode
 from .legacy_gathering import LegacyGathering
+from .overlay import Overlay
 from .projection_pass import ProjectionPass
 from .resolving import Resolving, depth_range, float16_blending_truncates
-from .scene_textures import TEXTURE_WIDTH, SceneTextures, upload_steps
+from .scene_textures import SceneTextures, upload_steps
 from .sort_worker import DepthOrder, SortWorker, ViewLine
-from .targets import ColourTarget, Precision
+from .targets import PictureTargets
+from .texel_array import TexelArray
 from .timers import StageTimers
 from .view_uniforms import Uniform, view_uniforms
 
@@ -37,21 +41,28 @@ class _Wish:
     camera: Camera
     settings: RenderSettings
     mode: VisualMode
+    editing: Editing
+    line: ViewLine
+    """What the order of the splats depends on."""
+
+    @property
+    def _footprints(self) -> tuple:
+        settings = self.settings
+        return (settings.model, settings.sh_degree, self.mode == "depth", self.editing.footprints)
+
+    @property
+    def _picture(self) -> tuple:
+        return (self.settings, self.mode, self.editing.footprints, self.editing.tints_of(self.mode))
 
     def same_footprints(self, other: _Wish | None) -> bool:
         return (
             other is not None
             and self.camera.same_view(other.camera)
-            and (self.settings.model, self.settings.sh_degree, self.mode == "depth")
-            == (other.settings.model, other.settings.sh_degree, other.mode == "depth")
+            and self._footprints == other._footprints
         )
 
     def same_picture(self, other: _Wish | None) -> bool:
-        return (
-            other is not None
-            and self.camera.same_view(other.camera)
-            and (self.settings, self.mode) == (other.settings, other.mode)
-        )
+        return other is not None and self.camera.same_view(other.camera) and self._picture == other._picture
 
 
 class LegacyQuadsRenderer:
@@ -69,19 +80,18 @@ class LegacyQuadsRenderer:
                 f"OpenGL {ctx.version_code / 100:.1f} is too old, 3.3 is needed: use --renderer cpu"
             )
         self._ctx = ctx
-        self._truncates = float16_blending_truncates(ctx)
+        self._edits = EditTextures(ctx)
         self._timers = StageTimers(ctx)
         self._projection = ProjectionPass(ctx)
         self._scene: SceneTextures | None = None
         self._source: Gaussians | None = None
         self._sorter: SortWorker | None = None
-        self._order_texture: moderngl.Texture | None = None
+        self._order_texels = TexelArray(ctx, 1, "u4", "splats")
         self._order: DepthOrder | None = None
-        """What `_order_texture` holds."""
+        """What `_order_texels` holds."""
         self._gathering = LegacyGathering(ctx)
         self._resolving = Resolving(ctx)
-        self._gathered: ColourTarget | None = None
-        self._shown: ColourTarget | None = None
+        self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._projected: _Wish | None = None
         self._drawn: _Wish | None = None
         self._wanted: _Wish | None = None
@@ -115,26 +125,56 @@ class LegacyQuadsRenderer:
     def _use(self, scene: SceneTextures, source: Gaussians) -> None:
         self._release_scene()
         self._projection.resize(scene.rows)
-        self._order_texture = self._ctx.texture((TEXTURE_WIDTH, scene.rows), 1, dtype="u4")
+        self._order_texels.reserve(scene.splats)
+        self._edits.clear(scene.centre)
         self._sorter = SortWorker(source.means)
         self._scene, self._source = scene, source
 
     # ---- drawing
 
-    def draw(self, camera: Camera, settings: RenderSettings, *, mode: VisualMode = "splats") -> None:
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
         """Brings `framebuffer` up to date as far as the order is known; never waits for an order.
 
-        Does nothing where scene, camera, settings, mode and order are those of the last call. Until the
-        first order of a scene is there, the picture is the background.
+        Does nothing where scene, camera, settings, mode, edits and order are those of the last call. Until
+        the first order of a scene is there, the picture is the background. `edits` of the scene that is
+        loaded are shown; `overlay` lights up what they mark.
 
         Raises:
             RuntimeError: no scene was loaded.
+            ValueError: the edits are another scene's.
+            InputError: they do not fit into the driver's textures.
         """
+        self._wanted = wish = self._wish(camera, settings, mode, edits, overlay)
+        scene, sorter = self._loaded()
+        self._draw(wish, scene, sorter.newest())
+
+    def _loaded(self) -> tuple[SceneTextures, SortWorker]:
         if self._scene is None or self._sorter is None:
             raise RuntimeError("load() comes before draw()")
-        self._wanted = wish = _Wish(camera, settings, mode)
-        self._sorter.request(ViewLine.of(camera))
-        self._draw(wish, self._scene, self._sorter.newest())
+        return self._scene, self._sorter
+
+    def _wish(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None,
+        overlay: Overlay | None,
+    ) -> _Wish:
+        """Also uploads what is new of the edits, and asks for the order."""
+        scene, sorter = self._loaded()
+        editing = self._edits.update(edits, overlay, scene.splats)
+        wish = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
+        sorter.request(wish.line)
+        return wish
 
     def _draw(self, wish: _Wish, scene: SceneTextures, order: DepthOrder | None) -> None:
         if order is self._order and wish.same_picture(self._drawn):
@@ -147,6 +187,7 @@ class LegacyQuadsRenderer:
                 self._projection.run(
                     scene,
                     uniforms,
+                    self._edits,
                     sh_degree=3 if settings.sh_degree is None else settings.sh_degree,
                     antialiased=settings.model.antialiased,
                     depth=wish.mode == "depth",
@@ -156,12 +197,12 @@ class LegacyQuadsRenderer:
         with self._timers.stage("draw"):
             if order is not None and order is not self._order:
                 self._upload_order(order)
-            self._make_targets(wish)
+            self._targets.fit((wish.camera.width, wish.camera.height), settings.blend, wish.mode)
             self._gather(wish, uniforms, scene)
             self._resolving.draw(
                 wish.mode,
-                self._target(self._gathered),
-                self._target(self._shown),
+                self._targets.gathered,
+                self._targets.shown,
                 background=settings.background,
                 # it reads radius and median, which both kinds of scene have
                 depths=depth_range(scene, wish.camera),  # pyright: ignore[reportArgumentType]
@@ -171,67 +212,42 @@ class LegacyQuadsRenderer:
         previous.use()
 
     def _upload_order(self, order: DepthOrder) -> None:
-        if self._order_texture is None:
-            raise RuntimeError("load() comes before draw()")
-        rows, rest = divmod(len(order.order), TEXTURE_WIDTH)
-        whole = rows * TEXTURE_WIDTH
-        if rows:
-            self._order_texture.write(order.order[:whole], viewport=(0, 0, TEXTURE_WIDTH, rows))
-        if rest:
-            self._order_texture.write(order.order[whole:], viewport=(0, rows, rest, 1))
+        self._order_texels.write(order.order)
         self._order = order
         self._timers.latest["sort"] = order.milliseconds
         self._counters["sorted"] += 1
 
     def _gather(self, wish: _Wish, uniforms: dict[str, Uniform], scene: SceneTextures) -> None:
-        target = self._target(self._gathered)
+        target = self._targets.gathered
         if wish.mode == "ellipsoids":
-            self._gathering.draw_ellipsoids(target, self._projection, uniforms, scene)
+            self._gathering.draw_ellipsoids(target, self._projection, uniforms, self._edits, scene)
             return
-        if self._order_texture is None:
-            raise RuntimeError("load() comes before draw()")
         ordered = 0
         if self._order is not None:
             # Behind the eye no vertices are needed; but in the order of another view they may be before it.
-            exact = self._order.view == ViewLine.of(wish.camera)
+            exact = self._order.view == wish.line
             ordered = self._order.before_eye if exact else len(self._order.order)
         self._gathering.draw_splats(
-            wish.mode, target, self._projection, uniforms, self._order_texture, ordered
+            wish.mode,
+            target,
+            self._projection,
+            uniforms,
+            self._edits,
+            self._order_texels.texture,
+            ordered,
         )
-
-    def _make_targets(self, wish: _Wish) -> None:
-        size, blend = (wish.camera.width, wish.camera.height), wish.settings.blend
-        # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
-        wide = blend == "float32" or wish.mode in ("depth", "overdraw") or self._truncates
-        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
-        self._shown = self._fitting(self._shown, size, blend)
-
-    def _fitting(
-        self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
-    ) -> ColourTarget:
-        if target is not None:
-            if (target.size, target.precision) == (size, precision):
-                return target
-            target.release()
-        return ColourTarget(self._ctx, size, precision)
-
-    @staticmethod
-    def _target(target: ColourTarget | None) -> ColourTarget:
-        if target is None:
-            raise RuntimeError("draw() comes first")
-        return target
 
     # ---- results
 
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
         """The picture drawn last; its row 0 is the picture's top row."""
-        return self._target(self._shown).framebuffer
+        return self._targets.shown.framebuffer
 
     @property
     def texture(self) -> moderngl.Texture:
         """RGBA over the background, alpha = 1 - T, of the settings' `blend` precision."""
-        return self._target(self._shown).texture
+        return self._targets.shown.texture
 
     @property
     def busy(self) -> bool:
@@ -242,10 +258,11 @@ class LegacyQuadsRenderer:
 
     def read(self) -> np.ndarray:
         """The picture asked for last, in its exact order: (H, W, 4) float32, row 0 on top. Waits for it."""
-        if self._scene is None or self._sorter is None or self._wanted is None:
+        if self._wanted is None:
             raise RuntimeError("draw() comes first")
-        self._draw(self._wanted, self._scene, self._sorter.wait())
-        return self._target(self._shown).read()
+        scene, sorter = self._loaded()
+        self._draw(self._wanted, scene, sorter.wait())
+        return self._targets.shown.read()
 
     def render(
         self,
@@ -254,15 +271,14 @@ class LegacyQuadsRenderer:
         settings: RenderSettings | None = None,
         *,
         mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
     ) -> np.ndarray:
         """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
         if gaussians is not self._source:
             self.load(gaussians)
-        if self._sorter is None:
-            raise RuntimeError("load() keeps a sorter")
         # Not by draw(): it would first draw a picture in the order of an earlier view.
-        self._wanted = _Wish(camera, settings or RenderSettings(), mode)
-        self._sorter.request(ViewLine.of(camera))
+        self._wanted = self._wish(camera, settings or RenderSettings(), mode, edits, overlay)
         return self.read()
 
     @property
@@ -284,7 +300,8 @@ class LegacyQuadsRenderer:
     def release(self) -> None:
         """Ends the sort thread and gives back all GPU memory; the renderer is of no use afterwards."""
         self._release_scene()
-        self._release_targets()
+        self._targets.release()
+        self._edits.release()
         self._projection.release()
         self._gathering.release()
         self._resolving.release()
@@ -294,13 +311,12 @@ class LegacyQuadsRenderer:
             self._sorter.release()
         if self._scene is not None:
             self._scene.release()
-        if self._order_texture is not None:
-            self._order_texture.release()
-        self._sorter = self._scene = self._source = self._order_texture = self._order = None
+        self._order_texels.release()
+        self._edits.clear()
+        self._sorter = self._scene = self._source = self._order = None
         self._projected = self._drawn = self._wanted = None
 
-    def _release_targets(self) -> None:
-        for target in (self._gathered, self._shown):
-            if target is not None:
-                target.release()
-        self._gathered = self._shown = None
+
+def _line(camera: Camera, editing: Editing, edits: SceneEdits | None) -> ViewLine:
+    """Edits that leave every mean where it is leave the order, too."""
+    return ViewLine.of(camera, edits if editing.places else None, editing.places)

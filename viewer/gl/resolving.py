@@ -7,7 +7,7 @@ import numpy as np
 
 from ...scene import Camera
 from .frame import VisualMode
-from .programs import load_render_program
+from .programs import RenderPrograms, load_render_program
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .view_uniforms import set_uniforms
@@ -28,7 +28,7 @@ class Resolving:
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
-        self._programs: dict[tuple[bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._programs = RenderPrograms(ctx)
 
     def draw(
         self,
@@ -39,14 +39,8 @@ class Resolving:
         background: tuple[float, float, float],
         depths: tuple[float, float],
     ) -> None:
-        variant = (mode == "depth", mode == "overdraw")
-        if variant not in self._programs:
-            flags = {"DEPTH": variant[0], "OVERDRAW": variant[1]}
-            program = load_render_program(
-                self._ctx, "quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags
-            )
-            self._programs[variant] = program, self._ctx.vertex_array(program, [])
-        program, array = self._programs[variant]
+        flags = {"DEPTH": mode == "depth", "OVERDRAW": mode == "overdraw"}
+        program, array = self._programs.get("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
@@ -55,9 +49,7 @@ class Resolving:
         array.render(moderngl.TRIANGLES, vertices=3)
 
     def release(self) -> None:
-        for program, array in self._programs.values():
-            array.release()
-            program.release()
+        self._programs.release()
 
 
 def float16_blending_truncates(ctx: moderngl.Context) -> bool:

@@ -12,9 +12,7 @@ from ...scene import Gaussians, InputError
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
 from .scene_buffers import centre_of, degree_in_use
-
-TEXTURE_WIDTH = 2048
-"""Texels a row: every driver of the last fifteen years has wider textures, and 16384 rows hold 33 million."""
+from .texel_array import TEXTURE_WIDTH, rows_for
 
 ROWS_AT_ONCE = 32
 """Rows converted and uploaded between two steps: a few milliseconds of work."""
@@ -48,21 +46,6 @@ class SceneTextures:
             texture.release()
 
 
-def rows_for(ctx: moderngl.Context, splats: int) -> int:
-    """Rows of TEXTURE_WIDTH that hold `splats`.
-
-    Raises:
-        InputError: more than this driver's textures have.
-    """
-    rows, limit = -(-max(splats, 1) // TEXTURE_WIDTH), int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-    if not rows <= limit:
-        raise InputError(
-            f"{splats:,} splats do not fit into this OpenGL driver's textures"
-            f" ({limit * TEXTURE_WIDTH:,} do): use --renderer cpu or fewer splats"
-        )
-    return rows
-
-
 def upload_steps(ctx: moderngl.Context, gaussians: Gaussians) -> Iterator[float | SceneTextures]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneTextures`.
 
@@ -87,7 +70,7 @@ def upload_steps(ctx: moderngl.Context, gaussians: Gaussians) -> Iterator[float 
 
 def _allocate(ctx: moderngl.Context, gaussians: Gaussians) -> SceneTextures:
     n = len(gaussians)
-    rows = rows_for(ctx, n)
+    rows = rows_for(ctx, n, f"{n:,} splats")
     degree = degree_in_use(gaussians.sh)
     coefficients = SH_COEFFICIENTS[degree]
     centre, median, radius = centre_of(gaussians.means)

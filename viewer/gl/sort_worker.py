@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...raster import Workspace
 from ...raster.sort import radix_sort
 from ...scene import Camera
+from ...scene.edits import PALETTE_SHIFT, SceneEdits
 
 SLICE = 65_536
 """Means converted to float64 at once, so that the copy stays in the caches."""
@@ -20,14 +21,31 @@ KEY_BITS = 32
 
 @dataclass(frozen=True)
 class ViewLine:
-    """What of a camera decides the order: where it is and where it looks. Equal lines, equal orders."""
+    """What decides the order: where the camera is, where it looks, and edits that move splats. Equal lines,
+    equal orders."""
 
     eye: tuple[float, ...]
     forward: tuple[float, ...]
+    places: object = None
+    """Differs where edits put the splats elsewhere; None: they are where the scene has them."""
+    edits: SceneEdits | None = field(default=None, compare=False)
+    """What puts them there."""
 
     @classmethod
-    def of(cls, camera: Camera) -> ViewLine:
-        return cls(tuple(camera.eye.tolist()), tuple(camera.forward.tolist()))
+    def of(cls, camera: Camera, edits: SceneEdits | None = None, places: object = None) -> ViewLine:
+        return cls(tuple(camera.eye.tolist()), tuple(camera.forward.tolist()), places, edits)
+
+    def depths(self, means: np.ndarray, part: slice) -> np.ndarray:
+        """Of splats `part` at `means` (N, 3), edited: float64."""
+        eye, forward = np.array(self.eye), np.array(self.forward)
+        if self.edits is None:
+            return (means[part] - eye) @ forward
+        palette = self.edits.palette
+        along = np.array([forward @ adjustment.linear for adjustment in palette])
+        before = np.array([forward @ (np.array(adjustment.translation) - eye) for adjustment in palette])
+        # The editor may write newer marks meanwhile: then this order is soon replaced by another.
+        entries = np.minimum(self.edits.marks[part] >> PALETTE_SHIFT, len(palette) - 1)
+        return np.einsum("ni,ni->n", means[part], along[entries]) + before[entries]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,11 +65,10 @@ def depth_order(means: np.ndarray, view: ViewLine, workspace: Workspace) -> Dept
     """Orders splats at `means` (N, 3) by float32 depth, ties by index."""
     began = time.perf_counter()
     depths = np.empty(len(means), np.float32)
-    eye, forward = np.array(view.eye), np.array(view.forward)
     with np.errstate(invalid="ignore", over="ignore"):
         for start in range(0, len(means), SLICE):
             part = slice(start, start + SLICE)
-            depths[part] = (means[part] - eye) @ forward
+            depths[part] = view.depths(means, part)
     # Bits of floats from 0 up rise with the float; a set sign bit puts all behind the eye after them.
     keys = depths.view(np.uint32)
     before_eye = int(np.count_nonzero(depths >= 0))

@@ -7,6 +7,8 @@ from typing import Literal
 import moderngl
 import numpy as np
 
+from .frame import VisualMode
+
 Precision = Literal["float16", "float32"]
 
 DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4"}
@@ -45,3 +47,50 @@ class ColourTarget:
                 thing.release()
         self.framebuffer.release()
         self.texture.release()
+
+
+class PictureTargets:
+    """Where a picture's splats are gathered, and what it is shown from; made anew when they do not fit."""
+
+    def __init__(self, ctx: moderngl.Context, *, truncates: bool) -> None:
+        self._ctx = ctx
+        self.truncates = truncates
+        """The driver cuts float16 off when it blends, so float32 gathers."""
+        self._gathered: ColourTarget | None = None
+        self._shown: ColourTarget | None = None
+
+    def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode) -> None:
+        """Makes both ready for a picture of `size` (width, height) px."""
+        # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
+        wide = blend == "float32" or mode in ("depth", "overdraw") or self.truncates
+        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
+        self._shown = self._fitting(self._shown, size, blend)
+
+    def _fitting(
+        self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
+    ) -> ColourTarget:
+        if target is not None:
+            if (target.size, target.precision) == (size, precision):
+                return target
+            target.release()
+        return ColourTarget(self._ctx, size, precision)
+
+    @property
+    def gathered(self) -> ColourTarget:
+        return _existing(self._gathered)
+
+    @property
+    def shown(self) -> ColourTarget:
+        return _existing(self._shown)
+
+    def release(self) -> None:
+        for target in (self._gathered, self._shown):
+            if target is not None:
+                target.release()
+        self._gathered = self._shown = None
+
+
+def _existing(target: ColourTarget | None) -> ColourTarget:
+    if target is None:
+        raise RuntimeError("draw() comes first")
+    return target

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...scene import Camera, ImageModel
 
-Uniform = float | int | tuple[float, ...]
+Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
 
 
 def view_uniforms(camera: Camera, model: ImageModel, centre: np.ndarray) -> dict[str, Uniform]:

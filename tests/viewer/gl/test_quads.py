@@ -194,7 +194,7 @@ def test_early_stop_costs_at_most_its_transmittance(renderer, random_gaussians: 
 
 def test_a_target_that_blends_float16_itself(renderer, random_gaussians: Make):
     # What a GPU does; llvmpipe truncates where GPUs round, so its bound here is the looser one.
-    renderer._truncates = False
+    renderer._targets.truncates = False
     image = renderer.render(random_gaussians(1500), camera_at(0, 0.4, 3), replace(EXACT, blend="float16"))
     truth = render_reference(random_gaussians(1500), camera_at(0, 0.4, 3), EXACT)
     assert psnr(image, truth) >= 40

@@ -16,11 +16,11 @@ from splatview.measure.metrics import largest_error, psnr
 from splatview.scene import TEXTBOOK, Gaussians, ImageModel, InputError, RenderSettings, look_at, reference
 from splatview.scene.files import load_scene
 from splatview.scene.sh import rgb_to_sh
-from splatview.viewer.gl import VisualMode, scene_textures, sort_worker
+from splatview.viewer.gl import VisualMode, sort_worker, texel_array
 from splatview.viewer.gl.context import describe
 from splatview.viewer.gl.quads import QuadsRenderer
 from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
-from splatview.viewer.gl.scene_textures import TEXTURE_WIDTH
+from splatview.viewer.gl.texel_array import TEXTURE_WIDTH
 
 CAMERA = look_at((0.4, -0.3, -2.2), (0, 0, 0), width=97, height=61)
 FLOAT32 = RenderSettings(blend="float32")
@@ -346,7 +346,7 @@ def test_loading_in_steps_keeps_the_old_scene_until_the_end(renderer, random_gau
 
 
 def test_too_many_splats_are_refused_in_one_line(renderer, random_gaussians, monkeypatch):
-    monkeypatch.setattr(scene_textures, "TEXTURE_WIDTH", 1)
+    monkeypatch.setattr(texel_array, "TEXTURE_WIDTH", 1)
     with pytest.raises(InputError, match=r"splats do not fit into this OpenGL driver's textures") as caught:
         renderer.load(random_gaussians(70_000, sh_degree=0))
     assert "\n" not in str(caught.value)

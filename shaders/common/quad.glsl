@@ -1,0 +1,45 @@
+// The quad that one splat covers on screen, and what its fragments need. Row 0 of the target is the
+// picture's top row. Flag: POINTS (discs of one size).
+
+uniform vec2 u_size;
+
+flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the exponent one of 2
+flat out float v_c;
+flat out vec4 v_colour;   // rgb, opacity
+
+const float ROOT_HALF_LOG2_E = 0.84932180028801904;  // exp(-q/2) = exp2(-(0.849 sqrt q)²)
+const float POINT_RADIUS = 1.6;                      // px
+const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
+
+// All four vertices: no area.
+void place_nothing() {
+    gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
+    v_shape = v_colour = vec4(0.0);
+    v_c = 0.0;
+}
+
+// Places vertex gl_VertexID % 4. `shape` is mean.xy, a, b; `bound` is c, minor axis, major axis.xy.
+void place_quad(vec4 shape, vec4 bound, vec4 colour) {
+    v_shape = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
+    v_c = bound.x * ROOT_HALF_LOG2_E;
+    v_colour = colour;
+    vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
+#if POINTS
+    v_shape.zw = vec2(POINT_RADIUS);
+    vec2 position = shape.xy + corner * (POINT_RADIUS + 1.0);
+#else
+    vec2 major = bound.zw;
+    float major_length = length(major);
+    vec2 along = major / major_length;
+    vec2 minor = bound.y * vec2(-along.y, along.x);
+    vec2 position;
+    if (major_length <= LARGE) {
+        // 1/64 px wider: vertices snap to 1/256 px and must not lose a pixel on the edge.
+        position = shape.xy + corner.x * (major + along / 64.0) + corner.y * (minor + vec2(-along.y, along.x) / 64.0);
+    } else {
+        vec2 extent = sqrt(min(major * major + minor * minor, vec2(1e36))) + 0.02;
+        position = clamp(shape.xy + corner * extent, vec2(-1.0), u_size + 1.0);
+    }
+#endif
+    gl_Position = vec4(position / u_size * 2.0 - 1.0, 0.0, 1.0);
+}

@@ -1,0 +1,192 @@
+"""The edits in force, where shaders can read them: uploaded where they changed, absent if there are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import moderngl
+import numpy as np
+
+from ...scene.adjustment import ROW, Adjustment, adjustment_rows
+from ...scene.crop import CROP_ROW, Crop, crop_rows
+from ...scene.edits import LOCKED, NOT_SHOWN, PALETTE_SHIFT, PREVIEW, SELECTED, SceneEdits
+from .frame import VisualMode
+from .overlay import TINT_COUNT, Overlay
+from .texel_array import TEXTURE_WIDTH, TexelArray
+from .view_uniforms import set_uniforms
+
+FIRST_UNIT = 8
+"""Texture units from here on are the edits'; drawing uses those before."""
+
+CAN_TINT: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids")
+"""Modes that show the splats' colours."""
+
+ONLY_LIT_UP = SELECTED | LOCKED | PREVIEW
+"""Flags that change nothing but tints."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Editing:
+    """What of the edits a picture depends on; equal ones give equal pictures of the same scene."""
+
+    hides: bool = False
+    palette: tuple[Adjustment, ...] | None = None
+    """None: no splat has an adjustment."""
+    crops: tuple[Crop, ...] = ()
+    marks: int = 0
+    """How often marks have changed what is shown, where that counts."""
+    overlay: Overlay | None = None
+    """None: no splat is lit up."""
+    lit: int = 0
+    """How often marks have changed what is lit up, where that counts."""
+
+    @cached_property
+    def footprints(self) -> tuple:
+        """Equal ones give equal projections."""
+        return (self.hides, self.palette, self.crops, self.marks)
+
+    def tints_of(self, mode: VisualMode) -> tuple | None:
+        """Equal ones light up alike; None: nothing in this mode."""
+        return None if self.overlay is None or mode not in CAN_TINT else (self.overlay, self.lit)
+
+    @property
+    def places(self) -> tuple | None:
+        """Equal ones put means at the same places; None: where the scene has them."""
+        if self.palette is None or not any(adjustment.moves for adjustment in self.palette):
+            return None
+        return (self.palette, self.marks)
+
+    def flags(self, *, projects: bool = True, shows: VisualMode | None = None) -> dict[str, float | bool]:
+        """Flags for what includes ``common/edits.glsl`` (`projects`) or ``common/tint.glsl`` (`shows`)."""
+        return {
+            "HIDES": projects and self.hides,
+            "ADJUSTS": projects and self.palette is not None,
+            "CROPS": projects and bool(self.crops),
+            "TINTS": shows is not None and self.tints_of(shows) is not None,
+            "TEXTURE_WIDTH": TEXTURE_WIDTH,
+            "PALETTE_SHIFT": PALETTE_SHIFT,
+            "NOT_SHOWN": NOT_SHOWN,
+            "ROW_TEXELS": ROW // 4,
+            "CROP_TEXELS": CROP_ROW // 4,
+            "TINT_COUNT": TINT_COUNT,
+        }
+
+
+NOT_EDITED = Editing()
+
+
+class EditTextures:
+    """Marks, palette and crops of the scene that is loaded.
+
+    What marks held is kept here too (4 bytes a splat), to tell a new selection, which is only lit up,
+    from a change of what is shown.
+    """
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._marks = TexelArray(ctx, 1, "u4", "marks")
+        self._palette = TexelArray(ctx, 4, "f4", "numbers of adjustments, in fours,")
+        self._crops = TexelArray(ctx, 4, "f4", "numbers of crops, in fours,")
+        self.marks_uploaded = 0
+        """How many marks have been sent to the GPU so far."""
+        self._centre = np.zeros(3)
+        self.clear()
+
+    def clear(self, centre: np.ndarray | None = None) -> None:
+        """Forgets all edits: another scene is loaded, whose positions are relative to `centre` (3,)."""
+        for array in (self._marks, self._palette, self._crops):
+            array.release()
+        self._centre = np.zeros(3) if centre is None else centre
+        self._source: np.ndarray | None = None
+        self._held = np.zeros(0, np.uint32)
+        self._version = 0
+        self._shown_changes = self._lit_changes = 0
+        self._held_palette: tuple[Adjustment, ...] | None = None
+        self._held_crops: tuple[Crop, ...] = ()
+        self.now = NOT_EDITED
+
+    def update(self, edits: SceneEdits | None, overlay: Overlay | None, splats: int) -> Editing:
+        """Brings the textures up to date with `edits` of a scene of `splats`; no `overlay`: no tints.
+
+        Raises:
+            ValueError: there are not as many marks as splats.
+            InputError: they do not fit into the driver's textures.
+        """
+        if edits is None:
+            self.now = NOT_EDITED
+            return self.now
+        if len(edits.marks) != splats:
+            raise ValueError(f"{len(edits.marks):,} marks for a scene of {splats:,} splats")
+        lights = overlay is not None and bool(overlay.flags & edits.flags)
+        matters = edits.hides or edits.adjusts
+        if matters or lights:
+            self._update_marks(edits)
+        if edits.adjusts and edits.palette != self._held_palette:
+            rows = adjustment_rows(edits.palette, self._centre)
+            # What float32 drops of the translation goes into the row's free columns.
+            rows[:, 33:36] = rows[:, 3:12:4] - rows[:, 3:12:4].astype(np.float32)
+            _fill(self._palette, rows)
+            self._held_palette = edits.palette
+        crops = edits.crops_in_force
+        if crops and crops != self._held_crops:
+            _fill(self._crops, crop_rows(crops, self._centre))
+            self._held_crops = crops
+        self.now = Editing(
+            hides=edits.hides,
+            palette=edits.palette if edits.adjusts else None,
+            crops=crops,
+            marks=self._shown_changes if matters else 0,
+            overlay=overlay if lights else None,
+            lit=self._lit_changes if lights else 0,
+        )
+        return self.now
+
+    def _update_marks(self, edits: SceneEdits) -> None:
+        if edits.marks is not self._source:
+            self._marks.reserve(len(edits.marks))
+            self._held = edits.marks.copy()
+            self._upload(0, len(edits.marks))
+            self._shown_changes += 1
+            self._lit_changes += 1
+        elif edits.marks_version != self._version:
+            start, stop = edits.changed_since(self._version) or (0, len(edits.marks))
+            new = edits.marks[start:stop]
+            changed = int(np.bitwise_or.reduce(new ^ self._held[start:stop], initial=0))
+            if changed:
+                self._held[start:stop] = new
+                self._upload(start, stop)
+            self._shown_changes += bool(changed & ~ONLY_LIT_UP)
+            self._lit_changes += bool(changed & ONLY_LIT_UP)
+        self._source, self._version = edits.marks, edits.marks_version
+
+    def _upload(self, start: int, stop: int) -> None:
+        self._marks.write(self._held[start:stop], start)
+        self.marks_uploaded += stop - start
+
+    def use(self, program: moderngl.Program | moderngl.ComputeShader) -> None:
+        """Binds what `program`, a variant by the flags of `now`, reads."""
+        now = self.now
+        arrays = {
+            "u_marks": self._marks if now.hides or now.palette or now.overlay else None,
+            "u_palette": self._palette if now.palette else None,
+            "u_crops": self._crops if now.crops else None,
+        }
+        for unit, (name, array) in enumerate(arrays.items(), start=FIRST_UNIT):
+            if array is not None and program.get(name, None) is not None:
+                array.texture.use(unit)
+                set_uniforms(program, {name: unit})
+        set_uniforms(program, {"u_last_adjustment": len(now.palette or (None,)) - 1})
+        set_uniforms(program, {"u_crop_count": len(now.crops)})
+        if now.overlay is not None:
+            set_uniforms(program, {"u_tints": tuple(tuple(row) for row in now.overlay.table.tolist())})
+
+    def release(self) -> None:
+        self.clear()
+
+
+def _fill(array: TexelArray, rows: np.ndarray) -> None:
+    """Writes rows of numbers as texels of four."""
+    with np.errstate(over="ignore"):
+        texels = rows.astype(np.float32).reshape(-1, 4)
+    array.reserve(len(texels))
+    array.write(texels)
