@@ -15,7 +15,7 @@ from ..watch import UNWATCHED, Watch
 from .compiling import inline, kernel
 
 SHRUNK = 0.999999
-"""A cell's diagonal is a little less than the distance, so that rounding never joins what is further apart."""
+"""A cell's diagonal is a little less than the distance: rounding never joins what is further apart."""
 
 REACH = 2
 """Neighbours in reach are up to so many cells away along an axis: ceil(sqrt 3)."""
@@ -100,9 +100,7 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     return labels
 
 
-def within(
-    points: np.ndarray, sources: np.ndarray, distance: float, watch: Watch = UNWATCHED
-) -> np.ndarray:
+def within(points: np.ndarray, sources: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
     """Which of `points` (M, 3) float64 are at most `distance` from one of those in `sources` (M,) bool,
     these included: (M,) bool. Raises Cancelled."""
     cells = make_cells(points, distance)

@@ -47,15 +47,27 @@ def oklab(start, stop, rgb, table, lab):
     """lab[start:stop] (N, 3) float32 of rgb (N, 3) float32."""
     for i in range(start, stop):
         r, g, b = linear(rgb[i, 0], table), linear(rgb[i, 1], table), linear(rgb[i, 2], table)
-        l = cube_root(
+        long = cube_root(
             np.float32(0.4122214708) * r + np.float32(0.5363325363) * g + np.float32(0.0514459929) * b
         )
-        m = cube_root(
+        medium = cube_root(
             np.float32(0.2119034982) * r + np.float32(0.6806995451) * g + np.float32(0.1073969566) * b
         )
-        s = cube_root(
+        short = cube_root(
             np.float32(0.0883024619) * r + np.float32(0.2817188376) * g + np.float32(0.6299787005) * b
         )
-        lab[i, 0] = np.float32(0.2104542553) * l + np.float32(0.7936177850) * m - np.float32(0.0040720468) * s
-        lab[i, 1] = np.float32(1.9779984951) * l - np.float32(2.4285922050) * m + np.float32(0.4505937099) * s
-        lab[i, 2] = np.float32(0.0259040371) * l + np.float32(0.7827717662) * m - np.float32(0.8086757660) * s
+        lab[i, 0] = (
+            np.float32(0.2104542553) * long
+            + np.float32(0.7936177850) * medium
+            - np.float32(0.0040720468) * short
+        )
+        lab[i, 1] = (
+            np.float32(1.9779984951) * long
+            - np.float32(2.4285922050) * medium
+            + np.float32(0.4505937099) * short
+        )
+        lab[i, 2] = (
+            np.float32(0.0259040371) * long
+            + np.float32(0.7827717662) * medium
+            - np.float32(0.8086757660) * short
+        )
