@@ -142,26 +142,23 @@ class EditTextures:
         return self.now
 
     def _update_marks(self, edits: SceneEdits) -> None:
-        if edits.marks is not self._source:
+        run = (0, len(edits.marks))
+        if self._source is None:
             self._marks.reserve(len(edits.marks))
-            self._held = edits.marks.copy()
-            self._upload(0, len(edits.marks))
-            self._shown_changes += 1
-            self._lit_changes += 1
-        elif edits.marks_version != self._version:
-            start, stop = edits.changed_since(self._version) or (0, len(edits.marks))
-            new = edits.marks[start:stop]
-            changed = int(np.bitwise_or.reduce(new ^ self._held[start:stop], initial=0))
-            if changed:
-                self._held[start:stop] = new
-                self._upload(start, stop)
+            self._held = np.zeros_like(edits.marks)
+            self._marks.write(self._held)
+        elif edits.marks is self._source:
+            run = edits.changed_since(self._version) or run
+        start, stop = run
+        new = edits.marks[start:stop]
+        changed = int(np.bitwise_or.reduce(new ^ self._held[start:stop], initial=0))
+        if changed:
+            self._held[start:stop] = new
+            self._marks.write(self._held[start:stop], start)
+            self.marks_uploaded += stop - start
             self._shown_changes += bool(changed & ~ONLY_LIT_UP)
             self._lit_changes += bool(changed & ONLY_LIT_UP)
         self._source, self._version = edits.marks, edits.marks_version
-
-    def _upload(self, start: int, stop: int) -> None:
-        self._marks.write(self._held[start:stop], start)
-        self.marks_uploaded += stop - start
 
     def use(self, program: moderngl.Program | moderngl.ComputeShader) -> None:
         """Binds what `program`, a variant by the flags of `now`, reads."""

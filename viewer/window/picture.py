@@ -9,9 +9,11 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.edits import SceneEdits
 from ..gl import FrameStats, VisualMode, make_renderer
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
+from ..gl.overlay import Overlay
 
 
 class Picture(Protocol):
@@ -31,11 +33,28 @@ class Picture(Protocol):
         """
         ...
 
-    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
-        """Brings the texture up to date; costs nothing where nothing has changed."""
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        """Brings the texture up to date; costs nothing where nothing has changed.
+
+        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark.
+        """
         ...
 
-    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
+    def read(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> np.ndarray:
         """The finished picture (H, W, 4) float32, whatever the window shows meanwhile."""
         ...
 
@@ -82,11 +101,25 @@ class GpuPicture:
         """As `load_steps`, all at once."""
         self._renderer.load(gaussians)
 
-    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
-        self._renderer.draw(camera, settings, mode=mode)
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
 
-    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
-        self._renderer.draw(camera, settings, mode=mode)
+    def read(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> np.ndarray:
+        self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
         return self._renderer.read()
 
     @property
@@ -148,16 +181,30 @@ class CpuPicture:
             self._gpu.load(EMPTY)
             self._gpu_holds = EMPTY
 
-    def draw(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> None:
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
         self._by_gpu = mode != "splats"
         if self._by_gpu:
-            self._loaded_gpu().draw(camera, settings, mode)
+            self._loaded_gpu().draw(camera, settings, mode, edits, overlay)
         else:
             self._cpu.draw(camera, settings)
 
-    def read(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> np.ndarray:
+    def read(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        mode: VisualMode,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> np.ndarray:
         if mode != "splats":
-            return self._loaded_gpu().read(camera, settings, mode)
+            return self._loaded_gpu().read(camera, settings, mode, edits, overlay)
         return self._cpu.read(camera, settings)
 
     def _loaded_gpu(self) -> GpuPicture:
