@@ -6,7 +6,9 @@ may pause.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import secrets
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +18,7 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ..scene import InputError
+from ..scene import Gaussians, InputError
 from ..scene.files import save_scene
 from .checkpoint import save_checkpoint
 from .distributed import PeerLost
@@ -221,7 +223,9 @@ class Session:
     def close(self) -> None:
         """Closes the file of metrics; a later step opens it again."""
         if self._metrics is not None:
-            self._metrics.close()
+            # What a full disk has not taken is tried again here, and has been told before.
+            with contextlib.suppress(OSError):
+                self._metrics.close()
             self._metrics = None
 
     def final_evaluation(self) -> Evaluation | None:
@@ -287,8 +291,16 @@ class Session:
         try:
             save_scene(scene, self.outputs.scene)
         except InputError as error:
-            handle, refuge = tempfile.mkstemp(prefix="splatview-", suffix=".ply")
-            with open(handle, "wb"):
-                pass
-            save_scene(scene, refuge)
-            raise InputError(f"{error}; the trained scene is saved as {refuge}") from None
+            refuge = _saved_elsewhere(scene)
+            where = "nor elsewhere" if refuge is None else f"the trained scene is saved as {refuge}"
+            raise InputError(f"{error}; {where}") from None
+
+
+def _saved_elsewhere(scene: Gaussians) -> Path | None:
+    """The file in the first place that takes it; None where none does."""
+    for folder in (Path(tempfile.gettempdir()), Path.home(), Path.cwd()):
+        path = folder / f"splatview-{secrets.token_hex(4)}.ply"
+        with contextlib.suppress(InputError):
+            save_scene(scene, path)
+            return path
+    return None

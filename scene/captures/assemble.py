@@ -48,10 +48,13 @@ def capture_of(
     if all(held_out):
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
-    photos, transparent, kept = [], 0, 0
+    photos, hidden, transparent, kept = [], [], 0, 0
     for shot, is_held_out, (pixels, is_transparent) in zip(
         shots, held_out, _read_all(shots, downscale, background, watch), strict=True
     ):
+        if pixels.mask is not None and not pixels.mask.any():
+            hidden.append(shot.name)
+            continue
         transparent += is_transparent
         kept += pixels.image.nbytes + (0 if pixels.mask is None else pixels.mask.nbytes)
         photos.append(
@@ -63,7 +66,14 @@ def capture_of(
             )
         )
 
+    if all(photo.held_out for photo in photos):
+        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {_some(hidden)}")
+
     warnings = list(posed.warnings)
+    if hidden:
+        warnings.append(
+            f"{len(hidden)} photos are left out, for their masks hide all of them: {_some(hidden)}"
+        )
     if posed.missing:
         total = len(posed.missing) + len(posed.shots)
         warnings.append(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,6 +27,9 @@ from ..demo_capture import cached_demo_capture
 
 COMPILED_SECONDS = 10.0
 """Loading kernels from the cache takes about two seconds; when it takes this long, they were compiled."""
+
+BYTES_A_SPLAT = 250 + 2 * 710
+"""In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
 
 OF_THE_CHECKPOINT = ("seed", "strategy", "max_splats", "batch")
 """Options that a resumed run takes from where it was."""
@@ -107,6 +111,8 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
         trainer = _new_trainer(capture, shots, seed, batch, options, group)
     else:
         trainer = _resumed_trainer(shots, checkpoint, options, group)
+    if group.rank == 0:
+        _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     return Run(capture, trainer, held_out, outputs, {"downscale": downscale}, uncounted)
 
 
@@ -158,6 +164,17 @@ def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs
         metrics=metrics,
         pictures=scene.with_name(f"{scene.stem}-held-out"),
     )
+
+
+def _check_room(outputs: Outputs, splats: int) -> None:
+    """Raises InputError where the disk is too full for what the run will write."""
+    folder = outputs.scene.resolve().parent
+    free, needed = shutil.disk_usage(folder).free, splats * BYTES_A_SPLAT
+    if not free >= needed:
+        raise InputError(
+            f"{outputs.scene}: the disk has {free / 1e6:.1f} MB left, and up to {splats:,} splats with their"
+            f" checkpoint need {needed / 1e6:.1f} MB; make room, or name another place with -o"
+        )
 
 
 def _new_trainer(
