@@ -13,6 +13,7 @@ from safetensors.numpy import save
 
 from ..raster import Parameters, check_parameters
 from ..scene import ImageModel, InputError
+from ..scene.crop import Crop
 from ..scene.files.atomic import atomic_write
 from .settings import TrainSettings
 from .splats import Splats
@@ -52,11 +53,13 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         for group, values in zip(GROUPS, (splats.parameters, splats.first, splats.second), strict=True)
         for name, array in values._asdict().items()
     }
+    arrays["ids"] = splats.ids
     arrays |= {f"control.{name}": array for name, array in trainer.control.state().items()}
     description = {
         "settings": asdict(trainer.settings),
         "counters": asdict(trainer.counters),
         "extent": trainer.extent,
+        "next_id": splats.next_id,
         "photos": trainer.shots.names(),
         "notes": notes or {},
     }
@@ -104,9 +107,16 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.control.restore(checkpoint.control)
 
 
+def _crop(region: dict[str, Any]) -> Crop:
+    return Crop(
+        **{name: tuple(value) if isinstance(value, list) else value for name, value in region.items()}
+    )
+
+
 def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     settings = dict(run["settings"])
     settings["model"] = ImageModel(**settings["model"])
+    settings["no_growth"] = tuple(_crop(region) for region in settings["no_growth"])
     settings["background"] = tuple(settings["background"])
     settings["coarse"] = tuple((float(until), int(factor)) for until, factor in settings["coarse"])
     groups = [
@@ -118,11 +128,14 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
             raise ValueError("its arrays differ in length")
         if not all(array.dtype == np.float32 for array in group):
             raise ValueError("its arrays are not float32")
+    ids, next_id = arrays["ids"], int(run["next_id"])
+    if ids.dtype != np.int64 or len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
+        raise ValueError("its splats are not numbered as they should be")
     return Checkpoint(
         settings=TrainSettings(**settings),
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
-        splats=Splats(*groups),
+        splats=Splats(*groups, ids, next_id),
         control={
             name.removeprefix("control."): array
             for name, array in arrays.items()

@@ -14,6 +14,7 @@ import numpy as np
 from ..raster import Frame, Gradients, Parameters
 from ..raster.compiling import kernel
 from ..scene.projection import rotation_matrices
+from .regions import inside_any
 from .settings import PAPER_ITERATIONS, TrainSettings
 from .splats import Splats
 
@@ -83,6 +84,10 @@ class ClassicControl:
         """Forgets what was seen; there are `count` splats now."""
         self.pulled, self.seen = np.zeros(count), np.zeros(count, np.int64)
 
+    def keep(self, kept: np.ndarray) -> None:
+        """Only the splats that the mask (N,) names are left."""
+        self.pulled, self.seen = self.pulled[kept], self.seen[kept]
+
     def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
         """Takes note of one step."""
         source = gradients.abs_means2d if self.thresholds.absolute_gradient else gradients.means2d
@@ -103,6 +108,8 @@ class ClassicControl:
         )
         if self.resets > 0:
             actions[~(scales <= limits.largest_scale * self.extent)] = PRUNE
+        growing = (actions == CLONE) | (actions == SPLIT)
+        actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
         if (actions == PRUNE).all():
             actions[:] = KEEP  # there would be nothing left to train
         self._respect_limit(actions)

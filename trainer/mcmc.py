@@ -18,6 +18,7 @@ from ..raster.compiling import inline, kernel
 from ..raster.pool import run
 from ..raster.project import rotation_matrix, sigmoid
 from .density import sigmoid as sigmoids
+from .regions import inside_any
 from .settings import TrainSettings
 from .splats import Splats
 
@@ -47,6 +48,9 @@ class SampledControl:
     def begin(self, count: int) -> None:
         """Nothing to forget."""
 
+    def keep(self, kept: np.ndarray) -> None:
+        """Nothing is kept of single splats."""
+
     def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
         """Nothing to note."""
 
@@ -54,7 +58,9 @@ class SampledControl:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
         opacities = sigmoids(splats.parameters.opacity_logits)
         dead = np.flatnonzero(~(opacities > DEAD))
-        alive = np.flatnonzero(opacities > DEAD)
+        # In regions without growth splats may die and move away, but nothing comes.
+        growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
+        alive = np.flatnonzero((opacities > DEAD) & growing)
         if len(alive) == 0:
             return splats
         if len(dead):
@@ -70,7 +76,8 @@ class SampledControl:
         missing = self.count_at(progress) - len(splats)
         if missing > 0:
             opacities = sigmoids(splats.parameters.opacity_logits)
-            sources, copies = self._draw(splats.parameters, opacities, np.arange(len(splats)), missing, rng)
+            growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
+            sources, copies = self._draw(splats.parameters, opacities, np.flatnonzero(growing), missing, rng)
             for array, values in zip(splats.parameters, copies, strict=True):
                 array[sources] = values
             splats = splats.joined(copies)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..scene import ImageModel
+from ..scene.crop import Crop
 from ..scene.gaussians import SH_COEFFICIENTS
 from .adam import Rates
 from .loss import SSIM_WEIGHT
@@ -94,6 +95,9 @@ class TrainSettings:
     """Steps between refinements at least: gradients are averaged over some photos even in short runs."""
     max_splats: int = 1_000_000
     """Density control adds no splats beyond this."""
+    no_growth: tuple[Crop, ...] = ()
+    """Where density control multiplies none: inside these shapes, those switched off aside. What they keep
+    does not matter; halves of a large neighbour may still reach in."""
     grow_for: float = 12_000 / PAPER_ITERATIONS
     """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
     noise: float = 5e5

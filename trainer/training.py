@@ -6,6 +6,7 @@ Everything is numpy and the rasteriser's own backward pass; torch has no part in
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -21,7 +22,8 @@ from ..raster import (
     draw_frame,
 )
 from ..raster.frame import StageClock
-from ..scene import Gaussians, RenderSettings
+from ..scene import Gaussians, InputError, RenderSettings
+from ..scene.crop import Crop, cropped_in
 from .adam import Pull, adam_step
 from .density import ClassicControl
 from .distributed import Alone, BatchSum, Group
@@ -41,6 +43,7 @@ class DensityControl(Protocol):
     settings: TrainSettings
 
     def begin(self, count: int) -> None: ...
+    def keep(self, kept: np.ndarray) -> None: ...
     def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats: ...
     def after_step(
@@ -134,6 +137,35 @@ class Trainer:
             if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
                 raise ValueError(f"{name} cannot be changed in a run")
         self.settings = self.control.settings = replace(self.settings, **settings)
+
+    def delete(self, ids: np.ndarray) -> int:
+        """Takes out the splats of these numbers, see `Splats.ids`; those that are gone already do not matter.
+
+        Returns how many were taken out. Density control may fill the place again, and the number of splats
+        up to its plan: see `add_region`. Of several processes each must be told the same.
+
+        Raises:
+            InputError: none would be left; nothing is changed.
+        """
+        return self._keep(~np.isin(self.splats.ids, ids))
+
+    def crop(self, crops: Sequence[Crop]) -> int:
+        """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
+        return self._keep(cropped_in(tuple(crops), self.splats.parameters.means))
+
+    def add_region(self, region: Crop) -> None:
+        """From now on nothing grows inside the region; what is there is trained on, and may die or move away.
+
+        The recipe's `no_growth` holds the regions, and `change` takes one out.
+        """
+        self.change(no_growth=(*self.settings.no_growth, region))
+
+    def _keep(self, kept: np.ndarray) -> int:
+        if not kept.any():
+            raise InputError("no splat would be left to train; choose fewer")
+        self.splats = self.splats.take(kept)
+        self.control.keep(kept)
+        return int(len(kept) - kept.sum())
 
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, which later steps leave alone."""
