@@ -24,6 +24,7 @@ from .operations.operation import Operation
 from .runs import SplatSet
 from .state import State
 from .tools import NoTools, Tools
+from .watch import UNWATCHED, Watch
 
 MAX_SPLATS = 2**31 - 1
 """Runs are counted in 32 bits."""
@@ -94,8 +95,9 @@ class Document:
         self.load, self.save = load, save
         self.listeners: list[Listener] = []
         self._original = gaussians
-        self._state = State(gaussians)
-        self.history = History(self._state)
+        self.state = State(gaussians)
+        """For operations to read; only changes write to it."""
+        self.history = History(self.state)
         self._preview: Step | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
@@ -106,32 +108,32 @@ class Document:
     @property
     def gaussians(self) -> Gaussians:
         """The scene to be drawn with `edits`; another object whenever its values or their number change."""
-        return self._state.gaussians
+        return self.state.gaussians
 
     @property
     def marks(self) -> np.ndarray:
         """(N,) uint32; only to be read."""
-        return self._state.marks
+        return self.state.marks
 
     @property
     def palette(self) -> tuple[Adjustment, ...]:
-        return self._state.palette
+        return self.state.palette
 
     @property
     def crops(self) -> tuple[Crop, ...]:
-        return self._state.crops
+        return self.state.crops
 
     @property
     def versions(self) -> tuple[int, int, int, int]:
         """Of scene, marks, palette and crops: equal exactly if nothing has changed in between."""
-        return self._state.versions
+        return self.state.versions
 
     @property
     def edits(self) -> SceneEdits:
         """What renderers read: the same object as long as nothing changes."""
         versions = self.versions
         if self._edits is None or self._edits[0] != versions:
-            state, counts = self._state, self.counts
+            state, counts = self.state, self.counts
             flags = SELECTED * (counts.selected > 0) | DELETED * (counts.deleted > 0)
             # A deleted splat may also be hidden or locked: those counts do not tell.
             flags |= HIDDEN * (counts.hidden > 0 or counts.deleted > 0)
@@ -152,7 +154,7 @@ class Document:
     @property
     def counts(self) -> Counts:
         """Counted once after each change of the marks."""
-        version = self._state.marks_version
+        version = self.state.marks_version
         if self._counts is None or self._counts[0] != version:
             selected, hidden, deleted, locked, shown, selectable = kernels.flag_counts(self.marks).tolist()
             counts = Counts(
@@ -210,17 +212,19 @@ class Document:
 
     # Changing it.
 
-    def plan(self, operation: Operation) -> Planned:
+    def plan(self, operation: Operation, *, watch: Watch = UNWATCHED) -> Planned:
         """What `operation` would do now; for slow ones in a thread of its own, while nothing is changed.
 
         Raises:
             InputError: it cannot be done here.
+            Cancelled: the watch says so.
         """
         versions = self.versions
-        return Planned(operation, operation.plan(self), versions)
+        return Planned(operation, operation.plan(self, watch), versions)
 
     def apply(self, operation: Operation | Planned) -> Change:
-        """Does it, as the next step of the history. A preview that is in force gives way.
+        """Does it, as the next step of the history, unless it alters nothing. A preview that is in force
+        gives way.
 
         Raises:
             InputError: it cannot be done here, or what was planned is out of date. Nothing has changed then.
@@ -230,6 +234,8 @@ class Document:
         if planned.versions != self.versions:
             raise InputError("the scene was edited in the meantime; do it again")
         step = Step(planned.operation, planned.change)
+        if not step.change.parts:
+            return step.change
         self.history.do(step)
         self._tell("apply", step)
         return step.change
@@ -263,7 +269,7 @@ class Document:
         """
         self.cancel_preview()
         step = Step(operation, operation.plan(self))
-        step.change.apply(self._state)
+        step.change.apply(self.state)
         self._preview = step
         self._tell("preview", step)
         return step.change
@@ -275,7 +281,7 @@ class Document:
     def commit_preview(self) -> Change | None:
         """Makes the preview the next step of the history."""
         step, self._preview = self._preview, None
-        if step is None:
+        if step is None or not step.change.parts:
             return None
         self.history.do(step, applied=True)
         self._tell("apply", step)
@@ -285,7 +291,7 @@ class Document:
         """Takes the preview back; returns it."""
         step = self._preview
         if step is not None:
-            step.change.revert(self._state)
+            step.change.revert(self.state)
             self._preview = None
             self._tell("cancel", step)
         return step

@@ -7,11 +7,51 @@ from typing import Any
 
 from ...scene import InputError
 from ..json_form import quoted
+from .combining import Duplicate, Merge, Split
+from .cropping import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
+from .growing import Grow, Shrink
+from .looks import ColourGrade, Opacity, Size
+from .moving import Ground, Orient, Transform
 from .operation import Operation
+from .pruning import Decimate, Prune
+from .repairing import Repair
 from .select import Select, SelectAll, SelectInverse, SelectNone
 from .state_flags import Delete, Hide, Isolate, Lock, Show, Unlock
 
-__all__ = ["OPERATIONS", "Operation", "operation_from_json"]
+__all__ = [
+    "OPERATIONS",
+    "AddCrop",
+    "ChangeCrop",
+    "ColourGrade",
+    "Decimate",
+    "Delete",
+    "DeleteCropped",
+    "Duplicate",
+    "EnableCrop",
+    "Ground",
+    "Grow",
+    "Hide",
+    "Isolate",
+    "Lock",
+    "Merge",
+    "Opacity",
+    "Operation",
+    "Orient",
+    "Prune",
+    "RemoveCrop",
+    "Repair",
+    "Select",
+    "SelectAll",
+    "SelectInverse",
+    "SelectNone",
+    "Show",
+    "Shrink",
+    "Size",
+    "Split",
+    "Transform",
+    "Unlock",
+    "operation_from_json",
+]
 
 OPERATIONS: dict[str, type[Operation]] = {
     cls.op: cls
@@ -20,12 +60,31 @@ OPERATIONS: dict[str, type[Operation]] = {
         SelectAll,
         SelectNone,
         SelectInverse,
+        Grow,
+        Shrink,
         Delete,
         Hide,
         Show,
         Lock,
         Unlock,
         Isolate,
+        AddCrop,
+        ChangeCrop,
+        EnableCrop,
+        RemoveCrop,
+        DeleteCropped,
+        Transform,
+        Orient,
+        Ground,
+        Size,
+        Opacity,
+        ColourGrade,
+        Prune,
+        Decimate,
+        Repair,
+        Merge,
+        Duplicate,
+        Split,
     )
 }
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..changes import Change
 from ..json_form import from_json, to_json
+from ..watch import UNWATCHED, Watch
 
 if TYPE_CHECKING:
     from ..document import Document
@@ -27,7 +28,7 @@ class Operation(ABC):
     """One sentence for people who look for it."""
 
     @abstractmethod
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         """What it alters, as the document stands. Alters nothing itself.
 
         Raises:

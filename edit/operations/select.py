@@ -14,6 +14,7 @@ from ..changes import Change, Toggle, splats_in_words
 from ..json_form import from_json, quoted, to_json
 from ..loops import marks as kernels
 from ..runs import SplatSet
+from ..watch import UNWATCHED, Watch
 from .operation import Operation
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ class Select(Operation):
         if self.mode not in MODES:
             raise ValueError(f"mode must be one of {', '.join(MODES)}, got {self.mode!r}")
 
-    def plan(self, document: Document) -> Change:
-        wanted = self.by.mask(document.gaussians, document.edits, document.tools)
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        wanted = self.by.mask(document.gaussians, document.edits, document.tools, watch=watch)
         return selection(document, wanted, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
 
     def to_json(self) -> dict[str, Any]:
@@ -90,7 +91,7 @@ class SelectAll(Operation):
     op: ClassVar[str] = "select_all"
     summary: ClassVar[str] = "Select everything that is shown and not locked"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return selection(document, np.ones(len(document.marks), bool), MODES["set"], "Select all")
 
 
@@ -99,7 +100,7 @@ class SelectNone(Operation):
     op: ClassVar[str] = "select_none"
     summary: ClassVar[str] = "Select nothing"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         splats = document.selected
         return Change(
             title="Select none", count=len(splats), parts=(Toggle(splats, SELECTED),) if len(splats) else ()
@@ -111,7 +112,7 @@ class SelectInverse(Operation):
     op: ClassVar[str] = "select_inverse"
     summary: ClassVar[str] = "Swap what is selected with what is not"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return selection(document, np.ones(len(document.marks), bool), INVERT, "Invert the selection")
 
 

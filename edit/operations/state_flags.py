@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ...scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
 from ..changes import Change, Toggle, splats_in_words
+from ..watch import UNWATCHED, Watch
 from .operation import Operation
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ class Delete(Operation):
     op: ClassVar[str] = "delete"
     summary: ClassVar[str] = "Delete the selected splats; the file keeps them until you export over it"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return _selected(document, DELETED, "Delete")
 
 
@@ -27,7 +28,7 @@ class Hide(Operation):
     op: ClassVar[str] = "hide"
     summary: ClassVar[str] = "Hide the selected splats; they are still exported"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return _selected(document, HIDDEN, "Hide")
 
 
@@ -36,7 +37,7 @@ class Show(Operation):
     op: ClassVar[str] = "show"
     summary: ClassVar[str] = "Show all hidden splats again"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return _all_with(document, HIDDEN, "Show")
 
 
@@ -45,7 +46,7 @@ class Lock(Operation):
     op: ClassVar[str] = "lock"
     summary: ClassVar[str] = "Lock the selected splats: visible, but not to be selected or changed"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return _selected(document, LOCKED, "Lock")
 
 
@@ -54,7 +55,7 @@ class Unlock(Operation):
     op: ClassVar[str] = "unlock"
     summary: ClassVar[str] = "Unlock all locked splats"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         return _all_with(document, LOCKED, "Unlock")
 
 
@@ -63,12 +64,14 @@ class Isolate(Operation):
     op: ClassVar[str] = "isolate"
     summary: ClassVar[str] = "Hide all but the selected splats"
 
-    def plan(self, document: Document) -> Change:
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         # Locked splats too: hiding changes what is seen, not the splat.
         others = document.splats(SELECTED | HIDDEN | DELETED, 0)
         kept = document.counts.selected
         return Change(
-            title=f"Isolate {splats_in_words(kept)}", count=len(others), parts=(Toggle(others, HIDDEN),)
+            title=f"Isolate {splats_in_words(kept)}",
+            count=len(others),
+            parts=(Toggle(others, HIDDEN),) if len(others) else (),
         )
 
 
@@ -78,7 +81,7 @@ def _selected(document: Document, flag: int, verb: str) -> Change:
     return Change(
         title=f"{verb} {splats_in_words(len(splats))}",
         count=len(splats),
-        parts=(Toggle(splats, SELECTED | flag),),
+        parts=(Toggle(splats, SELECTED | flag),) if len(splats) else (),
     )
 
 
@@ -86,5 +89,7 @@ def _all_with(document: Document, flag: int, verb: str) -> Change:
     """Clears `flag` where it is set, deleted splats apart."""
     splats = document.splats(flag | DELETED, flag)
     return Change(
-        title=f"{verb} {splats_in_words(len(splats))}", count=len(splats), parts=(Toggle(splats, flag),)
+        title=f"{verb} {splats_in_words(len(splats))}",
+        count=len(splats),
+        parts=(Toggle(splats, flag),) if len(splats) else (),
     )

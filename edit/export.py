@@ -1,0 +1,37 @@
+"""Writing the edited scene: the one way there is, for the window and for scripts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..scene import Gaussians, InputError
+from ..scene.edits import bake
+from ..scene.files import save_scene
+from .document import Document
+
+
+def exported(document: Document) -> Gaussians:
+    """The edited scene: without what is deleted or cropped away, hidden splats included, adjustments put
+    into the values, comments and extras as they were. A preview in force does not count.
+
+    Raises:
+        InputError: nothing would be left.
+    """
+    document.cancel_preview()
+    scene = bake(document.gaussians, document.edits, hidden=True)
+    if not len(scene):
+        raise InputError("everything is deleted or cropped away; there is nothing to export")
+    return scene
+
+
+def export(document: Document, path: Path) -> int:
+    """Writes the edited scene to `path`, wholly or not at all, in the format of the suffix; it may be the
+    very file that the scene came from. Returns the number of splats.
+
+    Raises:
+        InputError: nothing would be left, or the file cannot be written; an older file is still whole.
+    """
+    scene = exported(document)
+    save_scene(scene, path)
+    document.history.mark_saved()
+    return len(scene)
