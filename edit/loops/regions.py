@@ -14,7 +14,16 @@ MOST_ROWS = 4096
 """A polygon's height is cut into so many rows; a point looks only at the edges that cross its own."""
 
 CELLS_ACROSS = 256
-"""A stroke's bounds are cut into at most so many cells a side, each at least a radius wide."""
+"""The bounds are cut into at most so many cells a side. All points of a cell that no border crosses get
+one answer, found once."""
+
+CELLS_PER_RADIUS = 3
+
+OUTSIDE, INSIDE, CROSSED = 0, 1, 2
+"""What is known of a cell."""
+
+SLACK = 1e-6
+"""In cells: what nearly touches a cell counts as crossing it, so rounding never decides."""
 
 
 class Polygon(NamedTuple):
@@ -29,6 +38,12 @@ class Polygon(NamedTuple):
     """(rows + 1,) int64: where each row's edges begin in..."""
     edges: np.ndarray
     """... int32: edge i goes from point i to the next."""
+    left: float
+    per_column: float
+    """Cell of x: int((x - left) · per_column), of y likewise with `low` and..."""
+    per_line: float
+    states: np.ndarray
+    """(CELLS_ACROSS + 1,) squared, uint8, by line and column."""
 
 
 def make_polygon(points: np.ndarray) -> Polygon:
@@ -46,7 +61,25 @@ def make_polygon(points: np.ndarray) -> Polygon:
     row = np.arange(len(edge)) - np.repeat(np.cumsum(lengths) - lengths, lengths) + first[edge]
     offsets = np.zeros(rows + 1, np.int64)
     np.cumsum(np.bincount(row, minlength=rows), out=offsets[1:])
-    return Polygon(points, low, per_row, offsets, edge[np.argsort(row, kind="stable")])
+    left, right = float(points[:, 0].min()), float(points[:, 0].max())
+    polygon = Polygon(
+        points,
+        low,
+        per_row,
+        offsets,
+        edge[np.argsort(row, kind="stable")],
+        left,
+        _per_unit(right - left),
+        _per_unit(high - low),
+        np.zeros((CELLS_ACROSS + 1, CELLS_ACROSS + 1), np.uint8),
+    )
+    _find_states(polygon)
+    return polygon
+
+
+def _per_unit(length: float) -> float:
+    """Cells a unit; 0, which puts all in one cell, where the length is too small to be cut."""
+    return CELLS_ACROSS / length if length > 0 and math.isfinite(CELLS_ACROSS / length) else 0.0
 
 
 @inline
@@ -68,12 +101,57 @@ def winding(polygon, x, y):
 
 
 @kernel
+def _find_states(polygon):
+    """Marks the cells that edges cross; of the others, each has one answer, that of its centre."""
+    points, states = polygon.points, polygon.states
+    last = len(states) - 1
+    for a in range(len(points)):
+        b = a + 1 if a + 1 < len(points) else 0
+        x0, y0 = (
+            (points[a, 0] - polygon.left) * polygon.per_column,
+            (points[a, 1] - polygon.low) * polygon.per_line,
+        )
+        x1, y1 = (
+            (points[b, 0] - polygon.left) * polygon.per_column,
+            (points[b, 1] - polygon.low) * polygon.per_line,
+        )
+        if y0 > y1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        for line in range(max(int(y0 - SLACK), 0), min(int(y1 + SLACK), last) + 1):
+            # Where the edge enters and leaves this line of cells.
+            enter, leave = x0, x1
+            if y1 - y0 > SLACK:
+                slope = (x1 - x0) / (y1 - y0)
+                enter = x0 + (min(max(line - SLACK, y0), y1) - y0) * slope
+                leave = x0 + (min(max(line + 1 + SLACK, y0), y1) - y0) * slope
+            first, stop = min(enter, leave) - SLACK, max(enter, leave) + SLACK
+            for column in range(max(int(first), 0), min(int(stop), last) + 1):
+                states[line, column] = CROSSED
+    if polygon.per_column == 0 or polygon.per_line == 0:
+        states[:] = CROSSED
+        return
+    for line in range(last):
+        for column in range(last):
+            if states[line, column] != CROSSED:
+                x = polygon.left + (column + 0.5) / polygon.per_column
+                y = polygon.low + (line + 0.5) / polygon.per_line
+                states[line, column] = INSIDE if winding(polygon, x, y) != 0 else OUTSIDE
+    # The far borders themselves: few points are on them.
+    states[last, :] = CROSSED
+    states[:, last] = CROSSED
+
+
+@kernel
 def in_polygon(points, bounds, polygon, inside):
     """inside (P,) bool of points (P, 2); `bounds` (4,): least x, y, greatest x, y. NaN is not inside."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        near = (bounds[0] <= x) & (x <= bounds[2]) & (bounds[1] <= y) & (y <= bounds[3])
-        inside[i] = near and winding(polygon, x, y) != 0
+        inside[i] = False
+        if (bounds[0] <= x) & (x <= bounds[2]) & (bounds[1] <= y) & (y <= bounds[3]):
+            column = int((x - polygon.left) * polygon.per_column)
+            line = int((y - polygon.low) * polygon.per_line)
+            state = polygon.states[line, column]
+            inside[i] = winding(polygon, x, y) != 0 if state == CROSSED else state == INSIDE
 
 
 @kernel
@@ -99,6 +177,8 @@ class Stroke(NamedTuple):
     """(rows·columns + 1,) int64: where each cell's segments begin in..."""
     segments: np.ndarray
     """... int32."""
+    full: np.ndarray
+    """(rows·columns,) bool: cells that one segment covers whole."""
 
 
 def make_stroke(points: np.ndarray, radius: float) -> Stroke:
@@ -108,11 +188,12 @@ def make_stroke(points: np.ndarray, radius: float) -> Stroke:
         points = np.repeat(points, 2, axis=0)
     left, top = points.min(axis=0) - radius
     width, height = points.max(axis=0) + radius - (left, top)
-    cell = max(radius, width / CELLS_ACROSS, height / CELLS_ACROSS)
+    cell = max(radius / CELLS_PER_RADIUS, width / CELLS_ACROSS, height / CELLS_ACROSS)
     columns, rows = math.ceil(width / cell) + 1, math.ceil(height / cell) + 1
     counts = np.zeros(rows * columns + 1, np.int64)
     empty = np.empty(0, np.int32)
-    stroke = Stroke(points, radius, left, top, cell, columns, rows, counts, empty)
+    full = np.zeros(rows * columns, bool)
+    stroke = Stroke(points, radius, left, top, cell, columns, rows, counts, empty, full)
     _list_segments(stroke, counts[1:], empty, False)
     offsets = np.cumsum(counts)
     segments = np.empty(offsets[-1], np.int32)
@@ -135,8 +216,9 @@ def squared_distance(stroke, segment, x, y):
 @kernel
 def _list_segments(stroke, cursors, segments, write):
     """For each cell the segments that come within reach of any of its points; counts them first."""
-    # Half a cell's diagonal, and a little for rounding.
-    reach = (stroke.radius + stroke.cell * 0.7072) * 1.000001
+    half_diagonal = stroke.cell * (0.5 * math.sqrt(2.0) + SLACK)
+    reach = stroke.radius + half_diagonal
+    sure = max(stroke.radius - half_diagonal, 0.0)
     for s in range(len(stroke.points) - 1):
         x0 = min(stroke.points[s, 0], stroke.points[s + 1, 0]) - stroke.radius - stroke.left
         x1 = max(stroke.points[s, 0], stroke.points[s + 1, 0]) + stroke.radius - stroke.left
@@ -148,8 +230,11 @@ def _list_segments(stroke, cursors, segments, write):
             ):
                 x = stroke.left + (column + 0.5) * stroke.cell
                 y = stroke.top + (row + 0.5) * stroke.cell
-                if squared_distance(stroke, s, x, y) <= reach * reach:
+                square = squared_distance(stroke, s, x, y)
+                if square <= reach * reach:
                     cell = row * stroke.columns + column
+                    if square < sure * sure:
+                        stroke.full[cell] = True
                     if write:
                         segments[cursors[cell]] = s
                     cursors[cell] += 1
@@ -164,6 +249,9 @@ def in_stroke(points, stroke, inside):
         column, row = (x - stroke.left) / stroke.cell, (y - stroke.top) / stroke.cell
         if (0 <= column < stroke.columns) & (0 <= row < stroke.rows):
             cell = int(row) * stroke.columns + int(column)
+            if stroke.full[cell]:
+                inside[i] = True
+                continue
             for k in range(stroke.offsets[cell], stroke.offsets[cell + 1]):
                 if squared_distance(stroke, stroke.segments[k], x, y) <= stroke.radius * stroke.radius:
                     inside[i] = True
