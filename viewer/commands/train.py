@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -75,6 +76,8 @@ def run(arguments: Sequence[str]) -> int:
         raise InputError("name the folder of a capture, or --demo (see splatview train --help)")
     if not options.headless:
         raise InputError("training has no window yet; add --headless")
+    # Pillow reports damaged notes of cameras, of photos that can be read all the same.
+    warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
     group = Processes() if is_launched() else Alone()
     try:
         return _train(options, group, started)

@@ -157,12 +157,12 @@ def _with_status(console: Console, title: str, work: Callable[[Callable[[float],
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
-    scene = output or Path(f"{Path(capture).resolve().name}.ply")
+    scene = output or Path(f"{Path(capture).resolve().name or 'scene'}.ply")
     return Outputs(
         scene=scene,
-        checkpoint=scene.with_suffix(".checkpoint.safetensors"),
+        checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
         metrics=metrics,
-        pictures=scene.with_name(f"{scene.stem}-held-out"),
+        pictures=scene.parent / f"{scene.stem}-held-out",
     )
 
 

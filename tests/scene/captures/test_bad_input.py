@@ -194,6 +194,49 @@ def test_json_cut_short(tmp_path, good):
         assert "transforms.json" in refused(tmp_path)
 
 
+@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin"])
+def test_binary_models_cut_short_anywhere(tmp_path, colmap_capture, cameras_of, file):
+    colmap_capture(tmp_path, cameras=cameras_of(2), points=np.ones((5, 3)))
+    path = tmp_path / "sparse/0" / file
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        message = refused(tmp_path)
+        assert f"{file}: is truncated" in message or (size < 8 and file in message), (size, message)
+
+
+@pytest.mark.parametrize("file", ["cameras.txt", "images.txt", "points3D.txt"])
+def test_text_models_cut_short_anywhere(tmp_path, colmap_capture, cameras_of, file):
+    """Text cut between lines is whole text, and a number cut in the middle is a number: either it loads, with
+    what there is, or one line says what is wrong."""
+    colmap_capture(tmp_path, cameras=cameras_of(3), points=np.full((5, 3), 1.25), text=True)
+    path = tmp_path / "sparse/0" / file
+    whole = path.read_bytes()
+    refusals = 0
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        try:
+            capture = load_capture(tmp_path)
+        except InputError as error:
+            assert "\n" not in str(error) and str(tmp_path) in str(error)
+            refusals += 1
+        else:
+            assert len(capture.photos) >= 2
+            assert np.isfinite(capture.points).all() and len(capture.points) >= 4
+    assert refusals > len(whole) / 4
+
+
+def test_masks_that_hide_all_of_a_photo(tmp_path, colmap_capture, png):
+    colmap_capture(tmp_path)
+    png(tmp_path / "masks/p03.png", np.zeros((30, 40), np.uint8))
+    capture = load_capture(tmp_path)
+    assert [photo.name for photo in capture.photos] == [f"p{i:02d}.png" for i in range(9) if i != 3]
+    assert "1 photos are left out, for their masks hide all of them: p03.png" in capture.warnings
+    for i in range(9):
+        png(tmp_path / f"masks/p{i:02d}.png", np.zeros((30, 40), np.uint8))
+    assert "masks leave nothing" in refused(tmp_path)
+
+
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     file=st.sampled_from(["cameras.bin", "images.bin", "points3D.bin"]),
