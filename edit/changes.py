@@ -6,7 +6,9 @@ then what was altered is put back.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -163,6 +165,27 @@ class Append:
     def nbytes(self) -> int:
         added = self.after.nbytes * len(self.marks) // max(len(self.after), 1)
         return added + self.marks.nbytes
+
+
+class SaveOnce:
+    """A scene written to a file of its own, the first time that the change is applied. Taking the change
+    back leaves the file, so that later times find it there."""
+
+    def __init__(self, save: Callable[[Gaussians, Path], None], path: Path, scene: Gaussians) -> None:
+        self._save, self._path = save, path
+        self._scene: Gaussians | None = scene
+
+    def apply(self, state: State) -> None:
+        if self._scene is not None:
+            self._save(self._scene, self._path)
+            self._scene = None
+
+    def revert(self, state: State) -> None:
+        pass
+
+    @property
+    def nbytes(self) -> int:
+        return 0 if self._scene is None else self._scene.nbytes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,7 +14,7 @@ import numpy as np
 from ..scene import Gaussians, InputError
 from ..scene.adjustment import Adjustment, adjustment_rows
 from ..scene.crop import Crop, crop_rows
-from ..scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits
+from ..scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED, SceneEdits
 from ..scene.files import load_scene, save_scene
 from .changes import Change
 from .fingerprint import fingerprint
@@ -51,11 +51,11 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """An operation and what it would alter, as the document stood when `versions` were its versions."""
+    """An operation and what it would alter, as the document stood at `revision`."""
 
     operation: Operation
     change: Change
-    versions: tuple[int, int, int, int]
+    revision: int
 
 
 Event = Literal["apply", "undo", "redo", "preview", "cancel"]
@@ -99,6 +99,7 @@ class Document:
         """For operations to read; only changes write to it."""
         self.history = History(self.state)
         self._preview: Step | None = None
+        self._lit = 0
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
         self._exported: tuple[tuple[int, ...], int] | None = None
@@ -138,6 +139,7 @@ class Document:
             # A deleted splat may also be hidden or locked: those counts do not tell.
             flags |= HIDDEN * (counts.hidden > 0 or counts.deleted > 0)
             flags |= LOCKED * (counts.locked > 0 or counts.deleted > 0)
+            flags |= PREVIEW * (self._lit > 0)
             edits = SceneEdits(
                 marks=state.marks,
                 palette=state.palette,
@@ -210,6 +212,21 @@ class Document:
         """The file that an operation names."""
         return Path(self.folder or os.curdir, Path(text).expanduser())
 
+    def highlight(self, mask: np.ndarray | None) -> int:
+        """Lights up the splats of `mask` (N,) bool that could be selected, and no others; None: none.
+
+        Shows what a tool would take; it is no edit, and ends with the next one. Returns how many.
+        """
+        if mask is None and not self._lit:
+            return 0
+        chosen = np.zeros(0, bool) if mask is None else np.ascontiguousarray(mask, bool)
+        if mask is not None and chosen.shape != self.marks.shape:
+            raise ValueError(f"mask must have shape {self.marks.shape}, got {chosen.shape}")
+        self._lit, start, stop = kernels.light_up(self.marks, chosen)
+        if stop > start:
+            self.state.marks_changed(start, stop, edited=False)
+        return self._lit
+
     # Changing it.
 
     def plan(self, operation: Operation, *, watch: Watch = UNWATCHED) -> Planned:
@@ -219,8 +236,8 @@ class Document:
             InputError: it cannot be done here.
             Cancelled: the watch says so.
         """
-        versions = self.versions
-        return Planned(operation, operation.plan(self, watch), versions)
+        revision = self.state.revision
+        return Planned(operation, operation.plan(self, watch), revision)
 
     def apply(self, operation: Operation | Planned) -> Change:
         """Does it, as the next step of the history, unless it alters nothing. A preview that is in force
@@ -231,9 +248,10 @@ class Document:
         """
         self.cancel_preview()
         planned = operation if isinstance(operation, Planned) else self.plan(operation)
-        if planned.versions != self.versions:
+        if planned.revision != self.state.revision:
             raise InputError("the scene was edited in the meantime; do it again")
         step = Step(planned.operation, planned.change)
+        self.highlight(None)
         if not step.change.parts:
             return step.change
         self.history.do(step)
@@ -244,10 +262,12 @@ class Document:
         """Takes the last step back, or the preview if there is one; returns it, or None."""
         if self._preview is not None:
             return self.cancel_preview()
+        self.highlight(None)
         return self._told("undo", self.history.undo())
 
     def redo(self) -> Step | None:
         self.cancel_preview()
+        self.highlight(None)
         return self._told("redo", self.history.redo())
 
     def jump(self, position: int) -> None:
@@ -269,6 +289,7 @@ class Document:
         """
         self.cancel_preview()
         step = Step(operation, operation.plan(self))
+        self.highlight(None)
         step.change.apply(self.state)
         self._preview = step
         self._tell("preview", step)

@@ -22,6 +22,8 @@ class State:
         self.marks = np.zeros(len(gaussians), np.uint32)
         self.palette: tuple[Adjustment, ...] = (IDENTITY,)
         self.crops: tuple[Crop, ...] = ()
+        self.revision = 0
+        """Grows with every edit, but not when splats light up."""
         self.scene_version = 0
         self.marks_version = 0
         self.palette_version = 0
@@ -30,24 +32,28 @@ class State:
 
     @property
     def versions(self) -> tuple[int, int, int, int]:
-        """Of scene, marks, palette and crops: equal if and only if nothing has changed since."""
+        """Of scene, marks, palette and crops: equal exactly if nothing has changed in between."""
         return (self.scene_version, self.marks_version, self.palette_version, self.crops_version)
 
-    def marks_changed(self, start: int, stop: int) -> None:
+    def marks_changed(self, start: int, stop: int, *, edited: bool = True) -> None:
         """To be called after `marks[start:stop]` was written to."""
+        self.revision += edited
         self.marks_version += 1
         self.changes.append((self.marks_version, start, stop))
 
     def set_palette(self, palette: tuple[Adjustment, ...]) -> None:
+        self.revision += 1
         self.palette = palette
         self.palette_version += 1
 
     def set_crops(self, crops: tuple[Crop, ...]) -> None:
+        self.revision += 1
         self.crops = crops
         self.crops_version += 1
 
     def set_scene(self, gaussians: Gaussians, marks: np.ndarray | None = None) -> None:
         """Another scene in its place, with `marks` if it has more or fewer splats."""
+        self.revision += 1
         self.gaussians = gaussians
         self.scene_version += 1
         if marks is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from .compiling import kernel
 
 FLAG_BITS = 15
-"""The state flags that exist; the other four bits of a mark's low byte are 0."""
+"""The state flags that editing is about: selected, hidden, deleted, locked."""
 
 SHIFT = 8
 """`scene.edits.PALETTE_SHIFT`, as a constant that the compiler sees."""
@@ -227,3 +227,23 @@ def cropped_in(
                 outside_all = False
         kept[i] = inside_one and outside_all
     return kept
+
+
+@kernel
+def light_up(marks: np.ndarray, mask: np.ndarray) -> tuple[int, int, int]:
+    """Sets the flag PREVIEW (16) where `mask` (N,) is true and the splat is neither hidden, deleted nor
+    locked, and clears it elsewhere; a mask of length 0 clears all. Returns how many have it, and the run
+    (start, stop) of those that changed."""
+    count = 0
+    start, stop = len(marks), 0
+    any_lit = len(mask) > 0
+    for i in range(len(marks)):
+        before = marks[i]
+        lit = any_lit and mask[i] and (before & np.uint32(14)) == 0
+        after = (before | np.uint32(16)) if lit else (before & np.uint32(0xFFFFFFEF))
+        count += lit
+        if after != before:
+            marks[i] = after
+            start = min(start, i)
+            stop = i + 1
+    return count, start, stop

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...scene import Gaussians, InputError, concatenate
 from ...scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
-from ..changes import Append, Change, Part, Toggle, splats_in_words
+from ..changes import Append, Change, Part, SaveOnce, Toggle, splats_in_words
 from ..watch import UNWATCHED, Watch
 from .operation import Operation
 
@@ -65,15 +65,15 @@ class Split(Operation):
         splats = document.selected
         if not len(splats):
             return Change(title="Split nothing", count=0)
-        # Others count as deleted; what the crops cut away of the selection was selected before it was moved.
+        # All others count as deleted; crops do not: the selection is what is split.
         marks = np.where(splats.mask, document.marks, document.marks | np.uint32(DELETED))
         edits = replace(document.edits, marks=marks, crops=(), flags=SELECTED | DELETED)
         target = document.path(self.path)
-        document.save(bake(document.gaussians, edits, hidden=True), target)
+        scene = bake(document.gaussians, edits, hidden=True)
         return Change(
             title=f"Split {splats_in_words(len(splats))} to {target.name}",
             count=len(splats),
-            parts=(Toggle(splats, SELECTED | DELETED),),
+            parts=(SaveOnce(document.save, target, scene), Toggle(splats, SELECTED | DELETED)),
         )
 
 

@@ -86,9 +86,7 @@ class Ground(Operation):
     """The side of the plane on which most splats are becomes its upper side."""
 
     op: ClassVar[str] = "ground"
-    summary: ClassVar[str] = (
-        "Turn and shift the whole scene so that three points of it lie on the ground, y = 0"
-    )
+    summary: ClassVar[str] = "Turn and shift the whole scene so that three points lie on the ground, y = 0"
 
     points: tuple[Vector, Vector, Vector]
 

@@ -58,10 +58,9 @@ class Select(Operation):
 
 def kind_of(chosen: Any) -> str:
     """The name of a selector or detector in its registry."""
-    for registry in (selecting.SELECTORS, detecting.DETECTORS):
-        for kind, cls in registry.items():
-            if type(chosen) is cls:
-                return kind
+    for kind, cls in (*selecting.SELECTORS.items(), *detecting.DETECTORS.items()):
+        if type(chosen) is cls:
+            return kind
     raise ValueError(f"by must be a selector or a detector, got {type(chosen).__name__}")
 
 
