@@ -14,10 +14,12 @@ from ..gl import VisualMode
 from . import camera_list, opening, saving
 from .bookmarks import Bookmark, save_bookmarks
 from .core import Core
+from .editing.commands import EDIT_ACTIONS, cancel_job, take_tool
 from .navigation import AXIS_NAMES, View, axis_view, focus, frame, level, pick, with_up
 from .navigation.framing import axis
 from .navigation.view import MAX_FOV, MIN_FOV
 from .preferences import NavigationMode
+from .training import actions as training
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
 VISUAL_MODES: tuple[VisualMode, ...] = get_args(VisualMode)
@@ -167,6 +169,10 @@ def cancel(core: Core) -> None:
         core.dialog = None
     elif core.loading:
         opening.cancel_loading(core)
+    elif core.desk and core.desk.job:
+        cancel_job(core)
+    elif core.desk and core.desk.tool != "none":
+        take_tool(core, "none")
 
 
 def quit_window(core: Core) -> None:
@@ -197,8 +203,12 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     **{f"navigate_{mode}": partial(navigate, mode=mode) for mode in NAVIGATION_MODES},
     "next_navigation": next_navigation,
     **{f"mode_{mode}": partial(set_mode, mode=mode) for mode in VISUAL_MODES},
+    "pause_training": training.pause_or_resume,
+    "step_training": training.step_once,
     "toggle_panels": toggle_panels,
     "toggle_help": partial(toggle_dialog, name="help"),
+    "toggle_palette": partial(toggle_dialog, name="palette"),
+    **EDIT_ACTIONS,
     "cancel": cancel,
 }
 """Every action that has a name in `shortcuts.SHORTCUTS`."""

@@ -19,9 +19,11 @@ from . import keys, layout, opening, theme
 from .core import Core
 from .display import best_gl_version
 from .dropping import install_drop_handler
+from .editing.taking_up import continue_editing
 from .file_dialogs import FileDialogs
 from .picture import choose_picture
 from .preferences import Preferences, load_preferences, save_preferences
+from .training.watching import Training
 
 IDLE_FPS = 2.0
 """Frames a second when nothing happens; any event wakes the window at once."""
@@ -46,9 +48,9 @@ ACTIVE_SECONDS = 0.5
 class Window:
     """Ties the frame loop's callbacks to one `Core`."""
 
-    def __init__(self, paths: Sequence[Path], *, renderer: str = "auto"):
+    def __init__(self, paths: Sequence[Path], *, renderer: str = "auto", training: Training | None = None):
         preferences, complaint = load_preferences()
-        self.core = Core(preferences=preferences)
+        self.core = Core(preferences=preferences, training=training)
         self.core.prefer(background=preferences.background, blend=preferences.blend)
         self.core.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs()
@@ -80,7 +82,9 @@ class Window:
             hello_imgui.get_runner_params().fps_idling.fps_max = SOFTWARE_FPS
         install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
-        if self._paths:
+        if self.core.training is not None:
+            self.core.training.start(self.core, on_change=glfw.post_empty_event)
+        elif self._paths:
             opening.open_paths(self.core, self._paths)
         else:
             opening.begin_demo(self.core)
@@ -95,6 +99,11 @@ class Window:
         opening.continue_loading(core)
         opening.report_examination(core)
         core.run_posted()
+        if core.training is not None:
+            window = glfw_window_hello_imgui()
+            core.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
+            core.training.advance(core)
+        continue_editing(core)
         core.advance()
         core.note_statistics()
         if core.clipboard_write is not None:
@@ -106,7 +115,8 @@ class Window:
         layout.hide_or_show_panels(core)
         flying = keys.held_step() is not None
         params.fps_idling.enable_idling = not (core.transition or flying)
-        params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else IDLE_FPS
+        idle = IDLE_FPS if core.training is None else core.training.idle_fps(core)
+        params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else idle
         if core.now() >= self._save_due:
             self._save_due = core.now() + SAVE_SECONDS
             if problem := self._save_preferences():
@@ -133,6 +143,8 @@ class Window:
         opening.cancel_loading(core, quiet=True)
         self.dialogs.close()
         core.prefer(closed_panels=layout.closed_panels(core))
+        if core.training is not None:
+            core.training.stop()
         if core.picture is not None:
             core.picture.release()
             core.picture = None
@@ -157,9 +169,12 @@ def run_window(
     *,
     size: tuple[int, int] = (1280, 800),
     renderer: str = "auto",
+    training: Training | None = None,
     drive: Callable[[Core, Any], None] | None = None,
 ) -> int:
     """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
+
+    With a `training` it shows that one instead, and begins it; ending it is left to the caller.
 
     `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
     `renderer`: "auto", "quads" or "cpu". `drive(core, ctx)` is for tests: it runs beside the frame loop
@@ -172,7 +187,7 @@ def run_window(
         InputError: no display can be opened, or no renderer works on it.
     """
     major, minor = best_gl_version()
-    window = Window(paths, renderer=renderer)
+    window = Window(paths, renderer=renderer, training=training)
     params = layout.runner_params(window.core, size)
     options = params.renderer_backend_options.open_gl_options
     options.major_version, options.minor_version = major, minor

@@ -13,18 +13,24 @@ from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...scene import Camera, RenderSettings
+from ...scene.edits import SceneEdits
 from ..gl import FrameStats, VisualMode
+from ..gl.overlay import Overlay
 from .bookmarks import Bookmark
+from .editing.desk import Desk
 from .loading import Examination, LoadedScene, Loading
 from .navigation import Transition, View
 from .navigation.view import look_from
 from .picture import Picture
 from .preferences import Preferences
+
+if TYPE_CHECKING:
+    from .training.watching import Training
 
 MESSAGES_KEPT = 200
 
@@ -39,6 +45,16 @@ class Message:
     """Seconds since the epoch."""
 
 
+@dataclass(kw_only=True)
+class Palette:
+    """The command palette: what is typed, and which line is chosen."""
+
+    query: str = ""
+    chosen: int = 0
+    fresh: bool = True
+    """Just opened: takes the keyboard."""
+
+
 @dataclass(eq=False, kw_only=True)
 class Core:
     """The window's whole state. Fields are plain: panels set the simple ones, commands the rest."""
@@ -49,12 +65,16 @@ class Core:
     scene: LoadedScene | None = None
     loading: Loading | None = None
     """A scene on its way; the old one stays until it is here."""
+    training: Training | None = None
+    """A training that this window watches."""
     upload: Generator[float] | None = None
     """Its last stage, advanced a little in every frame."""
     examination: Examination | None = None
     """What is found out about the scene after it is shown."""
     examined: bool = True
     """Whether that has been reported."""
+    desk: Desk | None = None
+    """Edits of the open scene; None where nothing is open."""
     stats: FrameStats | None = None
     """Of the picture, read once a frame."""
 
@@ -77,7 +97,8 @@ class Core:
     problem: str | None = None
     """An error that waits in a dialog for the user to read it."""
     dialog: str | None = None
-    """Which dialog is open: "help", "screenshot" or none."""
+    """Which dialog is open: "help", "screenshot", "palette" or none."""
+    palette: Palette = field(default_factory=Palette)
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""
     gpu_name: str = ""
@@ -168,8 +189,23 @@ class Core:
     def waiting(self) -> bool:
         """Whether something is on its way that the next frames should show."""
         return (
-            self.loading is not None or not self.examined or (self.picture is not None and self.picture.busy)
+            self.loading is not None
+            or not self.examined
+            or (self.picture is not None and self.picture.busy)
+            or (self.desk is not None and self.desk.job is not None)
         )
+
+    # ---- edits
+
+    @property
+    def edits(self) -> SceneEdits | None:
+        """Those of the scene that the picture holds; None where nothing is edited."""
+        return self.desk.document.edits if self.desk else None
+
+    @property
+    def overlay(self) -> Overlay | None:
+        """How what they mark is lit up."""
+        return self.desk.overlay if self.desk else None
 
     # ---- statistics
 

@@ -63,7 +63,12 @@ def problem(core: Core) -> None:
         imgui.end_popup()
 
 
-HELP_COLUMNS = (("Mouse", "Moving"), ("Camera",), ("File", "Navigation", "Picture", "Window"))
+HELP_COLUMNS = (
+    ("Mouse", "Moving", "Navigation"),
+    ("Camera", "File"),
+    ("Select", "Edit"),
+    ("Picture", "Window", "Training"),
+)
 """Groups of the shortcut table, and the mouse, as the help page sets them."""
 
 
@@ -71,13 +76,13 @@ def help_page(core: Core) -> None:
     """All keys, from the one table that binds them."""
     if core.dialog != "help":
         return
-    centred(64)
+    centred(84)
     opened = imgui.begin("Keys and mouse", True, DIALOG_FLAGS)[1]
-    if imgui.begin_table("help", 3):
+    if imgui.begin_table("help", len(HELP_COLUMNS)):
         for column in HELP_COLUMNS:
             imgui.table_next_column()
             for group in column:
-                rows = [(", ".join(s.keys), s.text) for s in SHORTCUTS if s.group == group]
+                rows = [(", ".join(s.keys), s.text) for s in SHORTCUTS if s.group == group and s.keys]
                 key_table(group, MOUSE if group == "Mouse" else rows)
         imgui.end_table()
     imgui.end()

@@ -21,6 +21,8 @@ _NAMED = {
     "PageDown": imgui.Key.page_down,
     "Home": imgui.Key.home,
     "Escape": imgui.Key.escape,
+    "Delete": imgui.Key.delete,
+    "Backspace": imgui.Key.backspace,
 }
 _MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
 

@@ -8,12 +8,15 @@ from functools import partial
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from ..folders import config_folder
-from . import dialogs, menus, overlays, viewport
+from . import dialogs, menus, overlays, palette, viewport
 from .core import Core
 from .file_dialogs import FileDialogs
 from .panels import bookmarks, camera, messages, rendering, scene, statistics
+from .training import panels as training_panels
 
 LAYOUT_FILE = "layout.ini"
+TRAINING_LAYOUT_FILE = "training-layout.ini"
+"""A window that trains has other panels, and its own arrangement of them."""
 
 PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
     ("Scene", "Upper", scene.show),
@@ -46,7 +49,8 @@ def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams
     style.remember_theme = style.remember_status_bar_settings = False
 
     params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
-    params.ini_filename = str(config_folder() / LAYOUT_FILE)
+    layout = LAYOUT_FILE if core.training is None else TRAINING_LAYOUT_FILE
+    params.ini_filename = str(config_folder() / layout)
     params.ini_filename_use_app_window_title = False
     try:
         config_folder().mkdir(parents=True, exist_ok=True)
@@ -72,12 +76,19 @@ def docking(core: Core) -> hello_imgui.DockingParams:
         split("MainDockSpace", "Upper", imgui.Dir.right, 0.27, flags),
         split("Upper", "Lower", imgui.Dir.down, 0.45, flags),
     ]
+    panels = PANELS
+    if core.training is not None:
+        params.docking_splits = [
+            *params.docking_splits,
+            split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.30, flags),
+        ]
+        panels = (*training_panels.PANELS, *PANELS)
     view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
     # hello_imgui would add padding around the picture; the window is begun by hand instead.
     view.call_begin_end = False
     view.include_in_view_menu = False
     # Assigned at once: the binding hands out copies of its lists.
-    params.dockable_windows = [view, *(panel(core, *entry) for entry in PANELS)]
+    params.dockable_windows = [view, *(panel(core, *entry) for entry in panels)]
     params.main_dock_space_node_flags = imgui.DockNodeFlags_.auto_hide_tab_bar
     return params
 
@@ -85,6 +96,7 @@ def docking(core: Core) -> hello_imgui.DockingParams:
 def panel(core: Core, name: str, dock: str, contents: Callable[[Core], None]) -> hello_imgui.DockableWindow:
     made = hello_imgui.DockableWindow(name, dock, partial(contents, core))
     made.is_visible = name not in core.preferences.closed_panels
+    made.focus_window_at_next_frame = core.training is not None and name in training_panels.FIRST
     # hello_imgui would also remember that all were hidden for a moment.
     made.remember_is_visible = False
     return made
@@ -120,6 +132,7 @@ def show_floating(core: Core, files: FileDialogs) -> None:
     dialogs.problem(core)
     dialogs.help_page(core)
     dialogs.screenshot(core)
+    palette.show(core)
     files.show()
 
 

@@ -11,11 +11,18 @@ from .actions import ACTIONS, NAVIGATION_MODES, UP_NAMES, VISUAL_MODES, set_up, 
 from .core import Core
 from .navigation import AXIS_NAMES
 from .shortcuts import keys_of, text_of
+from .training import actions as training
 
 
 def show(core: Core) -> None:
     if imgui.begin_menu("File"):
         file_menu(core)
+        imgui.end_menu()
+    if imgui.begin_menu("Edit"):
+        edit_menu(core)
+        imgui.end_menu()
+    if imgui.begin_menu("Select"):
+        select_menu(core)
         imgui.end_menu()
     if imgui.begin_menu("Camera"):
         camera_menu(core)
@@ -24,11 +31,15 @@ def show(core: Core) -> None:
         for mode in VISUAL_MODES:
             item(core, f"mode_{mode}", selected=core.mode == mode)
         imgui.end_menu()
+    if core.training is not None and imgui.begin_menu("Training"):
+        training_menu(core)
+        imgui.end_menu()
     if imgui.begin_menu("Window"):
         window_menu(core)
         imgui.end_menu()
     if imgui.begin_menu("Help"):
         item(core, "toggle_help", "Keys and mouse")
+        item(core, "toggle_palette")
         imgui.end_menu()
 
 
@@ -62,6 +73,33 @@ def file_menu(core: Core) -> None:
     item(core, "screenshot_as", "Save a picture as...")
     imgui.separator()
     item(core, "quit")
+
+
+def edit_menu(core: Core) -> None:
+    desk = core.desk
+    history = desk.document.history if desk else None
+    selected = desk is not None and desk.document.counts.selected > 0
+    item(core, "undo", enabled=history is not None and history.can_undo)
+    item(core, "redo", enabled=history is not None and history.can_redo)
+    imgui.separator()
+    for action in ("delete", "hide", "isolate", "lock"):
+        item(core, action, enabled=selected)
+    item(core, "show", enabled=desk is not None and desk.document.counts.hidden > 0)
+    item(core, "unlock", enabled=desk is not None and desk.document.counts.locked > 0)
+    imgui.separator()
+    item(core, "tool_measure", selected=desk is not None and desk.tool == "measure")
+
+
+def select_menu(core: Core) -> None:
+    desk = core.desk
+    for action in ("select_all", "select_none", "select_inverse"):
+        item(core, action, enabled=desk is not None)
+    imgui.separator()
+    for tool in ("rectangle", "brush", "lasso", "polygon", "flood", "colour"):
+        item(core, f"tool_{tool}", selected=desk is not None and desk.tool == tool, enabled=desk is not None)
+    imgui.separator()
+    front = desk is not None and desk.depth == "front"
+    item(core, "next_depth", "Only the front surface", selected=front, enabled=desk is not None)
 
 
 def camera_menu(core: Core) -> None:
@@ -99,6 +137,25 @@ def camera_menu(core: Core) -> None:
     imgui.separator()
     item(core, "copy_camera")
     item(core, "paste_camera")
+
+
+def training_menu(core: Core) -> None:
+    assert core.training is not None
+    running = core.training.status.state == "training"
+    item(core, "pause_training", "Pause" if running else "Resume")
+    item(core, "step_training", "One step")
+    if imgui.menu_item("Stop and save", "", False)[0]:
+        core.post(training.stop_and_save)
+    imgui.separator()
+    if imgui.menu_item("Export .ply...", "", False)[0]:
+        core.post(training.export)
+    if imgui.menu_item("Save a checkpoint", "", False)[0]:
+        core.post(training.save_checkpoint)
+    imgui.separator()
+    if imgui.menu_item("Measure the held-out photos", "", False)[0]:
+        core.post(training.evaluate)
+    if imgui.menu_item("Show the scene in training", "", False, not core.training.followed_by(core))[0]:
+        core.post(training.show_training)
 
 
 def window_menu(core: Core) -> None:

@@ -16,6 +16,7 @@ from ...scene.framing import frame_camera
 from .bookmarks import load_bookmarks
 from .camera_list import go_to_camera
 from .core import Core
+from .editing.taking_up import take_up
 from .loading import Examination, LoadedScene, load_demo, load_files
 from .navigation import view_from_camera
 from .preferences import with_recent, without_missing
@@ -111,6 +112,7 @@ def adopt(core: Core, scene: LoadedScene) -> None:
     """Makes `scene`, which the picture holds already, the open one."""
     same_place = core.scene is not None and scene.paths[:1] == core.scene.paths[:1]
     core.scene = scene
+    take_up(core, scene)
     if not same_place:
         core.settings = replace(
             scene.settings, background=core.preferences.background, blend=core.preferences.blend

@@ -70,7 +70,7 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
         return
     camera = scaled_camera(core.camera, core.preferences.resolution_scale)
     try:
-        picture.draw(camera, core.settings, core.mode)
+        picture.draw(camera, core.settings, core.mode, edits=core.edits, overlay=core.overlay)
     except InputError as error:
         # A mode that needs more of the GPU than it has; the picture itself was there before.
         core.complain(f"{core.mode}: {error}")

@@ -47,9 +47,11 @@ class RecordingPicture:
             raise InputError("the GPU's memory does not hold it")
         self.loaded.append(gaussians)
 
-    def draw(self, camera: Camera, settings: RenderSettings, mode: str) -> None: ...
+    def draw(self, camera: Camera, settings: RenderSettings, mode: str, edits=None, overlay=None) -> None: ...
 
-    def read(self, camera: Camera, settings: RenderSettings, mode: str) -> np.ndarray:
+    def read(
+        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, overlay=None
+    ) -> np.ndarray:
         image = np.zeros((camera.height, camera.width, 4), np.float32)
         image[..., 0] = np.linspace(-0.5, 1.5, camera.width)
         return image
