@@ -47,9 +47,9 @@ class Detector:
         raise TypeError(f"{type(self).__name__} has no scores")
 
     def mask(self, scores: np.ndarray, threshold: float) -> np.ndarray:
-        """Which splats are as bad as `threshold` or worse: (N,) bool."""
-        return scores >= np.float32(threshold)
+        """Which splats score above `threshold`: (N,) bool."""
+        return scores > np.float32(threshold)
 
     def meaning(self, threshold: float) -> str:
         """What the threshold says, in words: "below 2 % opacity"."""
-        return f"{threshold:.3g} {self.unit} and more"
+        return f"over {threshold:.3g} {self.unit}"

@@ -33,10 +33,10 @@ class IsolatedClusters(Detector):
     label: ClassVar[str] = "Isolated clusters"
     what: ClassVar[str] = "Small groups of splats with nothing around them."
     unit: ClassVar[str] = "times lighter than the main cluster"
-    threshold: ClassVar[float] = 1000.0
+    threshold: ClassVar[float] = 3000.0
     slider: ClassVar[tuple[float, float]] = (10.0, 1e6)
 
-    reach: float = 2.0
+    reach: float = 3.0
     """Above 0: in units of the median distance to the eighth neighbour."""
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class SparseSplats(Detector):
     label: ClassVar[str] = "Low density"
     what: ClassVar[str] = "Splats with few others around them."
     unit: ClassVar[str] = "times the usual distance"
-    threshold: ClassVar[float] = 6.0
+    threshold: ClassVar[float] = 4.0
     slider: ClassVar[tuple[float, float]] = (1.0, 1000.0)
 
     neighbours: int = NEIGHBOURS

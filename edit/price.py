@@ -1,0 +1,158 @@
+"""What an edit costs: how much the pictures change, measured before one accepts it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..scene import Camera, Gaussians
+from ..scene.edits import DELETED, SceneEdits, shown
+from .tools import Tools
+from .watch import UNWATCHED, Watch
+
+NO_LOSS = 100.0
+"""dB: an error of 1e-5, a hundredth of what an 8-bit picture can show. Pictures that differ less count as
+so far apart, or views that an edit does not touch would make every mean infinite."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPrice:
+    """How much one view changes."""
+
+    camera: Camera
+    psnr: float
+    """dB, the picture after against the one before, RGB in [0, 1]; at most NO_LOSS."""
+    largest_error: float
+    """Of any pixel and channel, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Price:
+    """How much all views change."""
+
+    count: int
+    """Splats that are shown before and not after."""
+    mean: float
+    """dB, over views; NO_LOSS where nothing changes or there are no views."""
+    worst: float
+    """dB, of the view that changes most."""
+    largest_error: float
+    """0 to 1, over all views."""
+    views: int
+    """How many there were."""
+
+
+def price(
+    gaussians: Gaussians,
+    before: SceneEdits,
+    after: SceneEdits,
+    tools: Tools,
+    cameras: Sequence[Camera],
+    *,
+    watch: Watch = UNWATCHED,
+) -> Price:
+    """The loss of going from `before` to `after`, over the views of `cameras`. Raises Cancelled."""
+    views = price_views(gaussians, before, after, tools, cameras, watch=watch)
+    return price_of(shown_less(gaussians, before, after), views)
+
+
+def price_views(
+    gaussians: Gaussians,
+    before: SceneEdits,
+    after: SceneEdits,
+    tools: Tools,
+    cameras: Sequence[Camera],
+    *,
+    watch: Watch = UNWATCHED,
+) -> Iterator[ViewPrice]:
+    """View by view, so that a window can show what is known so far and stop when it wants.
+
+    The edits must not change meanwhile; `with_deleted` makes some that do not. Raises Cancelled.
+    """
+    for i, camera in enumerate(cameras):
+        watch.step(i / len(cameras))
+        first = tools.render(gaussians, camera, before)
+        watch.step((i + 0.5) / len(cameras))
+        yield compare(camera, first, tools.render(gaussians, camera, after))
+    watch.step(1.0)
+
+
+def compare(camera: Camera, before: np.ndarray, after: np.ndarray) -> ViewPrice:
+    """Of two pictures (H, W, 4) float32 of one view. NaN in a picture makes the result NaN."""
+    difference = np.clip(before[..., :3], 0, 1) - np.clip(after[..., :3], 0, 1)
+    error = float(np.mean(np.square(difference), dtype=np.float64))
+    psnr = NO_LOSS if error == 0 else min(NO_LOSS, -10 * math.log10(error))
+    return ViewPrice(
+        camera=camera,
+        psnr=math.nan if math.isnan(error) else psnr,
+        largest_error=float(np.abs(difference).max(initial=0.0)),
+    )
+
+
+def price_of(count: int, views: Iterable[ViewPrice]) -> Price:
+    """All in one; of the views so far, while there are more to come."""
+    views = list(views)
+    decibels = np.array([view.psnr for view in views] or [NO_LOSS])
+    return Price(
+        count=count,
+        mean=float(decibels.mean()),
+        worst=float(decibels.min()),
+        largest_error=float(np.max([view.largest_error for view in views], initial=0.0)),
+        views=len(views),
+    )
+
+
+def shown_less(gaussians: Gaussians, before: SceneEdits, after: SceneEdits) -> int:
+    """How many splats are shown before and not after."""
+    return int(np.count_nonzero(shown(gaussians, before) & ~shown(gaussians, after)))
+
+
+def with_deleted(edits: SceneEdits, mask: np.ndarray) -> SceneEdits:
+    """What `edits` would be if the splats in `mask` (N,) bool were deleted too; shares nothing that changes."""
+    marks = edits.marks | np.where(mask, np.uint32(DELETED), np.uint32(0))
+    return replace(
+        edits,
+        marks=marks,
+        marks_version=edits.marks_version + 1,
+        changes=(),
+        flags=edits.flags | DELETED,
+    )
+
+
+def unchanging(edits: SceneEdits) -> SceneEdits:
+    """`edits` as they are now, whatever the editor does next."""
+    return replace(edits, marks=edits.marks.copy())
+
+
+def decimate(
+    gaussians: Gaussians,
+    edits: SceneEdits,
+    tools: Tools,
+    cameras: Sequence[Camera],
+    target: int,
+    *,
+    watch: Watch = UNWATCHED,
+) -> np.ndarray:
+    """Which splats to drop so that `target` of those shown stay, (N,) bool: those that contribute least.
+
+    Of equal contributions the later splat goes. None where no more are shown. Raises Cancelled.
+
+    Raises:
+        ValueError: `target` is below 0, or there are no cameras.
+    """
+    if not target >= 0:
+        raise ValueError(f"target must be at least 0, got {target}")
+    if not cameras:
+        raise ValueError("decimating needs at least one camera")
+    from .detecting import contributions
+
+    indices = np.flatnonzero(shown(gaussians, edits))
+    mask = np.zeros(len(gaussians), bool)
+    if target < len(indices):
+        worth = contributions(gaussians, edits, tools, cameras, watch=watch)[indices]
+        order = np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")
+        mask[indices[order[target:]]] = True
+    return mask
