@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,6 +37,8 @@ class Checkpoint:
     splats: Splats
     control: dict[str, np.ndarray]
     """Arrays of the density control, see its `state`."""
+    exposure: dict[str, np.ndarray]
+    """Arrays of the photos' exposures, see `Exposures.state`."""
     photos: list[list[Any]]
     """[name, width, height] of each photo trained on, in order."""
     notes: dict[str, Any]
@@ -55,6 +59,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     }
     arrays["ids"] = splats.ids
     arrays |= {f"control.{name}": array for name, array in trainer.control.state().items()}
+    arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     description = {
         "settings": asdict(trainer.settings),
         "counters": asdict(trainer.counters),
@@ -63,9 +68,17 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         "photos": trainer.shots.names(),
         "notes": notes or {},
     }
+    _remove_leftovers(path)
     data = save(arrays, metadata={"format": FORMAT, "run": json.dumps(description)})
     with atomic_write(path) as file:
         file.write(data)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Of writes that were killed: nobody else writes this file while the run goes on."""
+    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        with contextlib.suppress(OSError):
+            leftover.unlink()
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -105,6 +118,12 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.counters = checkpoint.counters
     trainer.extent = checkpoint.extent
     trainer.control.restore(checkpoint.control)
+    trainer.exposures.restore(checkpoint.exposure)
+
+
+def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Those whose names begin so, by the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _crop(region: dict[str, Any]) -> Crop:
@@ -136,11 +155,8 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
         splats=Splats(*groups, ids, next_id),
-        control={
-            name.removeprefix("control."): array
-            for name, array in arrays.items()
-            if name.startswith("control.")
-        },
+        control=_under("control.", arrays),
+        exposure=_under("exposure.", arrays),
         photos=[list(photo) for photo in run["photos"]],
         notes=dict(run["notes"]),
     )

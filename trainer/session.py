@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import secrets
 import tempfile
 import time
@@ -137,7 +138,8 @@ class Session:
         self.evaluated_at = 0
         """Step of the last one."""
         self.stopwatch = Stopwatch(started - trainer.counters.seconds)
-        self._checkpointed = time.perf_counter()
+        # The first is due at once: a run killed in its first minute can be resumed too.
+        self._checkpointed = -math.inf
         self._evaluated = time.perf_counter()
         self._evaluation_cost = 0.0
         self._metrics: TextIO | None = None
@@ -173,7 +175,11 @@ class Session:
 
     def step(self) -> Progress:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
+        exposures = self.trainer.exposures
+        undecided = not exposures.is_decided
         report = self.trainer.step(self.seconds)
+        if undecided and exposures.is_on and exposures.evidence:
+            self.on_note(f"{exposures.evidence}: each photo's is learnt; the scene has their average")
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):
             evaluation = self.evaluate()
@@ -193,6 +199,7 @@ class Session:
             self.held_out,
             trainer.render_settings,
             threads=trainer.threads,
+            exposures_differ=trainer.exposures.is_on,
             on_picture=on_picture,
         )
         self.evaluated_at = trainer.counters.iteration
