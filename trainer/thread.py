@@ -139,9 +139,14 @@ class TrainingThread:
         """Pauses, and writes scene and checkpoint."""
         self._commands.put(self._stop)
 
-    def show_now(self) -> None:
-        """Publishes a snapshot, whatever the pace of snapshots is."""
-        self._commands.put(self._publish)
+    def show_now(self, *, again: bool = False) -> None:
+        """Publishes a snapshot, whatever the pace of snapshots is; `again`: even of a scene already shown."""
+
+        def show() -> None:
+            self._unseen = self._unseen or again
+            self._publish()
+
+        self._commands.put(show)
 
     def change(self, **settings: Any) -> Future[None]:
         """Changes fields of `TrainSettings`. A value that makes no sense is noted and changes nothing."""

@@ -18,6 +18,7 @@ from ...trainer.training import Trainer
 from .arguments import Parser, count, index, positive
 from .train_report import evaluation_line, make_bar, numbers, print_summary
 from .train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels
+from .train_window import check_window, train_in_window
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -75,9 +76,11 @@ def run(arguments: Sequence[str]) -> int:
     if options.demo == (options.capture is not None):
         raise InputError("name the folder of a capture, or --demo (see splatview train --help)")
     if not options.headless:
-        raise InputError("training has no window yet; add --headless")
+        check_window()
     # Pillow reports damaged notes of cameras, of photos that can be read all the same.
     warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
+    if not options.headless:
+        return train_in_window(options, started, _opening)
     group = Processes() if is_launched() else Alone()
     try:
         return _train(options, group, started)

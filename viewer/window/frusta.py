@@ -1,4 +1,4 @@
-"""Loaded cameras in the view, each as a small pyramid that opens the way it looks."""
+"""Cameras in the view, loaded ones or those of photos in training: pyramids that open the way they look."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from ...scene import Camera
 from ...scene.image_model import NEAR
 from . import theme
+from .camera_list import go_to_camera
 from .core import Core
 
 SIZE = 0.06
@@ -22,19 +23,67 @@ MOST = 1000
 """Pyramids drawn at most: a video's every frame would be a carpet, and slow."""
 
 
+GRAB = 0.4
+"""Font heights from a line within which the mouse is on its camera."""
+
+
+def wanted(core: Core) -> bool:
+    """Whether the loaded cameras, or those of the photos in training, are to be drawn."""
+    if core.training is not None and core.cameras is core.training.cameras:
+        return core.preferences.show_photos
+    return core.preferences.show_cameras and bool(core.cameras)
+
+
 def show(core: Core, corner: ImVec2) -> None:
-    """Draws the pyramids over the picture whose top left is at `corner`, screen coordinates."""
+    """Draws the pyramids over the picture whose top left is at `corner`, screen coordinates; a click on
+    one goes to its camera."""
     scale = imgui.get_io().display_framebuffer_scale
     radius = core.scene.radius if core.scene else core.view.distance
-    cameras = core.cameras[:: -(-len(core.cameras) // MOST)]
-    chosen = core.cameras[core.camera_index] if core.camera_index >= 0 else None
+    step = -(-len(core.cameras) // MOST)
+    training = core.training if core.training and core.cameras is core.training.cameras else None
+    drawn = pyramids(core.cameras[::step], core.camera, SIZE * radius)
+    lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
+    mouse = imgui.get_mouse_pos()
+    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point() else None
     draw = imgui.get_window_draw_list()
-    usual = imgui.get_color_u32(ImVec4(1, 1, 1, 0.55))
-    bright = imgui.get_color_u32(ImVec4(*theme.ACCENT, 1))
-    for index, lines in pyramids(cameras, core.camera, SIZE * radius):
-        colour = bright if cameras[index] is chosen else usual
-        for (x0, y0), (x1, y1) in (lines / (scale.x, scale.y)).tolist():
-            draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), colour)
+    for place, (index, _) in enumerate(drawn):
+        index *= step
+        if index == core.camera_index or place == under:
+            colour = ImVec4(*theme.ACCENT, 1)
+        elif training is not None and training.photos[index].held_out:
+            colour = ImVec4(*theme.HELD_OUT, 0.75)
+        else:
+            colour = ImVec4(1, 1, 1, 0.55)
+        ink, weight = imgui.get_color_u32(colour), 2.0 if place == under else 1.0
+        for (x0, y0), (x1, y1) in lines[place].tolist():
+            draw.add_line(ImVec2(x0, y0), ImVec2(x1, y1), ink, weight)
+    if under is None:
+        return
+    index = drawn[under][0] * step
+    held_out = " (held out)" if training is not None and training.photos[index].held_out else ""
+    imgui.set_tooltip(f"{core.cameras[index].name or f'Camera {index + 1}'}{held_out}")
+    dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
+    if imgui.is_mouse_released(imgui.MouseButton_.left) and not (dragged.x or dragged.y):
+        core.post(go_to_camera, index)
+
+
+def may_point() -> bool:
+    """Whether the mouse is over the picture itself and turns nothing."""
+    dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
+    return imgui.is_window_hovered() and not (dragged.x or dragged.y)
+
+
+def nearest(lines: Sequence[np.ndarray], place: tuple[float, float], reach: float) -> int | None:
+    """Which of the bundles of lines, each (L, 2, 2) px, comes nearest to `place`; None beyond `reach` px."""
+    if not lines:
+        return None
+    ends = np.stack(lines)  # (B, L, 2, 2)
+    start, along = ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]
+    length = np.maximum((along**2).sum(axis=-1), 1e-12)
+    share = np.clip(((place - start) * along).sum(axis=-1) / length, 0, 1)
+    apart = np.linalg.norm(start + share[..., None] * along - place, axis=-1).min(axis=1)
+    best = int(np.argmin(apart))
+    return best if apart[best] <= reach else None
 
 
 def pyramids(cameras: Sequence[Camera], seen_by: Camera, size: float) -> list[tuple[int, np.ndarray]]:

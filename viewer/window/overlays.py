@@ -22,7 +22,7 @@ HINTS = {
 def over_picture(core: Core) -> None:
     """The tools in the picture's corner, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
-    if core.preferences.show_cameras and core.cameras:
+    if frusta.wanted(core):
         frusta.show(core, corner)
     margin = imgui.get_font_size() * 0.6
     imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))

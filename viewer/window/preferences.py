@@ -13,6 +13,7 @@ from ..folders import config_folder
 
 NavigationMode = Literal["orbit", "fly", "trackball"]
 BlendPrecision = Literal["float16", "float32"]
+TrainingUpdates = Literal["off", "low", "live"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -36,6 +37,14 @@ class Preferences:
     resolution_scale: float = 1.0
     show_cameras: bool = False
     """Whether loaded cameras are drawn into the view."""
+    show_photos: bool = True
+    """The same of the cameras of the photos in training."""
+    training_share: float = 0.75
+    """Of the cores, for training, while the view is moved."""
+    training_takes_idle_cores: bool = True
+    """Whether training takes all cores while the view is not moved."""
+    training_updates: TrainingUpdates = "live"
+    """How often the growing scene is shown."""
     closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
@@ -46,8 +55,16 @@ RANGES = {
     "mouse_speed": (0.1, 10.0),
     "fov_y": (5.0, 140.0),
     "resolution_scale": (0.125, 2.0),
+    "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
+
+CHOICES = {
+    "navigation": get_args(NavigationMode),
+    "blend": get_args(BlendPrecision),
+    "training_updates": get_args(TrainingUpdates),
+}
+"""What the fields that are one of a few words may be."""
 
 
 def load_preferences() -> tuple[Preferences, str | None]:
@@ -87,7 +104,7 @@ def load_preferences() -> tuple[Preferences, str | None]:
 
 def checked(name: str, value: Any, default: Any) -> Any:
     """`value` of a JSON file as the field `name` needs it; ValueError where it cannot be."""
-    choices = {"navigation": get_args(NavigationMode), "blend": get_args(BlendPrecision)}.get(name)
+    choices = CHOICES.get(name)
     if choices is not None:
         if value not in choices:
             raise ValueError(name)

@@ -9,6 +9,8 @@ FONT = "fonts/Roboto/Roboto-Regular.ttf"
 FONT_SIZE = 16.0
 
 ACCENT = (0.36, 0.66, 0.92)
+HELD_OUT = (0.97, 0.72, 0.35)
+"""Photos that are not trained on."""
 WARNING = ImVec4(0.95, 0.72, 0.35, 1)
 ERROR = ImVec4(0.95, 0.45, 0.42, 1)
 QUIET = ImVec4(0.60, 0.62, 0.66, 1)

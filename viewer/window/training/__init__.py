@@ -1,0 +1,1 @@
+"""Watching a scene being trained: its snapshots in the view, the controls, curves and photos."""

@@ -1,0 +1,126 @@
+"""A photo beside what the scene shows from its camera, and where the two differ."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import moderngl
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from .. import theme
+from ..core import Core
+from ..panels import widgets
+from . import actions
+from .comparison import Wish, shrink_for
+from .watching import Training, viewer_threads
+
+TITLES = ("Photo", "Scene", "Difference")
+
+GAINS = (1.0, 20.0)
+
+LENS_SHARE = 1 / 6
+"""Of a picture's width, that the magnifying tooltip shows."""
+
+
+def show(core: Core) -> None:
+    training = core.training
+    if training is None:
+        return
+    tools(core, training)
+    comparison = training.comparer.latest
+    room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing
+    line = imgui.get_text_line_height_with_spacing()
+    camera = training.photo.camera
+    width = (room.x - 2 * spacing.x) / 3
+    width = max(min(width, (room.y - line) * camera.width / camera.height), 16.0)
+    height = width * camera.height / camera.width
+    want(core, training, width, height)
+    if comparison is None or comparison.wish.shot is not training.photo.shot:
+        widgets.note(training.comparer.problem or "Drawing...")
+        return
+    textures = training.pictures.of(comparison)
+    for column, (title, texture) in enumerate(zip(TITLES, textures, strict=True)):
+        if column:
+            imgui.same_line()
+        imgui.begin_group()
+        imgui.text_colored(theme.QUIET, title if column < 2 else f"{title} x {comparison.wish.gain:.1f}")
+        imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
+        if imgui.is_item_hovered():
+            magnify(textures, width, height)
+        imgui.end_group()
+
+
+def tools(core: Core, training: Training) -> None:
+    """Which photo, its score, and how strongly differences are shown."""
+    index = training.photo_index
+    widgets.button(
+        f"{icons.ICON_FA_CHEVRON_LEFT}##previous",
+        "Previous photo",
+        partial(core.post, actions.compare_photo, index - 1),
+    )
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_CHEVRON_RIGHT}##next",
+        "Next photo",
+        partial(core.post, actions.compare_photo, index + 1),
+    )
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_VIDEO}  Go there",
+        "Looks from where this photo was taken",
+        partial(core.post, actions.go_to_photo, index),
+    )
+    imgui.same_line()
+    comparison = training.comparer.latest
+    score = ""
+    if comparison is not None and comparison.wish.shot is training.photo.shot:
+        height, width = comparison.photo.shape[:2]
+        score = f"   {comparison.psnr:.2f} dB at {width} x {height}"
+    imgui.text_unformatted(
+        f"{training.photo.name} ({'held out' if training.photo.held_out else 'trained'}){score}"
+    )
+    imgui.same_line()
+    imgui.set_next_item_width(imgui.get_font_size() * 8)
+    changed, gain = imgui.slider_float(
+        "##gain", training.gain, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
+    )
+    widgets.tooltip("By how much differences are brightened")
+    if changed:
+        training.gain = min(max(gain, GAINS[0]), GAINS[1])
+
+
+def want(core: Core, training: Training, width: float, height: float) -> None:
+    """Asks for the pictures in the size in which they are seen."""
+    if training.shown is None:
+        return
+    camera, scale = training.photo.camera, imgui.get_io().display_framebuffer_scale
+    training.comparer.want(
+        Wish(
+            shot=training.photo.shot,
+            gaussians=training.shown.gaussians,
+            settings=training.settings,
+            shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
+            gain=training.gain,
+        ),
+        viewer_threads(core.preferences.training_share, training.thread.cores),
+    )
+
+
+def magnify(textures: list[moderngl.Texture], width: float, height: float) -> None:
+    """The place under the mouse in all three pictures, enlarged."""
+    corner, mouse = imgui.get_item_rect_min(), imgui.get_mouse_pos()
+    half = LENS_SHARE / 2
+    tall = half * width / height
+    x = min(max((mouse.x - corner.x) / width, half), 1 - half)
+    y = min(max((mouse.y - corner.y) / height, tall), 1 - tall)
+    if imgui.begin_tooltip():
+        side = imgui.get_font_size() * 10
+        for column, texture in enumerate(textures):
+            if column:
+                imgui.same_line()
+            texture_ref = imgui.ImTextureRef(texture.glo)
+            imgui.image(
+                texture_ref, ImVec2(side, side), ImVec2(x - half, y - tall), ImVec2(x + half, y + tall)
+            )
+        imgui.end_tooltip()
