@@ -42,20 +42,20 @@ class Splats:
 
     def take(self, indices: np.ndarray) -> Splats:
         """The splats at `indices` (integers or a mask), copied, averages included."""
-        groups = (Parameters(*(array[indices] for array in group)) for group in self._groups())
-        return Splats(*groups, self.ids[indices], self.next_id)
+        groups = [Parameters(*(array[indices] for array in group)) for group in self._groups()]
+        return Splats(groups[0], groups[1], groups[2], self.ids[indices], self.next_id)
 
     def joined(self, parameters: Parameters) -> Splats:
         """These and new splats behind them, whose averages are 0."""
         zeros = Parameters(*(np.zeros_like(array) for array in parameters))
         others = (parameters, zeros, zeros)
-        groups = (
+        groups = [
             Parameters(*(np.concatenate(pair) for pair in zip(group, other, strict=True)))
             for group, other in zip(self._groups(), others, strict=True)
-        )
+        ]
         behind = self.next_id + len(parameters.means)
         ids = np.concatenate([self.ids, np.arange(self.next_id, behind, dtype=np.int64)])
-        return Splats(*groups, ids, behind)
+        return Splats(groups[0], groups[1], groups[2], ids, behind)
 
     def renumber(self, indices: np.ndarray) -> None:
         """The splats at `indices`, distinct integers, are new ones in the places of old: in place."""
@@ -68,10 +68,10 @@ class Splats:
         missing = SH_COEFFICIENTS[degree] - self.parameters.sh.shape[1]
         if missing == 0:
             return self
-        groups = (
+        groups = [
             group._replace(sh=np.pad(group.sh, ((0, 0), (0, missing), (0, 0)))) for group in self._groups()
-        )
-        return Splats(*groups, self.ids, self.next_id)
+        ]
+        return Splats(groups[0], groups[1], groups[2], self.ids, self.next_id)
 
     def snapshot(self, comments: tuple[str, ...] = ()) -> Gaussians:
         """A copy that no later step changes."""
@@ -92,4 +92,4 @@ class Splats:
 def fresh(parameters: Parameters) -> Splats:
     """Splats that no step has moved yet; the arrays are copied."""
     zeros = [Parameters(*(np.zeros_like(array) for array in parameters)) for _ in range(2)]
-    return Splats(Parameters(*(array.copy() for array in parameters)), *zeros)
+    return Splats(Parameters(*(array.copy() for array in parameters)), zeros[0], zeros[1])

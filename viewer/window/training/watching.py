@@ -233,6 +233,10 @@ class Training:
 
     def _adopt(self, core: Core, snapshot: Snapshot) -> None:
         first = self._scene is None
+        if core.desk is not None:
+            # Its edits are of other splats.
+            core.desk.close()
+            core.desk = None
         centre, radius = robust_bounds(snapshot.gaussians.means)
         self._scene = core.scene = LoadedScene(
             gaussians=snapshot.gaussians,
