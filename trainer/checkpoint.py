@@ -127,9 +127,10 @@ def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _crop(region: dict[str, Any]) -> Crop:
-    return Crop(
-        **{name: tuple(value) if isinstance(value, list) else value for name, value in region.items()}
-    )
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in region.items()
+    }
+    return Crop(**values)
 
 
 def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
@@ -154,7 +155,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         settings=TrainSettings(**settings),
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
-        splats=Splats(*groups, ids, next_id),
+        splats=Splats(groups[0], groups[1], groups[2], ids, next_id),
         control=_under("control.", arrays),
         exposure=_under("exposure.", arrays),
         photos=[list(photo) for photo in run["photos"]],
