@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..scene import Gaussians, InputError
+from ..scene import Camera, Gaussians, InputError
 from ..scene.adjustment import Adjustment, adjustment_rows
 from ..scene.crop import Crop, crop_rows
 from ..scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED, SceneEdits
@@ -19,12 +20,16 @@ from ..scene.files import load_scene, save_scene
 from .changes import Change
 from .fingerprint import fingerprint
 from .history import History, Step
+from .json_form import to_json
 from .loops import marks as kernels
 from .operations.operation import Operation
 from .runs import SplatSet
 from .state import State
 from .tools import NoTools, Tools
 from .watch import UNWATCHED, Watch
+
+if TYPE_CHECKING:
+    from .detecting import Detector
 
 MAX_SPLATS = 2**31 - 1
 """Runs are counted in 32 bits."""
@@ -100,6 +105,7 @@ class Document:
         self.history = History(self.state)
         self._preview: Step | None = None
         self._lit = 0
+        self._scores: tuple[tuple[int, type, str], np.ndarray] | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
         self._exported: tuple[tuple[int, ...], int] | None = None
@@ -211,6 +217,22 @@ class Document:
     def path(self, text: str) -> Path:
         """The file that an operation names."""
         return Path(self.folder or os.curdir, Path(text).expanduser())
+
+    def scores(
+        self, detector: Detector, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED
+    ) -> np.ndarray:
+        """The detector's scores of the scene as it is now, (N,) float32; kept until the next edit, so that
+        what a preview has found out is not found out again.
+
+        Raises:
+            InputError: it wants a renderer that there is not.
+            Cancelled: the watch says so.
+        """
+        key = (self.state.revision, type(detector), json.dumps(to_json([detector, *cameras])))
+        if self._scores is None or self._scores[0] != key:
+            scores = detector.scores(self.gaussians, self.edits, self.tools, cameras, watch=watch)
+            self._scores = (key, scores)
+        return self._scores[1]
 
     def highlight(self, mask: np.ndarray | None) -> int:
         """Lights up the splats of `mask` (N,) bool that could be selected, and no others; None: none.

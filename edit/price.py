@@ -111,7 +111,7 @@ def shown_less(gaussians: Gaussians, before: SceneEdits, after: SceneEdits) -> i
 
 
 def with_deleted(edits: SceneEdits, mask: np.ndarray) -> SceneEdits:
-    """What `edits` would be if the splats in `mask` (N,) bool were deleted too; shares nothing that changes."""
+    """`edits` as if the splats in `mask` (N,) bool were deleted too; shares nothing that changes."""
     marks = edits.marks | np.where(mask, np.uint32(DELETED), np.uint32(0))
     return replace(
         edits,

@@ -18,6 +18,8 @@ COMMANDS = {
     "info": "what a scene holds, which effects it calls for, and its health",
     "ladder": "what accuracy costs in time: each shortcut's price, measured",
     "train": "photos with known cameras to a scene",
+    "edit": "the steps of a recipe, done to a scene",
+    "convert": "a scene to another format",
     "doctor": "what works on this machine and what to install",
 }
 """Name -> summary. Each is a module of `commands` with `run(arguments) -> exit code`."""

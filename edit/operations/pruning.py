@@ -33,12 +33,11 @@ class Prune(Operation):
     threshold: float
     """What scores above it is deleted."""
     cameras: tuple[Camera, ...] = ()
-    """Views, for detectors that look at pictures."""
+    """Views, for detectors that look at pictures; none: views from around the scene."""
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        scores = self.by.scores(document.gaussians, document.edits, document.tools, self.cameras, watch=watch)
-        with np.errstate(invalid="ignore"):
-            doomed = (scores > self.threshold) & editable(document)
+        scores = document.scores(self.by, self.cameras, watch=watch)
+        doomed = self.by.mask(scores, self.threshold) & editable(document)
         title = f"Prune {splats_in_words(int(np.count_nonzero(doomed)))} by {kind_of(self.by)}"
         return deleting(document, doomed, title)
 
@@ -58,18 +57,15 @@ class Decimate(Operation):
 
     keep: int
     """Splats left; hidden, locked and cropped ones count, but are not deleted."""
-    cameras: tuple[Camera, ...]
-    """The views that decide."""
+    cameras: tuple[Camera, ...] = ()
+    """The views that decide; none: views from around the scene."""
 
     def __post_init__(self) -> None:
         if not self.keep >= 1:
             raise ValueError(f"keep must be at least 1, got {self.keep}")
-        if not self.cameras:
-            raise ValueError("cameras must hold at least one view")
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        watch.step(0.0)
-        worth = document.tools.contributions(document.gaussians, self.cameras, document.edits)
+        scores = document.scores(detecting.UnseenSplats(), self.cameras, watch=watch)
         at = np.flatnonzero(editable(document))
         excess = document.counts.kept - self.keep
         if excess > len(at):
@@ -80,7 +76,7 @@ class Decimate(Operation):
         doomed = np.zeros(len(document.marks), bool)
         if excess > 0:
             # Ties by index, so that a recipe does the same everywhere.
-            doomed[at[np.argsort(worth[at], kind="stable")[:excess]]] = True
+            doomed[at[np.argsort(-scores[at], kind="stable")[:excess]]] = True
         return deleting(document, doomed, f"Decimate to {splats_in_words(self.keep)}")
 
 

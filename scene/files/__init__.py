@@ -14,7 +14,14 @@ from .ply import load_ply
 from .ply_write import save_ply
 from .progress import LoadCancelled, Watch
 
-__all__ = ["LoadCancelled", "load_cameras", "load_scene", "save_camera", "save_scene"]
+__all__ = [
+    "LoadCancelled",
+    "check_saving",
+    "load_cameras",
+    "load_scene",
+    "save_camera",
+    "save_scene",
+]
 
 
 def load_scene(
@@ -42,11 +49,28 @@ def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
         InputError: the suffix names no format that can be written, or the system refuses.
     """
     path = Path(path)
+    check_format(path)
+    save_ply(gaussians, path)
+
+
+def check_format(path: Path) -> None:
+    """Raises InputError if the suffix names no format that can be written."""
     if path.suffix.lower() != ".ply":
         raise InputError(f"{path}: scenes are saved as .ply; give it that suffix")
     if path.name.lower().endswith(".compressed.ply"):
         raise InputError(f"{path}: compressed .ply cannot be written yet; drop .compressed from the name")
-    save_ply(gaussians, path)
+
+
+def check_saving(path: Path) -> None:
+    """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
+    check_format(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise InputError(f"{path}: the folder {folder} does not exist; make it first")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{path}: the folder {folder} cannot be written to")
 
 
 def load_cameras(

@@ -1,0 +1,203 @@
+"""Autosave: each step goes to a file as it is done, so that a crash loses nothing.
+
+One JSON object a line: first the scene, then ``{"do": step}`` and ``{"position": steps in force}``. The
+file is locked as long as its program lives and removed when that ends well; what lies there without a
+lock is what a crash has left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from ..scene import InputError
+from .document import Document, Event
+from .history import Step
+from .operations import Operation, operation_from_json
+from .recipe import Recipe
+
+FORMAT = "splatview_journal"
+VERSION = 1
+
+SUFFIX = ".journal.jsonl"
+
+SYNC_SECONDS = 2.0
+"""A crash of the program loses no step; one of the whole machine loses at most those of so many seconds."""
+
+LOCKED_BYTE = 1 << 40
+"""Far behind all text: where bytes are locked rather than files, the text can still be read."""
+
+
+class Journal:
+    """Writes down what is done to `document` from now on. Never raises: see `problem`."""
+
+    def __init__(self, document: Document, folder: Path, *, scene: Path | None = None) -> None:
+        """`folder` is made at the first step, if need be; `scene` is the file that was opened."""
+        self.problem: str | None = None
+        """Why nothing is saved any more, for the user to know."""
+        self._document, self._folder, self._scene = document, folder, scene
+        self._file: IO[bytes] | None = None
+        self._path: Path | None = None
+        self._synced = 0.0
+        self._syncing: threading.Thread | None = None
+        document.listeners.append(self._listen)
+
+    def close(self) -> None:
+        """The document has been closed in good order: nothing is left to restore."""
+        with contextlib.suppress(ValueError):
+            self._document.listeners.remove(self._listen)
+        file, self._file = self._file, None
+        if self._syncing is not None:
+            self._syncing.join()
+        if file is not None and self._path is not None:
+            with contextlib.suppress(OSError):
+                file.close()
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+
+    def _listen(self, event: Event, step: Step) -> None:
+        if event == "apply":
+            self._write({"do": step.operation.to_json()})
+        elif event in ("undo", "redo"):
+            self._write({"position": self._document.history.position})
+
+    def _write(self, line: dict[str, Any]) -> None:
+        if self.problem is not None:
+            return
+        try:
+            if self._file is None:
+                self._begin()
+            self._append(line)
+        except OSError as error:
+            self.problem = f"{self._folder}: steps are not autosaved: {error.strerror or error}"
+
+    def _begin(self) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._path = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}{SUFFIX}"
+        self._file = open(self._path, "xb", buffering=0)  # noqa: SIM115, open as long as the document
+        _lock(self._file)
+        document = self._document
+        self._append(
+            {
+                FORMAT: VERSION,
+                "scene": document.identity,
+                "path": None if self._scene is None else str(self._scene.absolute()),
+                "folder": None if document.folder is None else str(document.folder.absolute()),
+                "time": time.time(),
+            }
+        )
+        # What was done before there was a journal.
+        for step in document.history.steps[: max(document.history.position - 1, 0)]:
+            self._append({"do": step.operation.to_json()})
+
+    def _append(self, line: dict[str, Any]) -> None:
+        if self._file is None:
+            return
+        self._file.write(json.dumps(line, allow_nan=False).encode() + b"\n")
+        now = time.monotonic()
+        if now - self._synced >= SYNC_SECONDS and (self._syncing is None or not self._syncing.is_alive()):
+            self._synced = now
+            # A slow disk must not hold up the picture.
+            self._syncing = threading.Thread(target=_sync, args=(self._file.fileno(),), daemon=True)
+            self._syncing.start()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AbandonedJournal:
+    """What a program that did not end well was doing."""
+
+    file: Path
+    scene: Path | None
+    """The file that was open."""
+    recipe: Recipe
+    """The steps that were in force."""
+    time: float
+    """When the first of them was done: seconds since the epoch."""
+
+    def discard(self) -> None:
+        """Removes the file."""
+        with contextlib.suppress(OSError):
+            self.file.unlink()
+
+
+def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
+    """What can be restored, latest first. Those of programs that still run are left out."""
+    found = []
+    for path in folder.glob(f"*{SUFFIX}"):
+        with contextlib.suppress(OSError, InputError, ValueError, KeyError, TypeError):
+            with open(path, "r+b") as file:
+                if not _lock(file):
+                    continue
+                lines = file.read().split(b"\n")
+            found.append(_read(path, lines))
+    found = [journal for journal in found if journal.recipe.steps]
+    return sorted(found, key=lambda journal: journal.time, reverse=True)
+
+
+def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
+    """Raises one of the errors above where `lines` are no journal."""
+    head = json.loads(lines[0])
+    if head[FORMAT] != VERSION:
+        raise ValueError(f"a journal of version {head[FORMAT]}")
+    steps: list[Operation] = []
+    position = 0
+    # What follows the last line break was being written when the program ended.
+    for text in lines[1:-1]:
+        try:
+            line = json.loads(text)
+            if "do" in line:
+                steps = [*steps[:position], operation_from_json(line["do"])]
+                position = len(steps)
+            else:
+                position = min(max(int(line["position"]), 0), len(steps))
+        except (InputError, ValueError, KeyError, TypeError):
+            break  # what came before is whole
+    folder = head["folder"]
+    recipe = Recipe(
+        steps=tuple(steps[:position]),
+        scene=dict(head["scene"]),
+        folder=None if folder is None else Path(folder),
+    )
+    scene = head["path"]
+    return AbandonedJournal(
+        file=path,
+        scene=None if scene is None else Path(scene),
+        recipe=recipe,
+        time=float(head["time"]),
+    )
+
+
+def _sync(descriptor: int) -> None:
+    with contextlib.suppress(OSError):
+        os.fsync(descriptor)
+
+
+def _lock(file: IO[bytes]) -> bool:
+    """Takes the file for this process until it is closed; False where another has it."""
+    if os.name == "nt":
+        import msvcrt
+
+        locking, mode = getattr(msvcrt, "locking"), getattr(msvcrt, "LK_NBLCK")  # noqa: B009
+        at = file.tell()
+        try:
+            file.seek(LOCKED_BYTE)
+            locking(file.fileno(), mode, 1)
+        except OSError:
+            return False
+        finally:
+            file.seek(at)
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
