@@ -83,13 +83,18 @@ class SceneEdits:
 
 def adjusted_means(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
     """Where adjustments put the splats: (N, 3), float64 if any was moved, else the scene's own array."""
-    if not any(adjustment.moves for adjustment in edits.palette):
-        return gaussians.means
-    means = gaussians.means.astype(np.float64)
-    entries = edits.marks >> PALETTE_SHIFT
+    return adjusted_points(gaussians.means, edits.marks, edits.palette)
+
+
+def adjusted_points(means: np.ndarray, marks: np.ndarray, palette: tuple[Adjustment, ...]) -> np.ndarray:
+    """As `adjusted_means`, of some splats' means (n, 3) and their marks (n,)."""
+    if not any(adjustment.moves for adjustment in palette):
+        return means
+    means = means.astype(np.float64)
+    entries = marks >> PALETTE_SHIFT
     with np.errstate(invalid="ignore", over="ignore"):
         for entry in np.unique(entries):
-            adjustment = edits.palette[entry]
+            adjustment = palette[entry]
             if adjustment.moves:
                 chosen = entries == entry
                 means[chosen] = means[chosen] @ adjustment.linear.T + np.array(adjustment.translation)

@@ -10,9 +10,10 @@ import numpy as np
 
 from ...scene.adjustment import ROW, Adjustment, adjustment_rows
 from ...scene.crop import CROP_ROW, Crop, crop_rows
-from ...scene.edits import LOCKED, NOT_SHOWN, PALETTE_SHIFT, PREVIEW, SELECTED, SceneEdits
+from ...scene.edits import LOCKED, NOT_SHOWN, PALETTE_SHIFT, PREVIEW, SELECTED, SceneEdits, adjusted_points
 from .frame import VisualMode
 from .overlay import TINT_COUNT, Overlay
+from .placement import Placement, placement_of, sample_step
 from .texel_array import TEXTURE_WIDTH, TexelArray
 from .view_uniforms import set_uniforms
 
@@ -89,14 +90,13 @@ class EditTextures:
         self._crops = TexelArray(ctx, 4, "f4", "numbers of crops, in fours,")
         self.marks_uploaded = 0
         """How many marks have been sent to the GPU so far."""
-        self._centre = np.zeros(3)
-        self.clear()
+        self.load(placement_of(np.zeros((0, 3))), np.zeros((0, 3)))
 
-    def clear(self, centre: np.ndarray | None = None) -> None:
-        """Forgets all edits: another scene is loaded, whose positions are relative to `centre` (3,)."""
-        for array in (self._marks, self._palette, self._crops):
-            array.release()
-        self._centre = np.zeros(3) if centre is None else centre
+    def load(self, placement: Placement, means: np.ndarray) -> None:
+        """Forgets all edits: another scene is loaded, with splats at `means` (N, 3)."""
+        self.release()
+        self._unedited, self._means = placement, means
+        self._moved: tuple[object, Placement] | None = None
         self._source: np.ndarray | None = None
         self._held = np.zeros(0, np.uint32)
         self._version = 0
@@ -105,8 +105,8 @@ class EditTextures:
         self._held_crops: tuple[Crop, ...] = ()
         self.now = NOT_EDITED
 
-    def update(self, edits: SceneEdits | None, overlay: Overlay | None, splats: int) -> Editing:
-        """Brings the textures up to date with `edits` of a scene of `splats`; no `overlay`: no tints.
+    def update(self, edits: SceneEdits | None, overlay: Overlay | None) -> Editing:
+        """Brings the textures up to date with `edits` of the scene; no `overlay`: no tints.
 
         Raises:
             ValueError: there are not as many marks as splats.
@@ -115,6 +115,7 @@ class EditTextures:
         if edits is None:
             self.now = NOT_EDITED
             return self.now
+        splats = len(self._means)
         if len(edits.marks) != splats:
             raise ValueError(f"{len(edits.marks):,} marks for a scene of {splats:,} splats")
         lights = overlay is not None and bool(overlay.flags & edits.flags)
@@ -122,14 +123,14 @@ class EditTextures:
         if matters or lights:
             self._update_marks(edits)
         if edits.adjusts and edits.palette != self._held_palette:
-            rows = adjustment_rows(edits.palette, self._centre)
+            rows = adjustment_rows(edits.palette, self._unedited.centre)
             # What float32 drops of the translation goes into the row's free columns.
             rows[:, 33:36] = rows[:, 3:12:4] - rows[:, 3:12:4].astype(np.float32)
             _fill(self._palette, rows)
             self._held_palette = edits.palette
         crops = edits.crops_in_force
         if crops and crops != self._held_crops:
-            _fill(self._crops, crop_rows(crops, self._centre))
+            _fill(self._crops, crop_rows(crops, self._unedited.centre))
             self._held_crops = crops
         self.now = Editing(
             hides=edits.hides,
@@ -177,8 +178,23 @@ class EditTextures:
         if now.overlay is not None:
             set_uniforms(program, {"u_tints": tuple(tuple(row) for row in now.overlay.table.tolist())})
 
+    @property
+    def placement(self) -> Placement:
+        """Where the edits have put the scene."""
+        places = self.now.places
+        if places is None or self._source is None:
+            return self._unedited
+        if self._moved is None or self._moved[0] != places:
+            step = sample_step(len(self._means))
+            # Marks may be newer than the palette.
+            marks = np.minimum(self._held[::step], (len(places[0]) << PALETTE_SHIFT) - 1)
+            moved = adjusted_points(self._means[::step], marks, places[0])
+            self._moved = (places, placement_of(moved))
+        return self._moved[1]
+
     def release(self) -> None:
-        self.clear()
+        for array in (self._marks, self._palette, self._crops):
+            array.release()
 
 
 def _fill(array: TexelArray, rows: np.ndarray) -> None:

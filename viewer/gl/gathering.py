@@ -79,7 +79,7 @@ class Gathering:
         program, array = mode_program(self._programs, "quads", mode, edits)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
-            self._draw_ellipsoids(target, scene, projector, program, array)
+            self._draw_ellipsoids(target, scene, projector, program, array, edits)
             return
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
@@ -107,6 +107,7 @@ class Gathering:
         projector: Projector,
         program: moderngl.Program,
         array: moderngl.VertexArray,
+        edits: EditTextures,
     ) -> None:
         framebuffer = target.with_depth()
         framebuffer.use()
@@ -118,7 +119,11 @@ class Gathering:
                 *(page.positions, page.quats, page.scales_opacity),
                 *(projector.colours, projector.depth_keys),
             )
-            place = {"u_page_first": page.first, "u_page_count": page.count, "u_depth_unit": scene.radius}
+            place = {
+                "u_page_first": page.first,
+                "u_page_count": page.count,
+                "u_depth_unit": edits.placement.radius,
+            }
             set_uniforms(program, place)
             array.render(moderngl.TRIANGLES, instances=-(-page.count // QUADS_PER_INSTANCE))
 

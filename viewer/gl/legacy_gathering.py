@@ -71,7 +71,7 @@ class LegacyGathering:
             texture.use(unit)
             set_uniforms(program, {name: unit})
         projection.use(program, len(samplers))
-        set_uniforms(program, {**uniforms, "u_splats": scene.splats, "u_depth_unit": scene.radius})
+        set_uniforms(program, {**uniforms, "u_splats": scene.splats, "u_depth_unit": edits.placement.radius})
         array.render(moderngl.TRIANGLES, instances=-(-scene.splats // QUADS_PER_INSTANCE))
 
     def release(self) -> None:

@@ -97,7 +97,7 @@ class QuadsRenderer:
         if self._scene is not None:
             self._scene.release()
         self._projector.resize(scene.splats)
-        self._edits.clear(scene.centre)
+        self._edits.load(scene.placement, source.means)
         self._scene, self._source = scene, source
         self._projected_key = None
 
@@ -123,14 +123,14 @@ class QuadsRenderer:
             raise RuntimeError("load() comes before draw()")
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
-        editing = self._edits.update(edits, overlay, scene.splats)
+        editing = self._edits.update(edits, overlay)
         projected_key = (*_view_key(camera), settings.model, sh_degree, editing.footprints)
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
         resolved_key = (drawn_key, settings.background)
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
-        uniforms = view_uniforms(camera, settings.model, scene.centre)
+        uniforms = view_uniforms(camera, settings.model, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if projected_key != self._projected_key:
             with self._timers.stage("project"):
@@ -166,7 +166,7 @@ class QuadsRenderer:
                 self._targets.gathered,
                 self._targets.shown,
                 background=settings.background,
-                depths=depth_range(scene, camera),
+                depths=depth_range(self._edits.placement, camera) if mode == "depth" else None,
             )
             self._resolved_key = resolved_key
         previous.use()

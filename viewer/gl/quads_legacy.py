@@ -126,7 +126,7 @@ class LegacyQuadsRenderer:
         self._release_scene()
         self._projection.resize(scene.rows)
         self._order_texels.reserve(scene.splats)
-        self._edits.clear(scene.centre)
+        self._edits.load(scene.placement, source.means)
         self._sorter = SortWorker(source.means)
         self._scene, self._source = scene, source
 
@@ -170,8 +170,8 @@ class LegacyQuadsRenderer:
         overlay: Overlay | None,
     ) -> _Wish:
         """Also uploads what is new of the edits, and asks for the order."""
-        scene, sorter = self._loaded()
-        editing = self._edits.update(edits, overlay, scene.splats)
+        _, sorter = self._loaded()
+        editing = self._edits.update(edits, overlay)
         wish = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
         sorter.request(wish.line)
         return wish
@@ -180,7 +180,7 @@ class LegacyQuadsRenderer:
         if order is self._order and wish.same_picture(self._drawn):
             return
         settings = wish.settings
-        uniforms = view_uniforms(wish.camera, settings.model, scene.centre)
+        uniforms = view_uniforms(wish.camera, settings.model, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if not wish.same_footprints(self._projected):
             with self._timers.stage("project"):
@@ -204,8 +204,7 @@ class LegacyQuadsRenderer:
                 self._targets.gathered,
                 self._targets.shown,
                 background=settings.background,
-                # it reads radius and median, which both kinds of scene have
-                depths=depth_range(scene, wish.camera),  # pyright: ignore[reportArgumentType]
+                depths=depth_range(self._edits.placement, wish.camera) if wish.mode == "depth" else None,
             )
         self._drawn = wish
         self._counters["drawn"] += 1
@@ -312,7 +311,6 @@ class LegacyQuadsRenderer:
         if self._scene is not None:
             self._scene.release()
         self._order_texels.release()
-        self._edits.clear()
         self._sorter = self._scene = self._source = self._order = None
         self._projected = self._drawn = self._wanted = None
 

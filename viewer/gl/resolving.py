@@ -7,8 +7,8 @@ import numpy as np
 
 from ...scene import Camera
 from .frame import VisualMode
+from .placement import Placement
 from .programs import RenderPrograms, load_render_program
-from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .view_uniforms import set_uniforms
 
@@ -16,11 +16,11 @@ DEPTH_SPAN = 1.6
 """Depth colours span so many scene radii (half the splats lie within one) on either side of the median."""
 
 
-def depth_range(scene: SceneBuffers, camera: Camera) -> tuple[float, float]:
+def depth_range(placement: Placement, camera: Camera) -> tuple[float, float]:
     """Depths, world units, of the colour map's ends: from the scene's extent, so that they never jump."""
-    middle = float(camera.forward @ (scene.median - camera.eye))
-    nearest = max(middle - DEPTH_SPAN * scene.radius, 0.0)
-    return nearest, max(middle + DEPTH_SPAN * scene.radius, nearest + scene.radius)
+    middle = float(camera.forward @ (placement.median - camera.eye))
+    nearest = max(middle - DEPTH_SPAN * placement.radius, 0.0)
+    return nearest, max(middle + DEPTH_SPAN * placement.radius, nearest + placement.radius)
 
 
 class Resolving:
@@ -37,14 +37,15 @@ class Resolving:
         shown: ColourTarget,
         *,
         background: tuple[float, float, float],
-        depths: tuple[float, float],
+        depths: tuple[float, float] | None = None,
     ) -> None:
+        """Fills `shown`. `depths` are those of the colour map's ends, for the mode that has one."""
         flags = {"DEPTH": mode == "depth", "OVERDRAW": mode == "overdraw"}
         program, array = self._programs.get("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
-        values = {"u_gathered": 0, "u_background": background, "u_depth_range": depths}
+        values = {"u_gathered": 0, "u_background": background, "u_depth_range": depths or (0.0, 1.0)}
         set_uniforms(program, values)
         array.render(moderngl.TRIANGLES, vertices=3)
 

@@ -11,16 +11,13 @@ import numpy as np
 from ...scene import Gaussians
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
+from .placement import Placement, placement_of
 
 GROUP_SIZE = 256
 """Splats a work group projects; pages are whole groups."""
 
 UPLOAD_SLICE = 65_536
 """Splats prepared and uploaded between two steps of `upload_steps`: a few milliseconds of work."""
-
-FAR_FROM_ORIGIN = 4.0
-"""Positions are stored relative to a centre once it lies this many scene radii from the origin; nearer
-scenes keep their float32 values to the bit."""
 
 BYTES_A_SPLAT = (3 + 4 + 4) * 4
 """Positions, quaternions, scales and opacity; spherical harmonics come on top."""
@@ -47,12 +44,7 @@ class SceneBuffers:
     """All pages of a scene; release it before its context goes."""
 
     splats: int
-    centre: np.ndarray
-    """(3,) float64, world units: what positions are relative to."""
-    radius: float
-    """World units: half the splats lie within it of `median`; for colour ranges, not for culling."""
-    median: np.ndarray
-    """(3,) float64: median of the finite means."""
+    placement: Placement
     sh_degree: int
     """Highest degree with a coefficient that is not zero: higher bands are not uploaded."""
     pages: tuple[Page, ...]
@@ -76,19 +68,6 @@ def degree_in_use(sh: np.ndarray) -> int:
     return 0
 
 
-def centre_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Where positions (N, 3) are stored relative to, their median (both (3,) float64), and their radius."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        sample = means[:: max(1, len(means) // 100_000)].astype(np.float64)
-        sample = sample[np.isfinite(sample).all(axis=1)]
-        if not len(sample):
-            return np.zeros(3), np.zeros(3), 1.0
-        median = np.median(sample, axis=0)
-        radius = float(np.median(np.linalg.norm(sample - median, axis=1)))
-    far = not np.abs(median).max() <= FAR_FROM_ORIGIN * radius
-    return (median if far else np.zeros(3)), median, radius or 1.0
-
-
 def upload_steps(
     ctx: moderngl.Context, gaussians: Gaussians, *, limit: int | None = None
 ) -> Generator[float | SceneBuffers, None, None]:
@@ -99,7 +78,7 @@ def upload_steps(
     n = len(gaussians)
     degree = degree_in_use(gaussians.sh)
     coefficients = SH_COEFFICIENTS[degree]
-    centre, median, radius = centre_of(gaussians.means)
+    placement = placement_of(gaussians.means)
     largest = max(16, coefficients * 12)
     fitting = (limit or storage_limit(ctx)) // largest
     page_size = max(GROUP_SIZE, fitting // GROUP_SIZE * GROUP_SIZE)
@@ -119,17 +98,13 @@ def upload_steps(
             pages.append(page)
             for start in range(first, first + count, UPLOAD_SLICE):
                 part = slice(start, min(start + UPLOAD_SLICE, first + count))
-                _fill(page, gaussians, part, centre, coefficients)
+                _fill(page, gaussians, part, placement.centre, coefficients)
                 yield part.stop / n
         done = True
-        yield SceneBuffers(
-            splats=n, centre=centre, radius=radius, median=median, sh_degree=degree, pages=tuple(pages)
-        )
+        yield SceneBuffers(splats=n, placement=placement, sh_degree=degree, pages=tuple(pages))
     finally:
         if not done:
-            SceneBuffers(
-                splats=n, centre=centre, radius=radius, median=median, sh_degree=degree, pages=tuple(pages)
-            ).release()
+            SceneBuffers(splats=n, placement=placement, sh_degree=degree, pages=tuple(pages)).release()
 
 
 def _fill(page: Page, gaussians: Gaussians, part: slice, centre: np.ndarray, coefficients: int) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 from ...scene import Gaussians, InputError
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
-from .scene_buffers import centre_of, degree_in_use
+from .placement import Placement, placement_of
+from .scene_buffers import degree_in_use
 from .texel_array import TEXTURE_WIDTH, rows_for
 
 ROWS_AT_ONCE = 32
@@ -24,12 +25,7 @@ class SceneTextures:
 
     splats: int
     rows: int
-    centre: np.ndarray
-    """(3,) float64, world units: what positions are relative to."""
-    radius: float
-    """World units: half the splats lie within it of `median`."""
-    median: np.ndarray
-    """(3,) float64: median of the finite means."""
+    placement: Placement
     sh_degree: int
     """Highest degree with a coefficient that is not zero."""
     positions: moderngl.Texture
@@ -73,15 +69,12 @@ def _allocate(ctx: moderngl.Context, gaussians: Gaussians) -> SceneTextures:
     rows = rows_for(ctx, n, f"{n:,} splats")
     degree = degree_in_use(gaussians.sh)
     coefficients = SH_COEFFICIENTS[degree]
-    centre, median, radius = centre_of(gaussians.means)
     size = (TEXTURE_WIDTH, rows)
     try:
         scene = SceneTextures(
             splats=n,
             rows=rows,
-            centre=centre,
-            radius=radius,
-            median=median,
+            placement=placement_of(gaussians.means),
             sh_degree=degree,
             positions=ctx.texture(size, 4, dtype="f4"),
             quats=ctx.texture(size, 4, dtype="f4"),
@@ -104,7 +97,11 @@ def _fill(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int) -> No
     part = slice(row * TEXTURE_WIDTH, (row + rows) * TEXTURE_WIDTH)
     with np.errstate(over="ignore", invalid="ignore"):
         placed = np.concatenate(
-            [gaussians.means[part] - scene.centre, sigmoid(gaussians.opacity_logits[part])[:, None]], axis=1
+            [
+                gaussians.means[part] - scene.placement.centre,
+                sigmoid(gaussians.opacity_logits[part])[:, None],
+            ],
+            axis=1,
         )
         scales = np.exp(gaussians.log_scales[part])
     viewport = (0, row, TEXTURE_WIDTH, rows)

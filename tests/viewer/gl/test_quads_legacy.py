@@ -369,7 +369,8 @@ def test_all_of_this_on_old_opengl(version):
     )
     if answer.stdout.strip() != code:
         pytest.skip(f"this driver does not obey Mesa's version override: {answer.stdout.strip()}")
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", str(Path(__file__))]
+    files = [__file__, str(Path(__file__).with_name("test_edits_drawn.py"))]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files]
     root = Path(__file__).parents[3]
     done = subprocess.run(command, env=env, capture_output=True, text=True, cwd=root, check=False)
     assert done.returncode == 0, done.stdout[-6000:]

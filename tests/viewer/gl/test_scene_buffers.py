@@ -9,8 +9,9 @@ import pytest
 
 from splatview.scene import InputError, RenderSettings, look_at
 from splatview.viewer.gl import quads, scene_buffers
+from splatview.viewer.gl.placement import placement_of
 from splatview.viewer.gl.quads import QuadsRenderer
-from splatview.viewer.gl.scene_buffers import GROUP_SIZE, SceneBuffers, centre_of, degree_in_use, upload_steps
+from splatview.viewer.gl.scene_buffers import GROUP_SIZE, SceneBuffers, degree_in_use, upload_steps
 
 CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)
 
@@ -70,13 +71,14 @@ def test_only_bands_in_use_are_uploaded(ctx, random_gaussians):
 
 def test_positions_are_centred_only_where_that_keeps_digits(random_gaussians):
     means = random_gaussians(500).means
-    assert (centre_of(means)[0] == 0).all()
+    assert (placement_of(means).centre == 0).all()
     far = means.astype(np.float64) + 1e6
-    centre, median, radius = centre_of(far)
+    placement = placement_of(far)
+    centre, median, radius = placement.centre, placement.median, placement.radius
     assert np.allclose(centre, 1e6, atol=1)
     assert np.array_equal(centre, median)
     assert 0.5 < radius < 1
-    assert (centre_of(np.full((3, 3), np.nan))[0] == 0).all()
+    assert (placement_of(np.full((3, 3), np.nan)).centre == 0).all()
 
 
 def test_loading_in_steps_tells_progress_and_can_be_given_up(ctx, random_gaussians, monkeypatch):
