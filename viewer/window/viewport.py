@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from ...scene import InputError
 from .actions import focus_at
 from .core import Core
+from .editing.on_picture import draw_tool, use_tool
 from .keys import held_step
 from .navigation import dolly, look, move, orbit, pan, trackball
 from .picture import scaled_camera
@@ -47,10 +48,12 @@ def show(core: Core) -> None:
     )
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    steer_by_mouse(core, corner, width, height, scale)
+    tool_has_it = use_tool(core, corner, width, height)
+    steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(core)
-    turning = imgui.is_item_active()
+    turning = imgui.is_item_active() and not tool_has_it
     draw_picture(core, corner, width, height)
+    draw_tool(core, corner, width, height)
     if turning and core.preferences.navigation != "fly":
         mark_target(core, corner, width, height)
 
@@ -86,21 +89,24 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     )
 
 
-def steer_by_mouse(core: Core, corner: ImVec2, width: int, height: int, scale: ImVec2) -> None:
-    """Drags that began on the picture, and the wheel and double clicks over it."""
+def steer_by_mouse(
+    core: Core, corner: ImVec2, width: int, height: int, scale: ImVec2, *, left_is_free: bool = True
+) -> None:
+    """Drags that began on the picture, and the wheel and double clicks over it. Where the left button is
+    not free a tool has it."""
     io = imgui.get_io()
     if imgui.is_item_active() and (io.mouse_delta.x or io.mouse_delta.y):
         dx, dy = io.mouse_delta.x, io.mouse_delta.y
         panning = imgui.is_mouse_down(_RIGHT) or imgui.is_mouse_down(_MIDDLE)
         # When flying, Shift is the fast gear of the keys.
-        panning = panning or (io.key_shift and core.preferences.navigation != "fly")
+        panning = panning or (left_is_free and io.key_shift and core.preferences.navigation != "fly")
         if panning:
             core.steer(pan(core.view, dx, dy, height=height))
-        elif imgui.is_mouse_down(_LEFT):
+        elif left_is_free and imgui.is_mouse_down(_LEFT):
             turn(core, io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y, dx, dy, width, height)
     if not imgui.is_item_hovered():
         return
-    if imgui.is_mouse_double_clicked(_LEFT):
+    if left_is_free and imgui.is_mouse_double_clicked(_LEFT):
         x = (io.mouse_pos.x - corner.x) * scale.x
         y = (io.mouse_pos.y - corner.y) * scale.y
         core.post(focus_at, x, y)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, get_args
 
 from ....edit.operations import OPERATIONS
 from ....edit.operations.operation import Operation
-from .desk import Depth, Desk, ToolName
+from .desk import Desk
+from .tool_names import Depth, ToolName
 
 if TYPE_CHECKING:
     from ..core import Core
@@ -66,6 +67,8 @@ def apply_to_selection(core: Core, desk: Desk, operation: Operation) -> None:
 def take_tool(core: Core, desk: Desk, tool: ToolName) -> None:
     """Takes a tool; the one in hand is put back by asking for it again."""
     desk.tool = "none" if desk.tool == tool else tool
+    desk.stroke = None
+    desk.picked.clear()
 
 
 @with_desk

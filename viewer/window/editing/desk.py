@@ -8,19 +8,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from ....edit.document import Document, Planned
 from ....edit.operations.operation import Operation
+from ....edit.selecting.colour import TOLERANCE
 from ....edit.watch import Cancelled, Watch
 from ....scene import Gaussians, InputError
 from ...gl.overlay import Overlay
-
-ToolName = Literal["none", "rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure", "ground"]
-"""What the left mouse button does on the picture; "none" is navigation."""
-
-Depth = Literal["through", "front"]
-Mode = Literal["set", "add", "remove", "intersect"]
+from .measuring import Measured
+from .strokes import Stroke
+from .tool_names import Depth, Place, ToolName
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
@@ -72,6 +70,14 @@ class Desk:
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
     brush_radius: float = BRUSH_RADIUS
+    tolerance: float = TOLERANCE
+    """How much colours may differ, for the magic wand and the eyedropper; Oklab, black to white being 1."""
+    stroke: Stroke | None = None
+    """What is being drawn on the picture."""
+    picked: list[Place] = field(default_factory=list)
+    """Points picked so far, for the tape measure or the ground."""
+    measured: Measured | None = None
+    """What the tape measure said last."""
     job: Job | None = None
     problem: str | None = None
     """A line for the user, taken by the window."""

@@ -1,0 +1,174 @@
+"""The screen tools on the picture: what the mouse does with them, and how they are drawn over it."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
+
+from ....edit.operations import Operation
+from ....scene import Camera, InputError
+from .. import theme
+from ..drawing import point_on_picture
+from . import picks
+from .desk import Desk
+from .strokes import CLICKED, DRAGGED, Stroke, mode_of
+from .tool_names import Mode, ToolName
+
+if TYPE_CHECKING:
+    from ..core import Core
+
+_LEFT = imgui.MouseButton_.left
+
+COLOURS: dict[Mode, tuple[float, float, float]] = {
+    "set": theme.ACCENT,
+    "add": (0.35, 0.8, 0.4),
+    "remove": (0.9, 0.4, 0.35),
+    "intersect": (0.85, 0.7, 0.3),
+}
+"""Of the outline, by what the selection will do."""
+
+
+def use_tool(core: Core, corner: ImVec2, width: int, height: int) -> bool:
+    """Lets the tool in hand have the left button over the picture's item, which was submitted last. Returns
+    whether navigation is to leave that button alone."""
+    desk = core.desk
+    io = imgui.get_io()
+    if desk is None or desk.tool == "none" or (io.key_alt and desk.stroke is None):
+        return False
+    x, y = io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    if desk.tool in DRAGGED:
+        drag(core, desk, mode, x, y, width, height)
+    elif desk.tool == "polygon":
+        outline(core, desk, mode, x, y, width, height)
+    elif desk.tool in CLICKED and imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
+        core.post(_click, desk.tool, mode, core.view.camera(width, height), x, y)
+    return True
+
+
+def _click(core: Core, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+    if core.desk is not None:
+        try:
+            picks.click(core, core.desk, tool, mode, camera, x, y)
+        except InputError as error:
+            core.complain(str(error))
+
+
+def drag(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+    if (
+        imgui.is_item_activated()
+        and imgui.is_mouse_down(_LEFT)
+        and desk.tool in ("rectangle", "lasso", "brush")
+    ):
+        desk.stroke = Stroke(tool=desk.tool, mode=mode, radius=desk.brush_radius)
+    stroke = desk.stroke
+    if stroke is None:
+        return
+    if imgui.is_mouse_down(_LEFT):
+        stroke.to(x, y)
+    else:
+        finish(core, desk, stroke, width, height)
+
+
+def outline(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+    """A polygon, corner by corner: a click on the first one, Enter or a double click closes it."""
+    closed = imgui.is_key_pressed(imgui.Key.enter)
+    if imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
+        if desk.stroke is None:
+            desk.stroke = Stroke(tool="polygon", mode=mode, radius=0)
+        if imgui.is_mouse_double_clicked(_LEFT) or desk.stroke.corner(x, y):
+            closed = True
+    if closed and desk.stroke is not None:
+        finish(core, desk, desk.stroke, width, height)
+
+
+def finish(core: Core, desk: Desk, stroke: Stroke, width: int, height: int) -> None:
+    """Selects what the stroke means; a click with nothing drawn selects nothing."""
+    desk.stroke = None
+    operation = stroke.operation(core.view.camera(width, height), desk.depth)
+    if operation is not None:
+        core.post(_apply, operation)
+
+
+def _apply(core: Core, operation: Operation) -> None:
+    if core.desk is not None:
+        core.desk.apply(operation)
+
+
+def draw_tool(core: Core, corner: ImVec2, width: int, height: int) -> None:
+    """The outline under way, the brush's circle, picked points and the last measured distance."""
+    desk = core.desk
+    if desk is None:
+        return
+    draw = imgui.get_window_draw_list()
+    draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
+    if desk.stroke is not None:
+        draw_stroke(draw, desk.stroke, corner)
+    io = imgui.get_io()
+    if desk.tool == "brush" and imgui.is_item_hovered():
+        mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+        draw.add_circle(io.mouse_pos, desk.brush_radius, colour(mode, 0.9), 0, 1.5)
+    draw_points(core, draw, desk, corner, width, height)
+    draw.pop_clip_rect()
+
+
+def colour(mode: Mode, alpha: float) -> int:
+    return imgui.get_color_u32(ImVec4(*COLOURS[mode], alpha))
+
+
+def draw_stroke(draw: imgui.ImDrawList, stroke: Stroke, corner: ImVec2) -> None:
+    points: list[ImVec2Like] = [ImVec2(corner.x + x, corner.y + y) for x, y in stroke.points]
+    line, fill = colour(stroke.mode, 0.95), colour(stroke.mode, 0.18)
+    if stroke.tool == "rectangle" and len(points) > 1:
+        (x0, y0), (x1, y1) = stroke.points
+        low = ImVec2(corner.x + min(x0, x1), corner.y + min(y0, y1))
+        high = ImVec2(corner.x + max(x0, x1), corner.y + max(y0, y1))
+        draw.add_rect_filled(low, high, fill)
+        draw.add_rect(low, high, line)
+    elif stroke.tool == "brush":
+        draw.add_polyline(points, fill, 2 * stroke.radius, 0)
+        for point in (points[0], points[-1]):
+            draw.add_circle_filled(point, stroke.radius, fill)
+    elif stroke.tool in ("lasso", "polygon"):
+        if stroke.tool == "polygon":
+            points = [*points, imgui.get_io().mouse_pos]
+        if len(points) > 2:
+            draw.add_concave_poly_filled(points, fill)
+        draw.add_polyline(points, line, 1.5, imgui.ImDrawFlags_.closed)
+        for point in points[:-1] if stroke.tool == "polygon" else ():
+            draw.add_circle_filled(point, 3, line)
+
+
+def draw_points(
+    core: Core, draw: imgui.ImDrawList, desk: Desk, corner: ImVec2, width: int, height: int
+) -> None:
+    """Picked points in the scene, and the tape between the two of the last measurement."""
+    camera = core.view.camera(width, height)
+    place = partial(point_on_picture, camera, corner)
+    ink = imgui.get_color_u32(ImVec4(1, 0.9, 0.3, 1))
+    for point in desk.picked:
+        if (at := place(point)) is not None:
+            draw.add_circle(at, 6, ink, 0, 2)
+    measured = desk.measured
+    if measured is None or desk.tool != "measure":
+        return
+    start, end = place(measured.start), place(measured.end)
+    if start is None or end is None:
+        return
+    draw.add_line(start, end, ink, 2)
+    for at in (start, end):
+        draw.add_circle_filled(at, 4, ink)
+    text = f"{measured.length:.4g}"
+    middle = ImVec2((start.x + end.x) / 2, (start.y + end.y) / 2 - imgui.get_font_size() * 1.4)
+    if math.isfinite(middle.x + middle.y):
+        size = imgui.calc_text_size(text)
+        draw.add_rect_filled(
+            ImVec2(middle.x - size.x / 2 - 5, middle.y - 3),
+            ImVec2(middle.x + size.x / 2 + 5, middle.y + size.y + 3),
+            imgui.get_color_u32(ImVec4(0, 0, 0, 0.7)),
+            4,
+        )
+        draw.add_text(ImVec2(middle.x - size.x / 2, middle.y), ink, text)
