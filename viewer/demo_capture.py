@@ -40,7 +40,7 @@ def cached_demo_capture(*, progress: Callable[[float], None] = lambda share: Non
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         for old in cache_folder().glob(f"{PREFIX}*"):
-            if old != folder.parent:
+            if old != folder.parent or not _is_whole(folder):
                 shutil.rmtree(old, ignore_errors=True)
         with tempfile.TemporaryDirectory(dir=cache_folder(), prefix=".demo-") as made:
             save_capture(capture, Path(made) / "demo")
