@@ -11,6 +11,7 @@ from PIL import Image
 from ..measure.metrics import psnr, ssim
 from ..raster import Parameters, Workspace, draw_frame
 from ..scene import RenderSettings
+from .exposure import fitted_by_halves
 from .shots import Shot
 
 DIFFERENCE_GAIN = 4
@@ -46,16 +47,21 @@ def evaluate(
     settings: RenderSettings,
     *,
     threads: int | None = None,
+    exposures_differ: bool = False,
     on_picture: Callable[[Shot, np.ndarray], None] | None = None,
 ) -> Evaluation:
     """Draws every photo's view and measures it; pixels that a mask leaves out count as equal.
 
+    `exposures_differ`: measure each half of a picture at the exposure that fits the other half, see
+    `exposure`; else pictures are measured as they are.
     `on_picture` receives each photo and its picture (H, W, 3), float32, not clipped.
     """
     workspace = Workspace()
     scores = []
     for shot in shots:
         picture = draw_frame(parameters, shot.camera, settings, workspace, threads=threads).image[..., :3]
+        if exposures_differ:
+            picture = fitted_by_halves(picture, shot)
         if on_picture is not None:
             on_picture(shot, picture)
         truth = shot.pixels.astype(np.float32) / 255

@@ -68,6 +68,8 @@ class TrainSettings:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
+    exposure: Literal["auto", "on", "off"] = "auto"
+    """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
     coarse: tuple[tuple[float, int], ...] = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order."""
 

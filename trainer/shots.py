@@ -86,6 +86,12 @@ class Shots:
         """[name, width, height] of every photo."""
         return [[shot.camera.name, shot.camera.width, shot.camera.height] for shot in self._sizes[1]]
 
+    def sized(self, factor: int) -> list[Shot]:
+        """All photos, smaller by a factor."""
+        if factor not in self._sizes:
+            self._sizes = {1: self._sizes[1], factor: [shot.smaller(factor) for shot in self._sizes[1]]}
+        return self._sizes[factor]
+
     def at(self, iteration: int, factor: int = 1) -> Shot:
         """The photo of a step: every photo once, in an order drawn anew, then every photo once more."""
         epoch, place = divmod(iteration, len(self))
@@ -93,6 +99,4 @@ class Shots:
             # From seed and epoch alone, so that a resumed run goes on with the same photos.
             self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
             self._epoch = epoch
-        if factor not in self._sizes:
-            self._sizes = {1: self._sizes[1], factor: [shot.smaller(factor) for shot in self._sizes[1]]}
-        return self._sizes[factor][self._order[place]]
+        return self.sized(factor)[self._order[place]]

@@ -27,13 +27,14 @@ from ..scene.crop import Crop, cropped_in
 from .adam import Pull, adam_step
 from .density import ClassicControl
 from .distributed import Alone, BatchSum, Group
+from .exposure import Exposures
 from .loss import photo_loss
 from .mcmc import SampledControl
 from .settings import TrainSettings
 from .shots import Shot, Shots
 from .splats import Splats, fresh
 
-KEPT = ("seed", "strategy", "background", "model")
+KEPT = ("seed", "strategy", "background", "model", "exposure")
 """Settings that a run keeps from its first step to its last."""
 
 
@@ -112,6 +113,7 @@ class Trainer:
         else:
             self.control = ClassicControl(settings, self.extent)
         self.control.begin(len(self.splats))
+        self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
         self._workspace = Workspace()
         self.render_settings = RenderSettings(
             model=settings.model, background=settings.background, blend="float32"
@@ -183,6 +185,14 @@ class Trainer:
         progress = self.progress
         self.splats = self.splats.with_sh_degree(max(settings.sh_degree_at(progress), self.splats.sh_degree))
         splats = self.splats
+        if self.exposures.is_due(progress):
+            self.exposures.decide(
+                splats.parameters,
+                self.shots.sized(settings.shrink_at(progress)),
+                self.render_settings,
+                self._workspace,
+                self.threads,
+            )
         gradients, seen, loss = self._look(progress)
 
         counters.iteration += 1
@@ -193,6 +203,8 @@ class Trainer:
             if settings.strategy == "mcmc":
                 pull = Pull(settings.opacity_pull, settings.scale_pull / self.extent)
             adam_step(splats, gradients, moved, rates, counters.iteration, pull=pull, threads=self.threads)
+        if self.exposures.is_on:
+            self.exposures.step(progress, settings.batch)
         with self.clock.stage("density"):
             self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
             if progress < settings.refine_until and self._refinement_is_due(progress):
@@ -223,6 +235,8 @@ class Trainer:
             for total, old in zip(totals, before, strict=True):
                 total[:] = old  # should another process be gone, this step has not happened
             group.add_up(noted)
+            if self.exposures.is_on:
+                group.add_up([self.exposures.gradients])
             result = batch.means(settings.batch, group, self.threads)
             for total, new in zip(totals, noted, strict=True):
                 total += new
@@ -234,15 +248,20 @@ class Trainer:
         frame = draw_frame(
             splats.parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
         )
+        image, exposures = frame.image, self.exposures
         with self.clock.stage("loss"):
+            if exposures.is_on:
+                image = exposures.applied(image, shot, self._workspace)
             compared = photo_loss(
-                frame.image,
+                image,
                 shot.pixels,
                 self._workspace,
                 mask=shot.mask,
                 ssim_weight=self.settings.ssim_weight,
                 threads=self.threads,
             )
+            if exposures.is_on:
+                exposures.differentiate(frame.image, compared.d_image, shot)
         gradients = differentiate(splats.parameters, frame, compared.d_image)
         for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
             self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
