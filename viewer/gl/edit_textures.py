@@ -23,6 +23,9 @@ FIRST_UNIT = 8
 CAN_TINT: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids")
 """Modes that show the splats' colours."""
 
+SLICE = 65_536
+"""Marks compared at once, so that they stay in the caches."""
+
 ONLY_LIT_UP = SELECTED | LOCKED | PREVIEW
 """Flags that change nothing but tints."""
 
@@ -152,7 +155,7 @@ class EditTextures:
             run = edits.changed_since(self._version) or run
         start, stop = run
         new = edits.marks[start:stop]
-        changed = int(np.bitwise_or.reduce(new ^ self._held[start:stop], initial=0))
+        changed = _difference(new, self._held[start:stop])
         if changed:
             self._held[start:stop] = new
             self._marks.write(self._held[start:stop], start)
@@ -195,6 +198,15 @@ class EditTextures:
     def release(self) -> None:
         for array in (self._marks, self._palette, self._crops):
             array.release()
+
+
+def _difference(new: np.ndarray, old: np.ndarray) -> int:
+    """Bits in which some mark differs."""
+    bits = 0
+    for start in range(0, len(new), SLICE):
+        part = slice(start, start + SLICE)
+        bits |= int(np.bitwise_or.reduce(new[part] ^ old[part]))
+    return bits
 
 
 def _fill(array: TexelArray, rows: np.ndarray) -> None:

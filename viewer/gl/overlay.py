@@ -19,8 +19,8 @@ Tint = tuple[float, float, float, float]
 class Overlay:
     """Tints of marked splats; a strength of 0 leaves them as they are. Of several marks the first counts."""
 
-    preview: Tint = (1.0, 0.08, 0.05, 0.75)
-    selected: Tint = (1.0, 0.72, 0.05, 0.65)
+    preview: Tint = (1.0, 0.08, 0.05, 0.7)
+    selected: Tint = (1.0, 0.72, 0.05, 0.55)
     locked: Tint = (0.12, 0.2, 0.4, 0.6)
 
     @property
