@@ -32,7 +32,7 @@ class RecordingPicture:
     name = "recording"
     modes = ("splats", "points", "ellipsoids", "depth", "overdraw")
     busy = False
-    status = ""
+    status = note = ""
     texture: Any = None
     stats: Any = None
     threads: int | None = None
@@ -112,10 +112,16 @@ def display() -> Iterator[str]:
 
 @pytest.fixture
 def drive(display, tmp_path) -> Callable[..., dict[str, Any]]:
-    """`drive("name", *paths, **options)`: runs a function of `drives.py` on a real window in a process of
-    its own and returns what it found out."""
+    """`drive("name", *paths, **options)`: runs a function of `drives.py`, or of another `script` here, on a
+    real window in a process of its own and returns what it found out."""
 
-    def run(name: str, *paths: Path, environ: dict[str, str] | None = None, **options: Any) -> dict[str, Any]:
+    def run(
+        name: str,
+        *paths: Path,
+        script: str = "drives.py",
+        environ: dict[str, str] | None = None,
+        **options: Any,
+    ) -> dict[str, Any]:
         result = tmp_path / f"{name}.json"
         environment = dict(
             os.environ,
@@ -127,7 +133,7 @@ def drive(display, tmp_path) -> Callable[..., dict[str, Any]]:
         environment.pop("WAYLAND_DISPLAY", None)
         command = [
             sys.executable,
-            str(Path(__file__).with_name("drives.py")),
+            str(Path(__file__).with_name(script)),
             name,
             str(result),
             json.dumps(options),

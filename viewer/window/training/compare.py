@@ -55,19 +55,19 @@ def tools(core: Core, training: Training) -> None:
     """Which photo, its score, and how strongly differences are shown."""
     index = training.photo_index
     widgets.button(
-        f"{icons.ICON_FA_CHEVRON_LEFT}##previous",
+        f"{icons.ICON_FA_CHEVRON_LEFT}###previous",
         "Previous photo",
         partial(core.post, actions.compare_photo, index - 1),
     )
     imgui.same_line()
     widgets.button(
-        f"{icons.ICON_FA_CHEVRON_RIGHT}##next",
+        f"{icons.ICON_FA_CHEVRON_RIGHT}###next",
         "Next photo",
         partial(core.post, actions.compare_photo, index + 1),
     )
     imgui.same_line()
     widgets.button(
-        f"{icons.ICON_FA_VIDEO}  Go there",
+        f"{icons.ICON_FA_VIDEO}  Go there###go",
         "Looks from where this photo was taken",
         partial(core.post, actions.go_to_photo, index),
     )

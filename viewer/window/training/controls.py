@@ -182,13 +182,13 @@ def shares(core: Core, training: Training) -> None:
 
 def keep(core: Core, training: Training, status: Status) -> None:
     widgets.button(
-        f"{icons.ICON_FA_FILE_EXPORT}  Export .ply...",
+        f"{icons.ICON_FA_FILE_EXPORT}  Export .ply...###export",
         "Writes the scene as it stands, for any viewer.",
         partial(core.post, actions.export),
     )
     imgui.same_line()
     widgets.button(
-        f"{icons.ICON_FA_FLOPPY_DISK}  Checkpoint",
+        f"{icons.ICON_FA_FLOPPY_DISK}  Checkpoint###checkpoint",
         f"Writes {training.thread.outputs.checkpoint}, from which --resume goes on bit for bit. "
         "It is also written every minute.",
         partial(core.post, actions.save_checkpoint),
