@@ -13,7 +13,7 @@ import secrets
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from ..scene import Gaussians, InputError
 from ..scene.files import save_scene
+from ..scene.gaussians import SH_COEFFICIENTS
 from .checkpoint import save_checkpoint
 from .distributed import PeerLost
 from .evaluate import Evaluation, evaluate, side_by_side
@@ -294,13 +295,20 @@ class Session:
         Raises:
             InputError: it could not be saved where it should; the message says where it is.
         """
-        scene = self.trainer.snapshot()
+        scene = _with_all_bands(self.trainer.snapshot(), self.trainer.settings.sh_degree)
         try:
             save_scene(scene, self.outputs.scene)
         except InputError as error:
             refuge = _saved_elsewhere(scene)
             where = "nor elsewhere" if refuge is None else f"the trained scene is saved as {refuge}"
             raise InputError(f"{error}; {where}") from None
+
+
+def _with_all_bands(scene: Gaussians, degree: int) -> Gaussians:
+    """The same with coefficients up to `degree`, also of bands not unlocked yet: the viewers that came with
+    the first trainer read files of a fixed layout."""
+    missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
+    return replace(scene, sh=np.pad(scene.sh, ((0, 0), (0, max(missing, 0)), (0, 0))))
 
 
 def _saved_elsewhere(scene: Gaussians) -> Path | None:

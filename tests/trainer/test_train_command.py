@@ -54,6 +54,31 @@ def test_a_run_writes_scene_metrics_table_and_pictures(capture_folder: Path, tmp
     np.testing.assert_array_equal(picture[:, 96:], np.minimum(difference, 255))
 
 
+@pytest.mark.parametrize("iterations", ["3", "60"])
+def test_scenes_are_in_the_layout_that_other_viewers_read(
+    capture_folder: Path, tmp_path: Path, iterations: str
+) -> None:
+    """62 floats a splat in the order of Kerbl et al. 2023's code, however short the run was."""
+    output = tmp_path / "toy.ply"
+    assert train(capture_folder, output, "--iterations", iterations) == 0
+    header, _, body = output.read_bytes().partition(b"end_header\n")
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
+    names += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    rows = np.frombuffer(body, "<f4").reshape(-1, 62)
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines += [f"property float {name}" for name in names]
+    assert [line for line in header.decode("ascii").splitlines() if line[:7] != "comment"] == lines
+    scene = load_scene(output)
+    assert scene.sh_degree == 3 and len(scene) == len(rows)
+    of = dict(zip(names, rows.T, strict=True))
+    np.testing.assert_array_equal(scene.means[:, 1], of["y"])
+    np.testing.assert_array_equal(scene.sh[:, 0, 2], of["f_dc_2"])
+    np.testing.assert_array_equal(scene.sh[:, 4, 1], of["f_rest_18"])  # channel by channel, 15 each
+    np.testing.assert_array_equal(scene.opacity_logits, of["opacity"])
+    np.testing.assert_array_equal(scene.quats[:, 0], of["rot_0"])
+    assert np.isfinite(rows).all() and not rows[:, 3:6].any()
+
+
 def test_equal_seeds_give_equal_files(capture_folder: Path, tmp_path: Path) -> None:
     scenes = []
     for name, seed in (("a", "4"), ("b", "4"), ("c", "5")):
