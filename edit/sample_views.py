@@ -18,7 +18,7 @@ SIZE = 512
 FOV = 50.0
 """Degrees."""
 
-LOWEST, HIGHEST = -20.0, 60.0
+LOWEST, HIGHEST = -5.0, 65.0
 """Degrees above the horizon between which the eyes are: few look at a scene from below."""
 
 GOLDEN_TURN = math.pi * (3 - math.sqrt(5))
