@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,14 @@ class LoadedScene:
     """World units, > 0: outliers left out."""
     settings: RenderSettings
     """What the scene itself calls for; the background apart."""
+
+    @cached_property
+    def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Least and greatest x, y, z of all finite centres, world units. Kept: a panel asks in every frame."""
+        means = self.gaussians.means
+        means = means[np.isfinite(means).all(axis=1)]
+        return (means.min(axis=0), means.max(axis=0)) if len(means) else None
+
     seconds: float
     """How long loading took."""
 

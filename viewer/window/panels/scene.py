@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from .. import theme
@@ -27,9 +26,8 @@ def show(core: Core) -> None:
         "SH degree", str(gaussians.sh_degree), "Highest band of view-dependent colour that is stored."
     )
     widgets.fact("In memory", f"{gaussians.nbytes / 2**20:,.1f} MiB", "All arrays of the scene.")
-    means = gaussians.means[np.isfinite(gaussians.means).all(axis=1)]
-    if len(means):
-        low, high = (", ".join(f"{v:.4g}" for v in side(axis=0)) for side in (means.min, means.max))
+    if scene.extent is not None:
+        low, high = (", ".join(f"{v:.4g}" for v in side) for side in scene.extent)
         widgets.fact("From", low, "Least x, y, z of all finite centres, world units.")
         widgets.fact("To", high, "Greatest x, y, z of all finite centres, world units.")
     widgets.fact(
