@@ -2,9 +2,9 @@
 
 Coordinates are those of the plane one unit in front of the eye: u = x/z, v = y/z; the pixel is
 (fx·u' + cx, fy·v' + cy) with (u', v') = distort(u, v). The models and the order of their parameters are
-COLMAP's (its documentation, "Camera Models"); the formulas are those of Brown (1966), of Kannala and
-Brandt (2006) for fisheyes, of Devernay and Faugeras (2001) for FOV, and of Weng et al. (1992) for thin
-prisms.
+COLMAP's (its documentation, "Camera Models"), but for RADIAL4 (k1 k2 k3 k4 p1 p2), which nerfstudio and
+Metashape use. The formulas are those of Brown (1966), of Kannala and Brandt (2006) for fisheyes, of
+Devernay and Faugeras (2001) for FOV, and of Weng et al. (1992) for thin prisms.
 """
 
 from __future__ import annotations
@@ -123,6 +123,10 @@ def _opencv(points: Points, k) -> Points:
     return _brown(points, _series(_rr(points), k[:2]), k[2], k[3])
 
 
+def _radial4(points: Points, k) -> Points:
+    return _brown(points, _series(_rr(points), k[:4]), k[4], k[5])
+
+
 def _full_opencv(points: Points, k) -> Points:
     k1, k2, p1, p2, k3, k4, k5, k6 = k
     rr = _rr(points)
@@ -178,6 +182,7 @@ _MODELS: dict[str, Callable[[Points, tuple[float, ...]], Points]] = {
     "OPENCV": _opencv,
     "OPENCV_FISHEYE": _fisheye,
     "FULL_OPENCV": _full_opencv,
+    "RADIAL4": _radial4,
     "FOV": _fov,
     "SIMPLE_RADIAL_FISHEYE": _fisheye,
     "RADIAL_FISHEYE": _fisheye,

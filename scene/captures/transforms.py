@@ -152,17 +152,17 @@ def _lens(values: Mapping[str, Any], where: str, photo: Path) -> ColmapCamera:
     fy = _focal(values, "y", height, where)
     if fx is None and fy is None:
         raise InputError(f"{where}: has neither fl_x nor camera_angle_x; the focal length is unknown")
-    names = ("k1", "k2", "k3", "k4", "p1", "p2")
-    k1, k2, k3, k4, p1, p2 = (_optional(values, name, 0.0, where) for name in names)
+    names = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+    k1, k2, k3, k4, k5, k6, p1, p2 = (_optional(values, name, 0.0, where) for name in names)
     kind = str(values.get("camera_model") or "").upper()
     if kind in FISHEYE or values.get("is_fisheye") is True:
         model, distortion = "OPENCV_FISHEYE", (k1, k2, k3, k4)
     elif kind not in PERSPECTIVE:
         raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; undistort the photos")
-    elif k4:
-        raise InputError(f"{where}: k4 is for fisheyes only; fit the lens with k1, k2, k3, p1, p2")
+    elif kind == "FULL_OPENCV":
+        model, distortion = kind, (k1, k2, p1, p2, k3, k4, k5, k6)
     else:
-        model, distortion = "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
+        model, distortion = "RADIAL4", (k1, k2, k3, k4, p1, p2)
     if not all(map(math.isfinite, distortion)):
         raise InputError(f"{where}: the distortion must be finite numbers")
     return ColmapCamera(

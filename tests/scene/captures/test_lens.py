@@ -18,6 +18,7 @@ SIZES = {
     "OPENCV": 4,
     "OPENCV_FISHEYE": 4,
     "FULL_OPENCV": 8,
+    "RADIAL4": 6,
     "FOV": 1,
     "SIMPLE_RADIAL_FISHEYE": 1,
     "RADIAL_FISHEYE": 2,
@@ -89,6 +90,18 @@ THETA = np.arctan(R)
             tuple(
                 x * (1 + 0.1 * RR + 0.2 * RR**2 + 0.3 * RR**3) / (1 + 0.04 * RR + 0.05 * RR**2 + 0.06 * RR**3)
                 for x in (U, V)
+            ),
+        ),
+        (
+            "RADIAL4",
+            [0.1, 0.2, 0.3, 0.4, 0.01, 0.02],
+            (
+                U * (1 + 0.1 * RR + 0.2 * RR**2 + 0.3 * RR**3 + 0.4 * RR**4)
+                + 2 * 0.01 * U * V
+                + 0.02 * (RR + 2 * U * U),
+                V * (1 + 0.1 * RR + 0.2 * RR**2 + 0.3 * RR**3 + 0.4 * RR**4)
+                + 2 * 0.02 * U * V
+                + 0.01 * (RR + 2 * V * V),
             ),
         ),
         (

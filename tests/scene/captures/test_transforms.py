@@ -114,6 +114,44 @@ def test_distortion_changes_the_photos(tmp_path, frames, photos, transforms, pix
     assert not np.array_equal(image, pixels_of(0))
 
 
+FISHEYE = {"k1": 0.05, "k2": -0.02, "k3": 0.01, "k4": -0.003}
+BROWN = {"k1": 0.08, "k2": -0.05, "k3": 0.03, "k4": -0.02, "p1": 0.01, "p2": -0.02}
+
+
+@pytest.mark.parametrize(
+    ("lens", "is_fisheye"),
+    [
+        ({"camera_model": "OPENCV_FISHEYE", **FISHEYE}, True),
+        ({"is_fisheye": True, **FISHEYE}, True),
+        ({"camera_model": "OPENCV", **BROWN}, False),
+        (BROWN, False),
+    ],
+)
+def test_every_coefficient_has_its_place(tmp_path, frames, png, transforms, lens, is_fisheye):
+    """The undistorted photo shows at each pixel what the lens had put elsewhere, by the formulas."""
+    x, y = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
+    places = np.stack([x * 6, y * 8, np.zeros_like(x)], axis=-1).astype(np.uint8)
+    for i in range(9):
+        png(tmp_path / f"images/{i}.png", places)
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS, **lens)
+    photo = load_capture(tmp_path).photos[1]
+    u, v = (x - 19.5) / 36.2, (y - 15.5) / 36.3
+    r = np.hypot(u, v)
+    angle = np.arctan(r) if is_fisheye else r
+    radial = 1 + sum(lens[f"k{i}"] * angle ** (2 * i) for i in range(1, 5))
+    radial *= angle / np.maximum(r, 1e-12)
+    p1, p2 = lens.get("p1", 0.0), lens.get("p2", 0.0)
+    seen_x = 36.2 * (u * radial + 2 * p1 * u * v + p2 * (r * r + 2 * u * u)) + 19.5
+    seen_y = 36.3 * (v * radial + 2 * p2 * u * v + p1 * (r * r + 2 * v * v)) + 15.5
+    mask = photo.mask()
+    used = np.ones_like(x, bool) if mask is None else mask
+    assert used.mean() > 0.7
+    # Levels are rounded when stored and again when read: 1.5 levels are a fifth of a pixel.
+    np.testing.assert_allclose(photo.image()[used][:, 0], seen_x[used] * 6, atol=1.5)
+    np.testing.assert_allclose(photo.image()[used][:, 1], seen_y[used] * 8, atol=1.5)
+    assert np.abs(seen_x - x).max() > 0.5
+
+
 def test_size_and_focal_length_where_the_file_does_not_say(tmp_path, frames, photos, transforms):
     transforms(tmp_path / "transforms.json", frames, camera_angle_x=0.8, camera_angle_y=0.6)
     camera = load_capture(tmp_path).photos[0].camera
