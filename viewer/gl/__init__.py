@@ -9,13 +9,12 @@ import moderngl
 from .frame import FrameStats, VisualMode
 
 if TYPE_CHECKING:
-    from .quads import QuadsRenderer
-    from .quads_legacy import LegacyQuadsRenderer
+    from .renderer import Renderer
 
 __all__ = ["FrameStats", "VisualMode", "make_renderer"]
 
 
-def make_renderer(ctx: moderngl.Context) -> QuadsRenderer | LegacyQuadsRenderer:
+def make_renderer(ctx: moderngl.Context) -> Renderer:
     """The `quads` renderer for `ctx`: in compute shaders from GL 4.3 on, else its GL 3.3 twin.
 
     Raises:

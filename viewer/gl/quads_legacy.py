@@ -10,7 +10,7 @@ test. On llvmpipe frames took 0.83 to 1.13 times as long, depending on the scene
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import moderngl
@@ -18,17 +18,16 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
-from .edit_textures import Editing, EditTextures
-from .frame import FrameStats, VisualMode
+from .edit_textures import Editing
+from .frame import VisualMode
 from .legacy_gathering import LegacyGathering
 from .overlay import Overlay
 from .projection_pass import ProjectionPass
-from .resolving import Resolving, depth_range, float16_blending_truncates
+from .renderer import Renderer
+from .resolving import depth_range
 from .scene_textures import SceneTextures, upload_steps
 from .sort_worker import DepthOrder, SortWorker, ViewLine
-from .targets import PictureTargets
 from .texel_array import TexelArray
-from .timers import StageTimers
 from .view_uniforms import Uniform, view_uniforms
 
 OLDEST = 330
@@ -65,8 +64,11 @@ class _Wish:
         return other is not None and self.camera.same_view(other.camera) and self._picture == other._picture
 
 
-class LegacyQuadsRenderer:
-    """Draws scenes by `image_model` into its own texture; the interface of `QuadsRenderer`, and its pictures.
+class LegacyQuadsRenderer(Renderer):
+    """The `Renderer` for OpenGL 3.3, with the pictures of `QuadsRenderer`.
+
+    `draw` never waits for an order: until the first one of a scene is there, it shows the background. `read`
+    waits.
 
     Raises:
         InputError: the context is older than OpenGL 3.3.
@@ -79,43 +81,21 @@ class LegacyQuadsRenderer:
             raise InputError(
                 f"OpenGL {ctx.version_code / 100:.1f} is too old, 3.3 is needed: use --renderer cpu"
             )
-        self._ctx = ctx
-        self._edits = EditTextures(ctx)
-        self._timers = StageTimers(ctx)
+        super().__init__(ctx)
         self._projection = ProjectionPass(ctx)
         self._scene: SceneTextures | None = None
-        self._source: Gaussians | None = None
         self._sorter: SortWorker | None = None
         self._order_texels = TexelArray(ctx, 1, "u4", "splats")
         self._order: DepthOrder | None = None
         """What `_order_texels` holds."""
         self._gathering = LegacyGathering(ctx)
-        self._resolving = Resolving(ctx)
-        self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._projected: _Wish | None = None
         self._drawn: _Wish | None = None
         self._wanted: _Wish | None = None
-        self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
     # ---- loading
 
-    def load(self, gaussians: Gaussians) -> None:
-        """Replaces the scene, all at once.
-
-        Raises:
-            InputError: the scene does not fit into the driver's textures or memory.
-        """
-        for _ in self.load_steps(gaussians):
-            pass
-
-    def load_steps(self, gaussians: Gaussians) -> Iterator[float]:
-        """Replaces the scene in steps of a few milliseconds: yields the share done after each.
-
-        The scene shown so far stays until the last step; closing the generator early leaves it so.
-
-        Raises:
-            InputError: as `load`.
-        """
+    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
         for step in upload_steps(self._ctx, gaussians):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)
@@ -141,40 +121,30 @@ class LegacyQuadsRenderer:
         edits: SceneEdits | None = None,
         overlay: Overlay | None = None,
     ) -> None:
-        """Brings `framebuffer` up to date as far as the order is known; never waits for an order.
-
-        Does nothing where scene, camera, settings, mode, edits and order are those of the last call. Until
-        the first order of a scene is there, the picture is the background. `edits` of the scene that is
-        loaded are shown; `overlay` lights up what they mark.
-
-        Raises:
-            RuntimeError: no scene was loaded.
-            ValueError: the edits are another scene's.
-            InputError: they do not fit into the driver's textures.
-        """
-        self._wanted = wish = self._wish(camera, settings, mode, edits, overlay)
+        self._ask(camera, settings, mode=mode, edits=edits, overlay=overlay)
         scene, sorter = self._loaded()
-        self._draw(wish, scene, sorter.newest())
+        if self._wanted is not None:
+            self._draw(self._wanted, scene, sorter.newest())
 
     def _loaded(self) -> tuple[SceneTextures, SortWorker]:
         if self._scene is None or self._sorter is None:
             raise RuntimeError("load() comes before draw()")
         return self._scene, self._sorter
 
-    def _wish(
+    def _ask(
         self,
         camera: Camera,
         settings: RenderSettings,
+        *,
         mode: VisualMode,
         edits: SceneEdits | None,
         overlay: Overlay | None,
-    ) -> _Wish:
-        """Also uploads what is new of the edits, and asks for the order."""
+    ) -> None:
+        # For `render` this is all: to draw would be to draw in the order of an earlier view first.
         _, sorter = self._loaded()
         editing = self._edits.update(edits, overlay)
-        wish = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
-        sorter.request(wish.line)
-        return wish
+        self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
+        sorter.request(self._wanted.line)
 
     def _draw(self, wish: _Wish, scene: SceneTextures, order: DepthOrder | None) -> None:
         if order is self._order and wish.same_picture(self._drawn):
@@ -239,71 +209,27 @@ class LegacyQuadsRenderer:
     # ---- results
 
     @property
-    def framebuffer(self) -> moderngl.Framebuffer:
-        """The picture drawn last; its row 0 is the picture's top row."""
-        return self._targets.shown.framebuffer
-
-    @property
-    def texture(self) -> moderngl.Texture:
-        """RGBA over the background, alpha = 1 - T, of the settings' `blend` precision."""
-        return self._targets.shown.texture
-
-    @property
     def busy(self) -> bool:
-        """Whether another `draw` of the same view can give a better picture, now or soon."""
         if self._sorter is None:
             return False
         return self._sorter.busy or self._sorter.newest() is not self._order
 
     def read(self) -> np.ndarray:
-        """The picture asked for last, in its exact order: (H, W, 4) float32, row 0 on top. Waits for it."""
         if self._wanted is None:
             raise RuntimeError("draw() comes first")
         scene, sorter = self._loaded()
         self._draw(self._wanted, scene, sorter.wait())
         return self._targets.shown.read()
 
-    def render(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        settings: RenderSettings | None = None,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
-    ) -> np.ndarray:
-        """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
-        if gaussians is not self._source:
-            self.load(gaussians)
-        # Not by draw(): it would first draw a picture in the order of an earlier view.
-        self._wanted = self._wish(camera, settings or RenderSettings(), mode, edits, overlay)
-        return self.read()
-
-    @property
-    def stats(self) -> FrameStats:
-        """Times are of a frame a few back; "sort" is the thread's. Counting visible splats waits for the
-        projection of the last frame, which has long been drawn when the next one asks."""
-        return FrameStats(
-            splats=self._scene.splats if self._scene else 0,
-            visible=self._projection.read_visible(),
-            ms=dict(self._timers.latest),
-            **self._counters,
-        )
-
-    def finished_stats(self) -> FrameStats:
-        """As `stats`, of the very last frame: waits for the GPU. For benchmarks and headless renders."""
-        self._timers.finish()
-        return self.stats
+    def _visible(self) -> int:
+        # Waits for the projection of the last frame, which has long been drawn when the next one asks.
+        return self._projection.read_visible()
 
     def release(self) -> None:
-        """Ends the sort thread and gives back all GPU memory; the renderer is of no use afterwards."""
-        self._release_scene()
-        self._targets.release()
-        self._edits.release()
+        self._release_scene()  # ends the sort thread
+        super().release()
         self._projection.release()
         self._gathering.release()
-        self._resolving.release()
 
     def _release_scene(self) -> None:
         if self._sorter is not None:

@@ -1,0 +1,147 @@
+"""What both renderers of quads have in common: their interface, and where their pictures lie."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator
+
+import moderngl
+import numpy as np
+
+from ...scene import Camera, Gaussians, RenderSettings
+from ...scene.edits import SceneEdits
+from .edit_textures import EditTextures
+from .frame import FrameStats, VisualMode
+from .overlay import Overlay
+from .resolving import Resolving, float16_blending_truncates
+from .targets import PictureTargets
+from .timers import StageTimers
+
+
+class Renderer(ABC):
+    """Draws scenes by `image_model` into its own texture.
+
+    Nothing is projected, sorted or drawn again while scene, camera, settings, mode and edits stay the same.
+    """
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._timers = StageTimers(ctx)
+        self._edits = EditTextures(ctx)
+        self._resolving = Resolving(ctx)
+        self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
+        self._source: Gaussians | None = None
+        """The scene that is loaded."""
+        self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
+
+    def load(self, gaussians: Gaussians) -> None:
+        """Replaces the scene, all at once.
+
+        Raises:
+            InputError: the scene does not fit into the GPU's memory, buffers or textures.
+        """
+        for _ in self.load_steps(gaussians):
+            pass
+
+    @abstractmethod
+    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
+        """Replaces the scene in steps of a few milliseconds: yields the share done after each.
+
+        The scene shown so far stays until the last step; closing the generator early leaves it so.
+
+        Raises:
+            InputError: as `load`.
+        """
+
+    @abstractmethod
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        """Brings `framebuffer` up to date; does nothing where it is.
+
+        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark. What is only lit
+        up otherwise, as a new selection is, costs no projection and no sort.
+
+        Raises:
+            RuntimeError: no scene was loaded.
+            ValueError: the edits are another scene's.
+            InputError: they do not fit into the driver's textures.
+        """
+
+    @abstractmethod
+    def read(self) -> np.ndarray:
+        """The picture asked for last: (H, W, 4) float32, row 0 on top. Waits for it."""
+
+    def render(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        settings: RenderSettings | None = None,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> np.ndarray:
+        """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
+        if gaussians is not self._source:
+            self.load(gaussians)
+        self._ask(camera, settings or RenderSettings(), mode=mode, edits=edits, overlay=overlay)
+        return self.read()
+
+    def _ask(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode,
+        edits: SceneEdits | None,
+        overlay: Overlay | None,
+    ) -> None:
+        """Makes this the picture that `read` gives."""
+        self.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
+
+    @property
+    def framebuffer(self) -> moderngl.Framebuffer:
+        """The picture drawn last; its row 0 is the picture's top row."""
+        return self._targets.shown.framebuffer
+
+    @property
+    def texture(self) -> moderngl.Texture:
+        """RGBA over the background, alpha = 1 - T, of the settings' `blend` precision."""
+        return self._targets.shown.texture
+
+    @property
+    def busy(self) -> bool:
+        """Whether another `draw` of the same view can give a better picture, now or soon."""
+        return False
+
+    @property
+    def stats(self) -> FrameStats:
+        """Of a recent frame; for drawing, as it waits for nothing."""
+        return FrameStats(
+            splats=len(self._source) if self._source is not None else 0,
+            visible=self._visible(),
+            ms=dict(self._timers.latest),
+            **self._counters,
+        )
+
+    @abstractmethod
+    def _visible(self) -> int:
+        """Splats that were visible in a recent frame."""
+
+    def finished_stats(self) -> FrameStats:
+        """As `stats`, of the very last frame: waits for the GPU. For benchmarks and headless renders."""
+        self._timers.finish()
+        return self.stats
+
+    def release(self) -> None:
+        """Gives back all GPU memory; the renderer is of no use afterwards."""
+        self._targets.release()
+        self._edits.release()
+        self._resolving.release()
