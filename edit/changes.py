@@ -16,6 +16,7 @@ import numpy as np
 from ..scene import Gaussians
 from ..scene.adjustment import Adjustment
 from ..scene.crop import Crop
+from ..scene.edits import PALETTE_SHIFT
 from .loops import marks as kernels
 from .runs import SplatSet
 from .state import State
@@ -43,16 +44,26 @@ class Toggle:
     bits: int
 
     def apply(self, state: State) -> None:
-        runs = self.splats.runs
-        if len(runs):
-            kernels.toggle(state.marks, runs, self.bits)
-            state.marks_changed(int(runs[0, 0]), int(runs[-1].sum()))
+        if len(self.splats):
+            self.splats.toggle(state.marks, self.bits)
+            state.marks_changed(*self.splats.span)
 
     revert = apply
 
     @property
     def nbytes(self) -> int:
         return self.splats.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class SplatEntries:
+    """The palette entry of each splat of a set, in the smallest type that holds them."""
+
+    values: np.ndarray
+
+
+Reentry = int | np.ndarray | SplatEntries
+"""How marks come to name other entries: by bits to flip, by a lookup (P,) uint32, or one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,42 +74,39 @@ class Readjust:
     before: tuple[Adjustment, ...]
     after: tuple[Adjustment, ...]
     """The palettes."""
-    lookup: np.ndarray
-    """(len(before),) uint32: the entry of `after` for each of `before`."""
-    back: np.ndarray | SplatEntries
-    """The reverse; where two entries became one, those that the splats had."""
+    there: Reentry
+    back: Reentry
 
     def apply(self, state: State) -> None:
-        self._write(state, self.lookup)
+        self._write(state, self.there)
         state.set_palette(self.after)
 
     def revert(self, state: State) -> None:
         self._write(state, self.back)
         state.set_palette(self.before)
 
-    def _write(self, state: State, entries: np.ndarray | SplatEntries) -> None:
-        if isinstance(entries, np.ndarray) and np.array_equal(entries, np.arange(len(entries))):
-            return  # the palette alone says it
-        runs = self.splats.runs
-        if isinstance(entries, SplatEntries):
-            kernels.put_entries(state.marks, runs, entries.values)
+    def _write(self, state: State, entries: Reentry) -> None:
+        if isinstance(entries, int):
+            if entries == 0:
+                return  # the palette alone says it
+            self.splats.toggle(state.marks, entries)
+        elif isinstance(entries, SplatEntries):
+            mask = self.splats.mask
+            flags = state.marks[mask] & np.uint32((1 << PALETTE_SHIFT) - 1)
+            state.marks[mask] = flags | entries.values.astype(np.uint32) << np.uint32(PALETTE_SHIFT)
         else:
-            kernels.remap(state.marks, runs, entries)
-        if len(runs):
-            state.marks_changed(int(runs[0, 0]), int(runs[-1].sum()))
+            kernels.remap(state.marks, self.splats.mask, entries)
+        state.marks_changed(*self.splats.span)
 
     @property
     def nbytes(self) -> int:
         new = len(set(self.after) - set(self.before))
-        back = self.back if isinstance(self.back, np.ndarray) else self.back.values
-        return self.splats.nbytes + self.lookup.nbytes + back.nbytes + new * ADJUSTMENT_BYTES
-
-
-@dataclass(frozen=True, eq=False)
-class SplatEntries:
-    """The palette entry of each splat of a set, in the smallest type that holds them."""
-
-    values: np.ndarray
+        stored = sum(
+            entries.nbytes if isinstance(entries, np.ndarray) else entries.values.nbytes
+            for entries in (self.there, self.back)
+            if not isinstance(entries, int)
+        )
+        return self.splats.nbytes + stored + new * ADJUSTMENT_BYTES
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from .fingerprint import fingerprint
 from .history import History, Step
 from .json_form import to_json
 from .loops import marks as kernels
+from .loops.pieces import in_pieces
 from .operations.operation import Operation
 from .runs import SplatSet
 from .state import State
@@ -195,7 +196,14 @@ class Document:
         rows = crop_rows(self.crops if crops is None else crops)
         if not len(rows):
             return np.zeros(0, bool)
-        return kernels.cropped_in(self.gaussians.means, self.marks, adjustment_rows(self.palette), rows, only)
+        means, marks, palette = self.gaussians.means, self.marks, adjustment_rows(self.palette)
+        kept = np.empty(len(marks), bool)
+
+        def work(start: int, stop: int) -> None:
+            kernels.cropped_in(start, stop, means, marks, palette, rows, only, kept)
+
+        in_pieces(len(marks), work)
+        return kept
 
     def splats(self, care: int, value: int) -> SplatSet:
         """Those whose flags within `care` are exactly `value`."""

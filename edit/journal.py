@@ -49,8 +49,8 @@ class Journal:
         self._syncing: threading.Thread | None = None
         document.listeners.append(self._listen)
 
-    def close(self) -> None:
-        """The document has been closed in good order: nothing is left to restore."""
+    def close(self, *, keep: bool = False) -> None:
+        """The document has been closed in good order: nothing is left to restore, unless `keep`."""
         with contextlib.suppress(ValueError):
             self._document.listeners.remove(self._listen)
         file, self._file = self._file, None
@@ -59,8 +59,9 @@ class Journal:
         if file is not None and self._path is not None:
             with contextlib.suppress(OSError):
                 file.close()
-            with contextlib.suppress(OSError):
-                self._path.unlink()
+            if not keep:
+                with contextlib.suppress(OSError):
+                    self._path.unlink()
 
     def _listen(self, event: Event, step: Step) -> None:
         if event == "apply":

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..scene import InputError
 from ..scene.adjustment import IDENTITY, Adjustment
-from ..scene.edits import MOST_ADJUSTMENTS
+from ..scene.edits import MOST_ADJUSTMENTS, PALETTE_SHIFT
 from .changes import Readjust, SplatEntries
 from .loops import marks as kernels
 from .runs import SplatSet
@@ -22,10 +22,11 @@ def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
     Raises:
         InputError: the adjustments together leave the range of numbers.
     """
-    runs, before = splats.runs, state.palette
+    before = state.palette
     # Deleted splats count: undoing brings them back with what they had.
-    usage = kernels.entry_usage(state.marks, len(before))
-    moved = kernels.entry_usage_in(state.marks, runs, len(before))
+    usage, moved = np.array([[len(state.marks)], [len(splats)]])
+    if len(before) > 1:
+        usage, moved = kernels.entry_usage(state.marks, splats.mask, len(before))
     staying = usage > moved
     staying[0] = True
     after = [entry if stays else IDENTITY for entry, stays in zip(before, staying, strict=True)]
@@ -61,7 +62,12 @@ def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
         after.pop()
     if len(after) > MOST_ADJUSTMENTS:
         raise InputError(f"the scene has {MOST_ADJUSTMENTS:,} differently edited groups of splats; no more")
-    return Readjust(splats, before, tuple(after), lookup, _back(state, splats, moved, lookup, len(after)))
+    sources = np.flatnonzero(moved)
+    if len(sources) == 1:
+        bits = int(sources[0] ^ lookup[sources[0]]) << PALETTE_SHIFT
+        return Readjust(splats, before, tuple(after), bits, bits)
+    back = _back(state, splats, sources, lookup, len(after))
+    return Readjust(splats, before, tuple(after), lookup, back)
 
 
 def _then(first: Adjustment, later: Adjustment) -> Adjustment:
@@ -73,15 +79,13 @@ def _then(first: Adjustment, later: Adjustment) -> Adjustment:
 
 
 def _back(
-    state: State, splats: SplatSet, moved: np.ndarray, lookup: np.ndarray, entries: int
+    state: State, splats: SplatSet, sources: np.ndarray, lookup: np.ndarray, entries: int
 ) -> np.ndarray | SplatEntries:
-    """What undoes `lookup`: an array if it tells apart all entries that are `moved`."""
-    sources = np.flatnonzero(moved)
+    """What undoes `lookup` of the entries `sources`: an array if none of them become one."""
     targets = lookup[sources]
     if len(set(targets.tolist())) == len(targets):
         back = np.arange(entries, dtype=np.uint32)
         back[targets] = sources
         return back
-    values = np.empty(len(splats), np.min_scalar_type(len(lookup)))
-    kernels.take_entries(state.marks, splats.runs, values)
-    return SplatEntries(values)
+    values = state.marks[splats.mask] >> np.uint32(PALETTE_SHIFT)
+    return SplatEntries(values.astype(np.min_scalar_type(len(lookup))))

@@ -21,33 +21,29 @@ class SplatSet:
     """N."""
     count: int
     """How many are in the set."""
+    span: tuple[int, int]
+    """(start, stop) that holds all of it; (0, 0) if it is empty."""
     stored: np.ndarray
     """(R, 2) int32 start and count, or (ceil(N / 8),) uint8 bits, lowest first."""
 
     @classmethod
-    def of_runs(cls, runs: np.ndarray, size: int) -> SplatSet:
-        """`runs` (R, 2) int32, ascending and apart."""
-        count = int(runs[:, 1].sum(dtype=np.int64))
-        if runs.nbytes <= (size + 7) // 8:
-            return cls(size, count, runs)
-        mask = np.zeros(size, bool)
-        kernels.fill_mask(runs, mask)
-        return cls(size, count, np.packbits(mask, bitorder="little"))
-
-    @classmethod
     def of_mask(cls, mask: np.ndarray) -> SplatSet:
         """`mask` (N,) bool."""
-        return cls.of_runs(kernels.mask_runs(np.ascontiguousarray(mask, bool)), len(mask))
+        mask = np.ascontiguousarray(mask, bool)
+        size, count = len(mask), int(np.count_nonzero(mask))
+        if not count:
+            return cls(size, 0, (0, 0), np.empty((0, 2), np.int32))
+        runs = int(np.count_nonzero(mask[1:] > mask[:-1])) + int(mask[0])
+        stop = size - int(mask[::-1].argmax())
+        span = (int(mask.argmax()), stop)
+        if 8 * runs <= (size + 7) // 8:
+            return cls(size, count, span, kernels.mask_runs(mask, runs))
+        return cls(size, count, span, np.packbits(mask, bitorder="little"))
 
     @classmethod
     def of_flags(cls, marks: np.ndarray, care: int, value: int) -> SplatSet:
         """Those whose flags within `care` are exactly `value`."""
-        return cls.of_runs(kernels.flag_runs(marks, care, value), len(marks))
-
-    @property
-    def runs(self) -> np.ndarray:
-        """(R, 2) int32."""
-        return self.stored if self.stored.ndim == 2 else kernels.mask_runs(self.mask)
+        return cls.of_mask(kernels.flag_mask(marks, care, value))
 
     @property
     def mask(self) -> np.ndarray:
@@ -63,11 +59,12 @@ class SplatSet:
         """(count,) int64, ascending."""
         return np.flatnonzero(self.mask)
 
-    @property
-    def span(self) -> tuple[int, int]:
-        """(start, stop) that holds all of it; (0, 0) if it is empty."""
-        runs = self.runs
-        return (int(runs[0, 0]), int(runs[-1].sum())) if len(runs) else (0, 0)
+    def toggle(self, marks: np.ndarray, bits: int) -> None:
+        """Flips `bits` of the set's `marks` (N,) uint32, in place."""
+        if self.stored.ndim == 1:
+            kernels.toggle_mask(marks, self.mask, bits)
+        else:
+            kernels.toggle_runs(marks, self.stored, bits)
 
     @property
     def nbytes(self) -> int:

@@ -9,62 +9,40 @@ import numpy as np
 
 from .compiling import kernel
 
-FLAG_BITS = 15
-"""The state flags that editing is about: selected, hidden, deleted, locked."""
-
 SHIFT = 8
 """`scene.edits.PALETTE_SHIFT`, as a constant that the compiler sees."""
 
 
 @kernel
-def mask_runs(mask: np.ndarray) -> np.ndarray:
-    """The runs of True in `mask` (N,) bool."""
-    n = len(mask)
-    count = 0
-    before = False
-    for i in range(n):
-        count += mask[i] and not before
-        before = mask[i]
+def mask_runs(mask: np.ndarray, count: int) -> np.ndarray:
+    """The runs of True in `mask` (N,) bool, of which there are `count`."""
     runs = np.empty((count, 2), np.int32)
-    at = -1
+    at = 0
+    start = 0
     before = False
-    for i in range(n):
-        if mask[i]:
-            if not before:
+    for i in range(len(mask)):
+        if mask[i] != before:
+            before = mask[i]
+            if before:
+                start = i
+            else:
+                runs[at, 0] = start
+                runs[at, 1] = i - start
                 at += 1
-                runs[at, 0] = i
-                runs[at, 1] = 0
-            runs[at, 1] += 1
-        before = mask[i]
+    if before:
+        runs[at, 0] = start
+        runs[at, 1] = len(mask) - start
     return runs
 
 
 @kernel
-def flag_runs(marks: np.ndarray, care: int, value: int) -> np.ndarray:
-    """The runs of splats whose flags within `care` are exactly `value`."""
-    n = len(marks)
+def flag_mask(marks: np.ndarray, care: int, value: int) -> np.ndarray:
+    """Which splats' flags within `care` are exactly `value`: (N,) bool."""
+    mask = np.empty(len(marks), np.bool_)
     care_bits, wanted = np.uint32(care), np.uint32(value)
-    count = 0
-    before = False
-    for i in range(n):
-        now = (marks[i] & care_bits) == wanted
-        count += now and not before
-        before = now
-    runs = np.empty((count, 2), np.int32)
-    at = -1
-    before = False
-    if count == 0:
-        return runs
-    for i in range(n):
-        now = (marks[i] & care_bits) == wanted
-        if now:
-            if not before:
-                at += 1
-                runs[at, 0] = i
-                runs[at, 1] = 0
-            runs[at, 1] += 1
-        before = now
-    return runs
+    for i in range(len(marks)):
+        mask[i] = (marks[i] & care_bits) == wanted
+    return mask
 
 
 @kernel
@@ -76,12 +54,31 @@ def fill_mask(runs: np.ndarray, mask: np.ndarray) -> None:
 
 
 @kernel
-def toggle(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
+def toggle_runs(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
     """Flips `bits` in the runs: twice is as if never."""
     flipped = np.uint32(bits)
     for r in range(len(runs)):
-        for i in range(runs[r, 0], runs[r, 0] + runs[r, 1]):
-            marks[i] ^= flipped
+        run = marks[runs[r, 0] : runs[r, 0] + runs[r, 1]]
+        for i in range(len(run)):
+            run[i] ^= flipped
+
+
+@kernel
+def toggle_mask(marks: np.ndarray, mask: np.ndarray, bits: int) -> None:
+    """As `toggle_runs`, where `mask` (N,) bool is true; without a branch, for scattered splats."""
+    flipped = np.uint32(bits)
+    for i in range(len(marks)):
+        marks[i] ^= flipped * np.uint32(mask[i])
+
+
+@kernel
+def remap(marks: np.ndarray, mask: np.ndarray, lookup: np.ndarray) -> None:
+    """Where `mask` (N,) bool is true, entry e of the palette becomes lookup[e] (uint32)."""
+    for i in range(len(marks)):
+        mark = marks[i]
+        entry = mark >> np.uint32(SHIFT)
+        flip = (entry ^ lookup[entry]) << np.uint32(SHIFT)
+        marks[i] = mark ^ (flip * np.uint32(mask[i]))
 
 
 @kernel
@@ -105,101 +102,64 @@ def flag_counts(marks: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def entry_usage(marks: np.ndarray, entries: int) -> np.ndarray:
-    """(entries,) int64: how many marks name each entry of the palette."""
-    usage = np.zeros(entries, np.int64)
+def entry_usage(marks: np.ndarray, mask: np.ndarray, entries: int) -> np.ndarray:
+    """(2, entries) int64: how many marks name each entry of the palette; in all, and where `mask` (N,) is
+    true."""
+    # Four tables take turns: a count need not wait for the one before it.
+    counts = np.zeros((4, entries, 2), np.int64)
     for i in range(len(marks)):
-        usage[marks[i] >> np.uint32(SHIFT)] += 1
-    return usage
+        counts[i & 3, marks[i] >> np.uint32(SHIFT), np.int64(mask[i])] += 1
+    outside, inside = np.zeros(entries, np.int64), np.zeros(entries, np.int64)
+    for table in range(4):
+        outside += counts[table, :, 0]
+        inside += counts[table, :, 1]
+    return np.stack((outside + inside, inside))
 
 
 @kernel
-def entry_usage_in(marks: np.ndarray, runs: np.ndarray, entries: int) -> np.ndarray:
-    """As `entry_usage`, of the marks in the runs."""
-    usage = np.zeros(entries, np.int64)
-    for r in range(len(runs)):
-        for i in range(runs[r, 0], runs[r, 0] + runs[r, 1]):
-            usage[marks[i] >> np.uint32(SHIFT)] += 1
-    return usage
-
-
-@kernel
-def remap(marks: np.ndarray, runs: np.ndarray, lookup: np.ndarray) -> None:
-    """In the runs, entry e of the palette becomes lookup[e] (uint32)."""
-    for r in range(len(runs)):
-        for i in range(runs[r, 0], runs[r, 0] + runs[r, 1]):
-            flags = marks[i] & np.uint32(255)
-            marks[i] = flags | (lookup[marks[i] >> np.uint32(SHIFT)] << np.uint32(SHIFT))
-
-
-@kernel
-def take_entries(marks: np.ndarray, runs: np.ndarray, out: np.ndarray) -> None:
-    """The entries of the marks in the runs, one after the other, into `out`, any unsigned type."""
-    at = 0
-    for r in range(len(runs)):
-        for i in range(runs[r, 0], runs[r, 0] + runs[r, 1]):
-            out[at] = marks[i] >> np.uint32(SHIFT)
-            at += 1
-
-
-@kernel
-def put_entries(marks: np.ndarray, runs: np.ndarray, values: np.ndarray) -> None:
-    """The reverse of `take_entries`."""
-    at = 0
-    for r in range(len(runs)):
-        for i in range(runs[r, 0], runs[r, 0] + runs[r, 1]):
-            flags = marks[i] & np.uint32(255)
-            marks[i] = flags | (np.uint32(values[at]) << np.uint32(SHIFT))
-            at += 1
-
-
-@kernel
-def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray, mode: int) -> np.ndarray:
+def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray, table: int) -> np.ndarray:
     """Which splats change between selected and not: (N,) bool.
 
-    `wanted` (N,) bool; `visible` (N,) bool, or of length 0 where no crop is in force. Mode 0 selects just
-    what is wanted, 1 adds it, 2 removes it, 3 leaves of the selection what is wanted, 4 swaps it.
-    Only what is neither hidden, deleted, locked nor cropped away becomes selected.
+    `wanted` and `visible` (N,) bool: what is meant, and what the crops leave. A splat that is meant,
+    visible and neither hidden, deleted nor locked is a hit; bit 2·selected + hit of `table` says whether
+    it is selected afterwards.
     """
     changed = np.empty(len(marks), np.bool_)
-    cropped = len(visible) > 0
+    # Of a splat that was not selected (hit), and of one that was (missed, hit): whether that changes.
+    if_new, if_missed, if_hit = bool(table & 2), not table & 4, not table & 8
     for i in range(len(marks)):
-        flags = marks[i] & np.uint32(FLAG_BITS)
-        selected = (flags & np.uint32(1)) != 0
-        hit = wanted[i] and (flags & np.uint32(14)) == 0
-        if cropped:
-            hit = hit and visible[i]
-        if mode == 0:
-            now = hit
-        elif mode == 1:
-            now = selected or hit
-        elif mode == 2:
-            now = selected and not hit
-        elif mode == 3:
-            now = selected and hit
-        else:
-            now = selected != hit
-        changed[i] = now != selected
+        mark = marks[i]
+        selected = (mark & np.uint32(1)) != 0
+        hit = wanted[i] & visible[i] & ((mark & np.uint32(14)) == 0)
+        missed = selected & (not hit)
+        changed[i] = (missed & if_missed) | (hit & selected & if_hit) | (hit & (not selected) & if_new)
     return changed
 
 
 @kernel
 def cropped_in(
-    means: np.ndarray, marks: np.ndarray, palette: np.ndarray, crops: np.ndarray, only: int
-) -> np.ndarray:
-    """Which splats the crops leave, where the palette puts them: (N,) bool, as `scene.crop.cropped_in`.
+    start: int,
+    stop: int,
+    means: np.ndarray,
+    marks: np.ndarray,
+    palette: np.ndarray,
+    crops: np.ndarray,
+    only: int,
+    kept: np.ndarray,
+) -> None:
+    """kept[start:stop] (N,) bool: which splats the crops leave, where the palette puts them, as
+    `scene.crop.cropped_in`.
 
     `palette`: `adjustment_rows`; `crops`: `crop_rows`, both about the origin. Splats without any flag in
     `only` (0: all count) are not looked at and stay.
     """
-    n = len(means)
-    kept = np.ones(n, np.bool_)
     any_inside = False
     for c in range(len(crops)):
         any_inside = any_inside or crops[c, 13] == 1
     looked_at = np.uint32(only)
-    for i in range(n):
+    for i in range(start, stop):
         if only != 0 and (marks[i] & looked_at) == 0:
+            kept[i] = True
             continue
         x, y, z = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
         entry = marks[i] >> np.uint32(SHIFT)
@@ -217,16 +177,14 @@ def cropped_in(
             u = row[0] * x + row[1] * y + row[2] * z + row[3]
             v = row[4] * x + row[5] * y + row[6] * z + row[7]
             w = row[8] * x + row[9] * y + row[10] * z + row[11]
-            if row[12] == 1:
-                contains = u * u + v * v + w * w <= 1
-            else:
-                contains = abs(u) <= 1 and abs(v) <= 1 and abs(w) <= 1
-            if row[13] == 1:
-                inside_one = inside_one or contains
-            elif contains:
-                outside_all = False
-        kept[i] = inside_one and outside_all
-    return kept
+            # Without shortcuts, whose branches nobody could foresee.
+            in_box = (abs(u) <= 1) & (abs(v) <= 1) & (abs(w) <= 1)
+            in_ball = u * u + v * v + w * w <= 1
+            contains = in_ball if row[12] == 1 else in_box
+            keeps_inside = row[13] == 1
+            inside_one |= contains & keeps_inside
+            outside_all &= not (contains & (not keeps_inside))
+        kept[i] = inside_one & outside_all
 
 
 @kernel

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Mode = Literal["set", "add", "remove", "intersect"]
 
-MODES: dict[str, int] = {"set": 0, "add": 1, "remove": 2, "intersect": 3}
-INVERT = 4
-"""As `kernels.selection_change` counts them."""
+MODES: dict[str, int] = {"set": 0b1010, "add": 0b1110, "remove": 0b0100, "intersect": 0b1000}
+INVERT = 0b0110
+"""Outcomes for what is selected and hit, selected, hit, neither: see `kernels.selection_change`."""
 
 VERBS = {"set": "Select", "add": "Add", "remove": "Deselect", "intersect": "Keep selected"}
 
@@ -117,7 +117,10 @@ class SelectInverse(Operation):
 
 def selection(document: Document, wanted: np.ndarray, mode: int, title: str) -> Change:
     """The change to the selection by `wanted` (N,) bool."""
+    wanted = np.ascontiguousarray(wanted, bool)
     visible = document.cropped_in()
+    if not len(visible):
+        visible = wanted
     changed = SplatSet.of_mask(kernels.selection_change(document.marks, wanted, visible, mode))
     return Change(
         title=f"{title}: {splats_in_words(len(changed))}",

@@ -78,7 +78,7 @@ def run(arguments: list[str]) -> int:
         scene = exported(document)
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None
-    if not args.dry_run:
+    if args.output is not None and not args.dry_run:
         _write(scene, args.output, parts)
     summary = {"scene": args.scene, "count": len(gaussians), "kept": len(scene), "steps": steps}
     if args.json:

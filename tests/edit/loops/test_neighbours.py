@@ -49,9 +49,8 @@ def test_nearest_is_the_nearest(points, k):
     assert (there == np.isfinite(expected)).all()
     rows, columns = np.nonzero(there)
     np.testing.assert_allclose(apart[rows, indices[there]], distances[rows, columns], rtol=1e-12)
-    assert all(
-        len(set(row[row >= 0])) == (row >= 0).sum() for row in indices.tolist() for row in [np.array(row)]
-    )
+    for row, present in zip(indices, there, strict=True):
+        assert len(set(row[present].tolist())) == present.sum()
 
 
 @settings(max_examples=80, deadline=None)
