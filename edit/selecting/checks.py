@@ -6,6 +6,13 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+
+def store(selector: object, **values: Any) -> None:
+    """Sets fields of a frozen dataclass that is being made: numbers become floats, lists tuples."""
+    for name, value in values.items():
+        object.__setattr__(selector, name, value)
+
+
 MOST_POINTS = 1 << 20
 """Of a polygon or a stroke; a day of drawing makes fewer."""
 

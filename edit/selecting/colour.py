@@ -18,7 +18,7 @@ from ..loops.pieces import in_pieces
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
 from .adjusted import base_colours
-from .checks import at_least, vector
+from .checks import at_least, store, vector
 
 TOLERANCE = 0.08
 """A shade of a colour, to the eye; black to white is 1."""
@@ -34,8 +34,7 @@ class SimilarColour:
     """At least 0: distance in Oklab, black to white being 1."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rgb", vector("rgb", self.rgb))
-        at_least("tolerance", self.tolerance, 0)
+        store(self, rgb=vector("rgb", self.rgb), tolerance=at_least("tolerance", self.tolerance, 0))
 
     def mask(
         self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED

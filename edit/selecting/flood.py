@@ -13,7 +13,7 @@ from ..loops.places import positions_of
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
 from .adjusted import base_colours
-from .checks import above_zero, at_least, whole
+from .checks import above_zero, at_least, store, whole
 from .colour import TOLERANCE, similar
 from .spacing import typical_spacing
 
@@ -40,10 +40,10 @@ class Flood:
 
     def __post_init__(self) -> None:
         whole("seed", self.seed, 0)
-        at_least("tolerance", self.tolerance, 0)
+        store(self, tolerance=at_least("tolerance", self.tolerance, 0))
         for name in ("reach", "limit"):
             if getattr(self, name) is not None:
-                above_zero(name, getattr(self, name))
+                store(self, **{name: above_zero(name, getattr(self, name))})
 
     def mask(
         self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED

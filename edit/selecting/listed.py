@@ -12,7 +12,7 @@ from ...scene.edits import SceneEdits
 from ...scene.health import check
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
-from .checks import choice, whole
+from .checks import choice, store, whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class IndexRuns:
             if not isinstance(run, (list, tuple)) or len(run) != 2:
                 raise ValueError(f"runs[{i}] must be [start, count], got {run!r}")
             runs.append((whole(f"runs[{i}] start", run[0], 0), whole(f"runs[{i}] count", run[1], 0)))
-        object.__setattr__(self, "runs", tuple(runs))
+        store(self, runs=tuple(runs))
 
     @classmethod
     def of(cls, mask: np.ndarray) -> IndexRuns:

@@ -16,7 +16,7 @@ from ..loops.places import places_of, project_places, view_of
 from ..loops.regions import in_polygon, in_rectangle, in_stroke, make_polygon, make_stroke
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
-from .checks import above_zero, choice, finite, pixels
+from .checks import above_zero, choice, finite, pixels, store
 
 DEPTHS = ("through", "front")
 
@@ -95,7 +95,7 @@ class Rectangle(ScreenRegion):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("x0", "y0", "x1", "y1"):
-            finite(name, getattr(self, name))
+            store(self, **{name: finite(name, getattr(self, name))})
 
     def region(self) -> tuple[Bounds, Inside]:
         (left, right), (top, bottom) = sorted((self.x0, self.x1)), sorted((self.y0, self.y1))
@@ -114,7 +114,7 @@ class Polygon(ScreenRegion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "points", pixels("points", self.points, 3))
+        store(self, points=pixels("points", self.points, 3))
 
     def region(self) -> tuple[Bounds, Inside]:
         polygon = make_polygon(np.array(self.points))
@@ -139,13 +139,12 @@ class Brush(ScreenRegion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "points", pixels("points", self.points, 1))
-        above_zero("radius", self.radius)
+        store(self, points=pixels("points", self.points, 1), radius=above_zero("radius", self.radius))
 
     def region(self) -> tuple[Bounds, Inside]:
-        stroke = make_stroke(np.array(self.points), float(self.radius))
+        stroke = make_stroke(np.array(self.points), self.radius)
         left, top, right, bottom = _bounds(stroke.points)
-        r = float(self.radius)
+        r = self.radius
         bounds = (left - r, top - r, right + r, bottom + r)
         return bounds, lambda points, inside: in_stroke(points, stroke, inside)
 

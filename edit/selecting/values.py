@@ -13,7 +13,7 @@ from ..loops.pieces import in_pieces
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
 from .attributes import ATTRIBUTES, attribute_values
-from .checks import choice, finite, vector
+from .checks import choice, finite, store, vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +33,14 @@ class AttributeRange:
 
     def __post_init__(self) -> None:
         choice("attribute", self.attribute, ATTRIBUTES)
-        low = -np.inf if self.low is None else finite("low", self.low)
-        high = np.inf if self.high is None else finite("high", self.high)
-        if not low <= high:
+        low = None if self.low is None else finite("low", self.low)
+        high = None if self.high is None else finite("high", self.high)
+        if low is not None and high is not None and not low <= high:
             raise ValueError(f"low must not be above high, got {self.low} and {self.high}")
-        object.__setattr__(self, "point", vector("point", self.point))
+        store(self, low=low, high=high, point=vector("point", self.point))
         if not all(isinstance(camera, Camera) for camera in self.cameras):
             raise ValueError("cameras must be a list of cameras")
-        object.__setattr__(self, "cameras", tuple(self.cameras))
+        store(self, cameras=tuple(self.cameras))
 
     def mask(
         self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
@@ -55,8 +55,8 @@ class AttributeRange:
 
     def of(self, values: np.ndarray) -> np.ndarray:
         """As `mask`, where the `values` (N,) float32 are known already: while a range is being dragged."""
-        low = -np.inf if self.low is None else float(self.low)
-        high = np.inf if self.high is None else float(self.high)
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
         mask = np.empty(len(values), bool)
         in_pieces(len(values), lambda start, stop: within_range(start, stop, values, low, high, mask))
         return mask

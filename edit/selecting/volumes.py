@@ -14,7 +14,7 @@ from ..loops.pieces import in_pieces
 from ..loops.places import in_volume, places_of
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
-from .checks import above_zero, numbers, vector
+from .checks import above_zero, numbers, store, vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,14 +27,12 @@ class Sphere:
     """Above 0, world units."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", vector("centre", self.centre))
-        above_zero("radius", self.radius)
+        store(self, centre=vector("centre", self.centre), radius=above_zero("radius", self.radius))
 
     @property
     def shape(self) -> Crop:
         """The same as a crop, for drawing it and for cropping by it."""
-        radius = float(self.radius)
-        return Crop(shape="sphere", centre=self.centre, half_extents=(radius, radius, radius))
+        return Crop(shape="sphere", centre=self.centre, half_extents=(self.radius, self.radius, self.radius))
 
     def mask(
         self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
@@ -54,9 +52,12 @@ class Box:
     """wxyz of length 1, from its own axes to the world's."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", vector("centre", self.centre))
-        object.__setattr__(self, "half_extents", vector("half_extents", self.half_extents))
-        object.__setattr__(self, "rotation", numbers("rotation", self.rotation, 4))
+        store(
+            self,
+            centre=vector("centre", self.centre),
+            half_extents=vector("half_extents", self.half_extents),
+            rotation=numbers("rotation", self.rotation, 4),
+        )
         _ = self.shape  # which checks the rest
 
     @property
