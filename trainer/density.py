@@ -33,8 +33,8 @@ class Thresholds:
 
     gradient: float = 2e-4
     """Mean norm of dL/d(mean in the image), the image being 2 wide and 2 high."""
-    absolute_gradient: bool = False
-    """Whether that gradient is added up over pixels by absolute value."""
+    absolute_gradient: float = 4e-4
+    """The same where gradients are added up over pixels by absolute value (Ye et al. 2024)."""
     scale: float = 0.01
     """Times the extent: splats larger than this are split, others cloned."""
     opacity: float = 0.005
@@ -90,7 +90,7 @@ class ClassicControl:
 
     def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
         """Takes note of one step."""
-        source = gradients.abs_means2d if self.thresholds.absolute_gradient else gradients.means2d
+        source = gradients.abs_means2d if self.settings.absolute_gradient else gradients.means2d
         for indices in seen:
             add_norms(indices, source, frame.view.width / 2, frame.view.height / 2, self.pulled, self.seen)
 
@@ -102,7 +102,9 @@ class ClassicControl:
             self.pulled / np.maximum(self.seen, 1),
             scales,
             sigmoid(parameters.opacity_logits),
-            gradient_threshold=limits.gradient,
+            gradient_threshold=limits.absolute_gradient
+            if self.settings.absolute_gradient
+            else limits.gradient,
             scale_threshold=limits.scale * self.extent,
             opacity_threshold=limits.opacity,
         )

@@ -13,7 +13,7 @@ from typing import Literal
 from ..scene import ImageModel
 from ..scene.crop import Crop
 from ..scene.gaussians import SH_COEFFICIENTS
-from .adam import Rates
+from .adam import Pull, Rates
 from .loss import SSIM_WEIGHT
 
 PAPER_ITERATIONS = 30_000
@@ -86,6 +86,13 @@ class TrainSettings:
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
     """Of the constant band; higher bands have a twentieth."""
+    settle_from: float = 0.5
+    """From this share of the run on all rates but that of the means, which has its own end, go down..."""
+    settle_to: float = 0.1
+    """... exponentially, to this factor at the end: the last photos do not pull the scene their way."""
+    drop: float = 0.0
+    """Share of the splats, drawn anew for each photo, that a step at the end of the run does without; it
+    grows from 0 in proportion to the run. See `automatic_drop`."""
     seen_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -108,6 +115,12 @@ class TrainSettings:
     """mcmc: weight of the mean opacity in the loss; and..."""
     scale_pull: float = LEAST_PULL
     """... of the mean scale, world units over the extent. See `automatic_pull`."""
+    pull_end: float = 0.1
+    """mcmc: factor of both at the end of the run, reached exponentially. Adam moves what only a pull moves
+    at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a median opacity of
+    0.01 and half of the splats thinner than a thousandth of a pixel, 1.4 dB below one of 4,000 steps."""
+    absolute_gradient: bool = False
+    """classic: add up a splat's gradient over pixels by absolute value (Ye et al. 2024, AbsGS)."""
 
     def __post_init__(self) -> None:
         if self.iterations is None and self.minutes is None:
@@ -130,14 +143,23 @@ class TrainSettings:
     def rates(self, progress: float, extent: float) -> Rates:
         """Learning rates at a share of the run, for a scene of this extent."""
         start, end = math.log(self.means_rate), math.log(self.means_rate_end)
+        settled = max(progress - self.settle_from, 0.0) / max(1 - self.settle_from, 1e-9)
+        factor = self.settle_to**settled
         return Rates(
             means=extent * math.exp(start + (end - start) * progress),
-            quats=self.quats_rate,
-            log_scales=self.log_scales_rate,
-            opacity_logits=self.opacity_logits_rate,
-            sh_constant=self.sh_rate,
-            sh_others=self.sh_rate / 20,
+            quats=factor * self.quats_rate,
+            log_scales=factor * self.log_scales_rate,
+            opacity_logits=factor * self.opacity_logits_rate,
+            sh_constant=factor * self.sh_rate,
+            sh_others=factor * self.sh_rate / 20,
         )
+
+    def pull_at(self, progress: float, extent: float) -> Pull:
+        """The pulls on opacity and scale at a share of the run."""
+        if self.strategy != "mcmc":
+            return Pull()
+        factor = self.pull_end**progress
+        return Pull(factor * self.opacity_pull, factor * self.scale_pull / extent)
 
     def sh_degree_at(self, progress: float) -> int:
         """The highest SH degree in training at a share of the run."""

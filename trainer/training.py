@@ -24,9 +24,10 @@ from ..raster import (
 from ..raster.frame import StageClock
 from ..scene import Gaussians, InputError, RenderSettings
 from ..scene.crop import Crop, cropped_in
-from .adam import Pull, adam_step
+from .adam import adam_step
 from .density import ClassicControl
 from .distributed import Alone, BatchSum, Group
+from .dropping import some_dropped
 from .exposure import Exposures
 from .loss import photo_loss
 from .mcmc import SampledControl
@@ -199,9 +200,7 @@ class Trainer:
         rates = settings.rates(progress, self.extent)
         with self.clock.stage("adam"):
             moved = seen if settings.seen_only else _everything(len(splats), len(seen))
-            pull = Pull()
-            if settings.strategy == "mcmc":
-                pull = Pull(settings.opacity_pull, settings.scale_pull / self.extent)
+            pull = settings.pull_at(progress, self.extent)
             adam_step(splats, gradients, moved, rates, counters.iteration, pull=pull, threads=self.threads)
         if self.exposures.is_on:
             self.exposures.step(progress, settings.batch)
@@ -222,12 +221,12 @@ class Trainer:
         mine = range(first + group.rank, first + settings.batch, group.size)
         observing = progress < settings.refine_until
         if settings.batch == 1:
-            return self._look_at(self.shots.at(first, shrink), observing)
+            return self._look_at(self.shots.at(first, shrink), observing, first)
         totals = self.control.totals() if observing and group.size > 1 else []
         before = [total.copy() for total in totals]
         batch = BatchSum(self.splats.parameters)
         for place in mine:
-            looked = self._look_at(self.shots.at(place, shrink), observing)
+            looked = self._look_at(self.shots.at(place, shrink), observing, place)
             with self.clock.stage("batch"):
                 batch.add(*looked)
         with self.clock.stage("batch"):
@@ -242,11 +241,17 @@ class Trainer:
                 total += new
         return result
 
-    def _look_at(self, shot: Shot, observing: bool) -> tuple[Parameters, list[np.ndarray], float]:
-        """The gradients by one photo, the splats that reach into it, and its loss."""
-        splats = self.splats
+    def _look_at(
+        self, shot: Shot, observing: bool, place: int = 0
+    ) -> tuple[Parameters, list[np.ndarray], float]:
+        """The gradients by one photo, the splats that reach into it, and its loss. `place`: how many photos
+        have been looked at before."""
+        parameters, share = self.splats.parameters, self.settings.drop * self.progress
+        if share > 0:
+            rng = np.random.default_rng([self.settings.seed, place, 2])
+            parameters = some_dropped(parameters, share, rng)
         frame = draw_frame(
-            splats.parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
+            parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
         )
         image, exposures = frame.image, self.exposures
         with self.clock.stage("loss"):
@@ -262,7 +267,7 @@ class Trainer:
             )
             if exposures.is_on:
                 exposures.differentiate(frame.image, compared.d_image, shot)
-        gradients = differentiate(splats.parameters, frame, compared.d_image)
+        gradients = differentiate(parameters, frame, compared.d_image)
         for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
             self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
         seen = [frame.visible[start:stop] for start, stop in frame.runs]

@@ -15,6 +15,7 @@ import pytest
 
 from splatview.scene import InputError
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.dropping import some_dropped
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import TrainSettings, automatic_limit, automatic_pull
 from splatview.trainer.shots import Shot, Shots
@@ -235,3 +236,37 @@ def test_few_photos_pull_harder() -> None:
 def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
     assert automatic_limit(10**8, 1) < automatic_limit(10**8, 10) < automatic_limit(10**8)
     assert automatic_limit(0) < automatic_limit(10**7) < automatic_limit(10**9)
+
+
+def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> None:
+    rng = np.random.default_rng(0)
+    many = start._replace(opacity_logits=np.full(20_000, -4.0, np.float32))
+    before = many.opacity_logits.copy()
+    dropped = some_dropped(many, 0.2, rng)
+    np.testing.assert_array_equal(many.opacity_logits, before)
+    opacities = 1 / (1 + np.exp(-dropped.opacity_logits.astype(np.float64)))
+    gone = opacities < 1 / 255 / 100
+    assert gone.mean() == pytest.approx(0.2, abs=0.02)
+    # Faint splats: the mean opacity stays.
+    assert opacities.mean() == pytest.approx(1 / (1 + np.exp(4)), rel=0.02)
+    assert dropped.means is many.means
+
+
+def test_dropping_learns_repeats_and_ends_whole(make_trainer, shots: list[Shot]) -> None:
+    first, second = (make_trainer(iterations=300, drop=0.3, batch=2) for _ in range(2))
+    before = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+    assert run(first, 300) == run(second, 300)
+    assert_equal(first, second)
+    after = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+    assert after.psnr > before.psnr + 7
+    assert (first.splats.parameters.opacity_logits > -20).all()
+
+
+def test_rates_settle_and_pulls_fade() -> None:
+    settings = TrainSettings(settle_from=0.5, settle_to=0.1, pull_end=0.01, opacity_pull=0.1)
+    a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
+    assert a[1:] == b[1:]
+    np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
+    assert settings.pull_at(0.5, 2.0).opacity == pytest.approx(0.01)
+    assert settings.pull_at(0, 2.0).scale == pytest.approx(settings.scale_pull / 2)
+    assert replace(settings, strategy="classic").pull_at(0.5, 2.0) == (0, 0)
