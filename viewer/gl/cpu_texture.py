@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -14,21 +13,25 @@ import numpy as np
 from ... import raster
 from ...scene import Camera, Gaussians, RenderSettings
 from . import FrameStats
+from .moving import (
+    MOVING_MS,
+    UNPRICED_SCALE,
+    Pace,
+    Plan,
+    Shortcut,
+    make_levels,
+    price,
+    scaled,
+    time_of,
+    work_of,
+)
 
 REST_SECONDS = 0.25
 """A camera that has not changed for so long rests: the next picture may take its time."""
 
-MOVING_MS = 50.0
-"""What a picture may take while the camera moves: 20 a second."""
 
-LEAST_SCALE = 1 / 4
-"""Of the picture's sides; below this nothing can be recognised."""
-
-STEP = 1 / 8
-"""Between the scales that are used."""
-
-FIXED_SHARE = 1.25
-"""Where even the fewest pixels take longer than MOVING_MS: what a picture may take, in units of that."""
+PATIENCE = 1.5
+"""Seconds that a scene must have been looked at before it is made ready for turning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +72,10 @@ class CpuTexture:
         # Guarded by _change:
         self._wish: _Wish | None = None
         self._resting = False
+        self._drawing = False
         self._finished: _Wish | None = None  # drawn at full resolution
-        self._image: np.ndarray | None = None  # not uploaded yet
+        self._image: tuple[np.ndarray, str] | None = None  # not uploaded yet, and its note
+        self._plan: Plan | None = None  # made, and not yet followed
         self._stats = FrameStats(splats=0, visible=0, ms={}, projected=0, sorted=0, drawn=0)
         self._ended = False
         self.status = ""
@@ -78,8 +83,13 @@ class CpuTexture:
         self.problem: str | None = None
         """What went wrong in the worker, until the window takes it."""
         self._gaussians: Gaussians | None = None
-        self._motion = MotionScale()
-        self._warm: Gaussians | None = None
+        self.note = ""
+        """How the picture in the texture was reduced, or ""."""
+        # The worker's alone:
+        self._pace = Pace()
+        self._full_ms: float | None = None  # of the latest full picture of this scene, its memory being warm
+        self._drawn_of: Gaussians | None = None
+        self._planner: threading.Thread | None = None
         self.texture = ctx.texture((1, 1), 4, dtype="f4")
         self._thread = threading.Thread(target=self._work, name="splatview-cpu", daemon=True)
         self._thread.start()
@@ -97,15 +107,21 @@ class CpuTexture:
             if self._wish is None or not self._wish.same_picture(wish):
                 # A scene that changes before an eye at rest, as in training, is drawn sharp at once.
                 self._resting = self._resting and self._wish is not None and self._wish.same_view(wish)
-                self._wish = wish
-                self._change.notify()
+                self._wish, self._drawing = wish, True
+                self._change.notify_all()
             elif not self._resting and wish.since - self._wish.since >= REST_SECONDS:
                 # Only a window that still asks for it says that it rests: a slow one may just be late.
-                self._resting = True
-                self._change.notify()
+                self._resting = self._drawing = True
+                self._change.notify_all()
             image, self._image = self._image, None
         if image is not None:
-            self._upload(image)
+            self._upload(image[0])
+            self.note = image[1]
+
+    def wait(self, seconds: float) -> None:
+        """Returns when a new picture can be shown, or after `seconds`; at once where none is on its way."""
+        with self._change:
+            self._change.wait_for(lambda: self._image is not None or not self._drawing, seconds)
 
     def read(self, camera: Camera, settings: RenderSettings) -> np.ndarray:
         """The full picture (H, W, 4) float32, rendered while the caller waits."""
@@ -128,8 +144,10 @@ class CpuTexture:
         """Ends the worker, after the picture it is at."""
         with self._change:
             self._ended = True
-            self._change.notify()
+            self._change.notify_all()
         self._thread.join()
+        if self._planner is not None:
+            self._planner.join()
         self.texture.release()
 
     def _upload(self, image: np.ndarray) -> None:
@@ -143,18 +161,22 @@ class CpuTexture:
 
     def _work(self) -> None:
         workspace = raster.Workspace()
-        coarse: _Wish | None = None  # drawn, but only at the moving resolution
+        coarse: _Wish | None = None  # drawn, but reduced
         while True:
             with self._change:
                 while not self._ended and not self._due(coarse):
+                    self._drawing = False
+                    self._change.notify_all()
                     self._change.wait()
                 if self._ended:
                     return
-                wish = self._wish
+                wish, plan = self._wish, self._plan
                 assert wish is not None
-                moving = coarse is not wish and not self._resting and self._motion.scale < 1
+                sharp = coarse is wish or self._resting
+            if plan is not None and plan is not self._pace.plan:
+                self._pace.follow(plan)
             try:
-                self._render(wish, moving, workspace)
+                self._render(wish, None if sharp else self._shortcut(wish), workspace)
             except Exception as error:
                 # The thread must live: the next scene may be a better one.
                 with self._change:
@@ -169,21 +191,32 @@ class CpuTexture:
             return False
         return coarse is not self._wish or self._resting
 
-    def _render(self, wish: _Wish, moving: bool, workspace: raster.Workspace) -> None:
-        camera, scale = wish.camera, self._motion.scale if moving else 1.0
-        if moving:
-            camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    def _shortcut(self, wish: _Wish) -> Shortcut | None:
+        """How to draw a moving picture; None: in full."""
+        if self._pace.plan is not None and self._pace.plan.gaussians is wish.gaussians:
+            return self._pace.shortcut
+        if self._drawn_of is wish.gaussians and self._full_ms is not None and self._full_ms <= MOVING_MS:
+            return None
+        return Shortcut(gaussians=wish.gaussians, share=1.0, scale=UNPRICED_SCALE, ms=0.0, error=0.0)
+
+    def _render(self, wish: _Wish, shortcut: Shortcut | None, workspace: raster.Workspace) -> None:
+        """Draws the wish, reduced by `shortcut`, and hands the picture over."""
+        gaussians, camera = wish.gaussians, wish.camera
+        full = shortcut is None or shortcut.exact
+        if shortcut is not None:
+            gaussians, camera = shortcut.gaussians, scaled(camera, shortcut.scale)
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
         frame = raster.draw_frame(
-            raster.parameters_of(wish.gaussians), camera, wish.settings, workspace, threads=self.threads
+            raster.parameters_of(gaussians), camera, wish.settings, workspace, threads=self.threads
         )
         self.status = ""
-        visible = sum(stop - start for start, stop in frame.runs)
+        visible, _ = work_of(frame)
         with self._change:
             if self._gaussians is wish.gaussians:
-                self._image = frame.image
+                self._change.notify_all()
+                self._image = frame.image, "" if full or shortcut is None else shortcut.note
             old = self._stats
             self._stats = FrameStats(
                 splats=len(wish.gaussians),
@@ -193,37 +226,55 @@ class CpuTexture:
                 sorted=old.sorted + 1,
                 drawn=old.drawn + 1,
             )
-            if not moving:
+            if full:
                 self._finished = wish
-            # A scene's first picture also pays for memory that later ones find ready.
-            if self._warm is wish.gaussians:
-                self._motion.learn(sum(frame.milliseconds.values()), scale)
-            self._warm = wish.gaussians
+        # A scene's first picture also pays for memory that later ones find ready.
+        if self._drawn_of is not wish.gaussians:
+            self._drawn_of, self._full_ms = wish.gaussians, None
+        elif shortcut is not None:
+            self._pace.learn(shortcut, time_of(frame))
+        else:
+            self._full_ms = time_of(frame)
+        if shortcut is None:
+            self._look_for_shortcuts(wish, frame)
 
-
-class MotionScale:
-    """Which share of the sides moving pictures get, learnt from the time that pictures take.
-
-    Time is taken as fixed + of_pixels·scale²: many small splats cost much whatever the pixels, and then
-    fewer of those would only blur the picture. A full and a reduced picture tell the two parts.
-    """
-
-    def __init__(self) -> None:
-        self.scale = 0.5
-        self._full_ms: float | None = None
-        self._fixed_ms = 0.0
-
-    def learn(self, milliseconds: float, scale: float) -> None:
-        """A picture at `scale` took so long."""
-        if scale >= 1:
-            self._full_ms = milliseconds
-        elif self._full_ms is not None:
-            of_pixels = max(self._full_ms - milliseconds, 0.0) / (1 - scale * scale)
-            self._fixed_ms = max(self._full_ms - of_pixels, 0.0)
-        if self._full_ms is None:
+    def _look_for_shortcuts(self, wish: _Wish, frame: raster.Frame) -> None:
+        """Has prices found out in another thread, where pictures are slow and no prices are known."""
+        if not len(wish.gaussians) or not time_of(frame) > MOVING_MS:
             return
-        of_pixels = self._full_ms - min(self._fixed_ms, self._full_ms)
-        allowed = max(MOVING_MS, FIXED_SHARE * self._fixed_ms) - self._fixed_ms
-        affordable = math.sqrt(allowed / of_pixels) if of_pixels > allowed else 1.0
-        # In steps: a size that trembled with every measurement would be seen.
-        self.scale = max(LEAST_SCALE, math.floor(affordable / STEP) * STEP)
+        if self._planner is not None and self._planner.is_alive():
+            return
+        plan = self._pace.plan
+        if plan is not None and plan.gaussians is not wish.gaussians:
+            plan = None
+        if plan is not None and plan.holds_for(work_of(frame)):
+            return
+        self._planner = threading.Thread(
+            target=self._make_plan,
+            args=(wish, plan.levels if plan else None),
+            name="splatview-cpu-plan",
+            daemon=True,
+        )
+        self._planner.start()
+
+    # ---- in the planner
+
+    def _make_plan(self, wish: _Wish, levels: tuple[Gaussians, ...] | None) -> None:
+        def stop() -> bool:
+            return self._ended or self._gaussians is not wish.gaussians
+
+        # Where scenes follow one another, as in training, each would be merged for nobody to turn it.
+        while levels is None and self._wish is wish and time.monotonic() - wish.since < PATIENCE:
+            time.sleep(0.05)
+            if stop():
+                return
+        try:
+            levels = levels or make_levels(wish.gaussians, stop)
+            plan = price(levels, wish.camera, wish.settings, stop, threads=self.threads)
+        except Exception as error:
+            # Pictures can be had without: the user turns a scene that is slower, and reads why.
+            with self._change:
+                self.problem = f"moving pictures stay slow: {type(error).__name__}: {error}"
+            return
+        with self._change:
+            self._plan = plan or self._plan

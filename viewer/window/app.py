@@ -19,7 +19,7 @@ from . import keys, layout, opening, theme
 from .core import Core
 from .display import best_gl_version
 from .dropping import install_drop_handler
-from .editing.taking_up import continue_editing
+from .editing.taking_up import continue_editing, put_away
 from .file_dialogs import FileDialogs
 from .picture import choose_picture
 from .preferences import Preferences, load_preferences, save_preferences
@@ -37,9 +37,12 @@ MAX_FPS = 60.0
 SAVE_SECONDS = 5.0
 """Between two looks at whether preferences have changed: a crash loses no more than that."""
 
-SOFTWARE_FPS = 24.0
-"""The same where OpenGL is software: its frames take the cores that draw the splats. Against 60, a turning
-scene of half a million splats got 1.17 times as many pictures on two cores."""
+SOFTWARE_FPS = 30.0
+"""The same where OpenGL is software and no picture is on its way: frames take whole cores there."""
+
+PICTURE_SECONDS = 0.1
+"""For so long a frame waits there for a picture that is being drawn: shown without it, it would only have
+slowed it down. Longer, and the window would no longer answer at once while a sharp picture is made."""
 
 ACTIVE_SECONDS = 0.5
 """How long after the last event the window keeps its full rate: long enough for tooltips to appear."""
@@ -57,6 +60,7 @@ class Window:
         self.core.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._title = ""
+        self._is_software = False
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
@@ -78,8 +82,7 @@ class Window:
             return
         info = describe(self._ctx)
         self.core.gpu_name = info.renderer
-        if info.is_software:
-            hello_imgui.get_runner_params().fps_idling.fps_max = SOFTWARE_FPS
+        self._is_software = info.is_software
         install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
         if self.core.training is not None:
@@ -96,6 +99,9 @@ class Window:
         if core.picture is None:
             params.app_shall_exit = True
             return
+        if self._is_software and not (core.loading or core.dialog):
+            core.picture.wait(PICTURE_SECONDS)
+            glfw.poll_events()  # what the mouse did meanwhile
         opening.continue_loading(core)
         opening.report_examination(core)
         core.run_posted()
@@ -114,7 +120,11 @@ class Window:
         self._show_title(layout.title(core))
         layout.hide_or_show_panels(core)
         flying = keys.held_step() is not None
-        params.fps_idling.enable_idling = not (core.transition or flying)
+        # There the pictures pace the frames, not a clock: see above.
+        turning = self._is_software and core.loading is None and core.picture.busy
+        if self._is_software:
+            params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
+        params.fps_idling.enable_idling = not (core.transition or flying or turning)
         idle = IDLE_FPS if core.training is None else core.training.idle_fps(core)
         params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else idle
         if core.now() >= self._save_due:
@@ -141,6 +151,7 @@ class Window:
         """The context still exists: end what runs, keep what is to be kept."""
         core = self.core
         opening.cancel_loading(core, quiet=True)
+        put_away(core)
         self.dialogs.close()
         core.prefer(closed_panels=layout.closed_panels(core))
         if core.training is not None:

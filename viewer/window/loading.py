@@ -36,7 +36,8 @@ class LoadedScene:
 
     @cached_property
     def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Least and greatest x, y, z of all finite centres, world units. Kept: a panel asks in every frame."""
+        """Least and greatest x, y, z of all finite centres, world units; kept, as a panel asks in each frame.
+        None where no centre is finite."""
         means = self.gaussians.means
         means = means[np.isfinite(means).all(axis=1)]
         return (means.min(axis=0), means.max(axis=0)) if len(means) else None

@@ -76,6 +76,15 @@ class Picture(Protocol):
         """What the user should know while waiting, or ""."""
         ...
 
+    @property
+    def note(self) -> str:
+        """By what the picture in the texture is reduced while the camera moves, or ""."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Returns when a picture that is being drawn has come, at once where none is, or after `seconds`."""
+        ...
+
     def take_problem(self) -> str | None:
         """What went wrong behind the scenes since the last call."""
         ...
@@ -128,8 +137,7 @@ class GpuPicture:
 
     @property
     def busy(self) -> bool:
-        # The renderer for old GL sorts in a thread; the other one never has anything outstanding.
-        return getattr(self._renderer, "busy", False)
+        return self._renderer.busy
 
     @property
     def stats(self) -> FrameStats:
@@ -138,6 +146,13 @@ class GpuPicture:
     @property
     def status(self) -> str:
         return ""
+
+    @property
+    def note(self) -> str:
+        return ""
+
+    def wait(self, seconds: float) -> None:
+        """Nothing is drawn behind the window's back."""
 
     def take_problem(self) -> str | None:
         return None
@@ -230,6 +245,14 @@ class CpuPicture:
     @property
     def status(self) -> str:
         return "" if self._by_gpu else self._cpu.status
+
+    @property
+    def note(self) -> str:
+        return "" if self._by_gpu else self._cpu.note
+
+    def wait(self, seconds: float) -> None:
+        if not self._by_gpu:
+            self._cpu.wait(seconds)
 
     def take_problem(self) -> str | None:
         problem, self._cpu.problem = self._cpu.problem, None

@@ -8,13 +8,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.scene import RenderSettings, look_at
-from splatview.viewer.gl import cpu_texture
-from splatview.viewer.gl.cpu_texture import LEAST_SCALE, MOVING_MS, CpuTexture, MotionScale
+from splatview.viewer.gl import cpu_texture, moving
+from splatview.viewer.gl.cpu_texture import CpuTexture
 
 SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
 
@@ -95,10 +93,16 @@ def test_drawing_never_waits_and_the_latest_wish_wins(texture, random_gaussians,
     assert set(angles) == {0.1, 0.8}, "wishes overtaken meanwhile are never drawn"
 
 
-def test_moving_pictures_are_smaller_where_pixels_are_dear(texture, random_gaussians, monkeypatch):
+def slow_and_not_priced(monkeypatch) -> None:
+    """Moving pictures stay at half the size."""
+    monkeypatch.setattr(cpu_texture, "MOVING_MS", 0.0)
+    monkeypatch.setattr(CpuTexture, "_look_for_shortcuts", lambda *_: None)
+
+
+def test_moving_pictures_are_smaller_where_they_are_slow(texture, random_gaussians, monkeypatch):
     scene = random_gaussians(300)
     texture.load(scene)
-    monkeypatch.setattr(cpu_texture.MotionScale, "learn", lambda *_: None)  # stays at a half
+    slow_and_not_priced(monkeypatch)
     rest(texture, camera())
     before = texture.stats.drawn
     texture.draw(camera(0.2), SETTINGS)
@@ -112,7 +116,7 @@ def test_moving_pictures_are_smaller_where_pixels_are_dear(texture, random_gauss
 def test_a_scene_that_changes_before_an_eye_at_rest_is_sharp_at_once(texture, random_gaussians, monkeypatch):
     first, second = random_gaussians(300), random_gaussians(300, seed=1)
     texture.load(first)
-    monkeypatch.setattr(cpu_texture.MotionScale, "learn", lambda *_: None)  # stays at a half
+    slow_and_not_priced(monkeypatch)
     rest(texture, camera())
     texture.draw(camera(0.2), SETTINGS)
     rest(texture, camera(0.2))
@@ -170,40 +174,65 @@ def test_it_ends_while_a_picture_is_under_way(ctx, random_gaussians):
     assert not any(thread.name == "splatview-cpu" and thread.is_alive() for thread in threading.enumerate())
 
 
-def learn(fixed: float, of_pixels: float) -> MotionScale:
-    """What is learnt of a machine that takes fixed + of_pixels·scale² ms, moving and resting in turn."""
-    motion = MotionScale()
-    for _ in range(4):
-        motion.learn(fixed + of_pixels, 1.0)
-        motion.learn(fixed + of_pixels * motion.scale**2, motion.scale)
-    return motion
+def test_slow_scenes_are_priced_and_move_by_a_shortcut(texture, random_gaussians, monkeypatch):
+    monkeypatch.setattr(cpu_texture, "PATIENCE", 0.0)
+    monkeypatch.setattr(cpu_texture, "MOVING_MS", 0.0)  # every picture is slow
+    monkeypatch.setattr(moving, "MOVING_MS", 1e-3)  # and so is every shortcut: the quickest is taken
+    scene = random_gaussians(3000)
+    texture.load(scene)
+
+    def planned() -> bool:
+        # The first picture of a scene is never the measure.
+        for angle in (0.0, 0.1):
+            rest(texture, camera(angle))
+        return texture._plan is not None
+
+    until(planned)
+    before = texture.stats.drawn
+    texture.draw(camera(0.5), SETTINGS)
+    until(lambda: texture.stats.drawn > before)
+    texture.draw(camera(0.5), SETTINGS)
+    assert "dB" in texture.note
+    assert texture.texture.size != (96, 64) or "of the splats" in texture.note
+    np.testing.assert_array_equal(rest(texture, camera(0.5)), raster.render(scene, camera(0.5), SETTINGS))
+    assert texture.note == "", "a picture at rest leaves nothing out"
 
 
-def test_quick_pictures_move_in_full():
-    assert learn(5, MOVING_MS - 10).scale == 1
+def test_waiting_ends_with_the_picture_and_at_once_where_none_comes(texture, random_gaussians, monkeypatch):
+    texture.load(random_gaussians(300))
+    rest(texture, camera())
+    begun = time.monotonic()
+    texture.wait(60)
+    gate, real = threading.Event(), raster.draw_frame
+
+    def held(*args, **options):
+        assert gate.wait(60)
+        return real(*args, **options)
+
+    monkeypatch.setattr(raster, "draw_frame", held)
+    texture.draw(camera(0.2), SETTINGS)
+    texture.wait(0.01)  # in vain
+    threading.Timer(0.05, gate.set).start()
+    drawn = texture.stats.drawn
+    texture.wait(60)
+    assert texture.stats.drawn > drawn
+    assert time.monotonic() - begun < 50
+    until(lambda: not texture._drawing)
 
 
-def test_dear_pixels_are_reduced_to_what_the_time_allows():
-    assert learn(0.0, MOVING_MS * 4).scale == 0.5
-    assert learn(0.0, MOVING_MS * 1e4).scale == LEAST_SCALE
+def test_what_fails_while_pricing_is_told_and_pictures_go_on(texture, random_gaussians, monkeypatch):
+    def fail(*_, **__):
+        raise MemoryError("no room for levels")
 
+    monkeypatch.setattr(cpu_texture, "PATIENCE", 0.0)
+    monkeypatch.setattr(cpu_texture, "MOVING_MS", 0.0)
+    monkeypatch.setattr(cpu_texture, "make_levels", fail)
+    texture.load(random_gaussians(100))
 
-def test_where_splats_are_dear_rather_than_pixels_the_picture_stays_sharp():
-    assert learn(2 * MOVING_MS, 0.3 * MOVING_MS).scale == 1
+    def told() -> bool:
+        for angle in (0.0, 0.1):
+            assert np.isfinite(rest(texture, camera(angle))).all()
+        return texture.problem is not None
 
-
-def test_what_was_learnt_elsewhere_is_put_right():
-    motion = learn(2 * MOVING_MS, 0.3 * MOVING_MS)
-    for _ in range(6):
-        motion.learn(20 * MOVING_MS * motion.scale**2, motion.scale)
-        motion.learn(20 * MOVING_MS, 1.0)
-    assert motion.scale == LEAST_SCALE
-
-
-@given(st.lists(st.tuples(st.floats(0, 1e5), st.sampled_from([0.25, 0.5, 0.875, 1.0])), max_size=20))
-def test_whatever_is_measured_the_scale_is_one_that_is_used(measured):
-    motion = MotionScale()
-    for milliseconds, scale in measured:
-        motion.learn(milliseconds, scale)
-        assert LEAST_SCALE <= motion.scale <= 1
-        assert (motion.scale * 8).is_integer()
+    until(told)
+    assert "no room for levels" in texture.problem

@@ -27,6 +27,12 @@ def show(core: Core) -> None:
     width, height = core.picture_size
     scale = core.preferences.resolution_scale
     widgets.fact("Picture", f"{round(width * scale)} x {round(height * scale)} px", "What is rendered.")
+    widgets.fact(
+        "Moving",
+        picture.note or "in full",
+        "What the picture shown leaves out so that it turns smoothly, and its error against the full one, as "
+        "measured in the last view at rest. A picture at rest leaves nothing out.",
+    )
     widgets.fact("Splats", f"{stats.splats:,}", "In the scene.")
     share = f" ({stats.visible / stats.splats:.0%})" if stats.splats else ""
     widgets.fact("Visible", f"{stats.visible:,}{share}", "Left after culling, a frame or two ago.")

@@ -1,0 +1,214 @@
+"""What a picture may leave out while the camera moves: fewer pixels, fewer splats, each at a known price.
+
+A scene that takes too long is merged into ever fewer splats (`scene.merging`), and every level is drawn
+once, so that its time and its error are measured on this scene, from this view, on this machine. What is
+learnt while moving is one number: by how much pictures take longer there than when they were priced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ... import raster
+from ...scene import Camera, Gaussians, RenderSettings
+from ...scene.merging import coarser_levels
+
+MOVING_MS = 36.0
+"""What a picture may take while the camera moves. With the window's own work that is over 20 a second."""
+
+SCALES = tuple(eighths / 8 for eighths in range(8, 1, -1))
+"""Of the picture's sides, that are used; below a quarter nothing can be recognised."""
+
+UNPRICED_SCALE = 0.5
+"""Before prices are known."""
+
+MOST_BYTES = 256 << 20
+"""Of a level: larger ones would cost more memory than their time is worth."""
+
+PROMPTNESS = 0.3
+"""The share of the latest picture in what is learnt: a single late one changes nothing."""
+
+SLACK = 1.25
+"""A shortcut is kept until a coarser one is so much overdue or a finer one so easily afforded: pictures
+that changed their sharpness with every measurement would be seen to flicker."""
+
+SAME_WORK = 1.5
+"""Prices hold for views that differ by less than this in the splats and pixels drawn."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shortcut:
+    """One way to draw in less time."""
+
+    gaussians: Gaussians
+    share: float
+    """Splats, of the scene's."""
+    scale: float
+    """Of the picture's sides."""
+    ms: float
+    error: float
+    """Mean squared error of colours, 0 to 1 being black to white."""
+
+    @property
+    def exact(self) -> bool:
+        return self.share == 1 and self.scale == 1
+
+    @property
+    def note(self) -> str:
+        """For the user: "71 % of the size, 29 % of the splats, about 35 dB"."""
+        parts = []
+        if self.scale < 1:
+            parts.append(f"{self.scale:.0%} of the size")
+        if self.share < 1:
+            parts.append(f"{self.share:.0%} of the splats")
+        if self.error > 0:
+            parts.append(f"about {-10 * np.log10(self.error):.0f} dB")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plan:
+    """What a scene's pictures can be reduced to."""
+
+    gaussians: Gaussians
+    levels: tuple[Gaussians, ...]
+    """The scene itself first."""
+    shortcuts: tuple[Shortcut, ...]
+    """Ever quicker; each is the one of least error that takes no longer."""
+    work: tuple[int, int]
+    """Splats and pixels drawn in the view that was priced."""
+
+    def holds_for(self, work: tuple[int, int]) -> bool:
+        pairs = zip(self.work, work, strict=True)
+        return all(max(old, new, 1) < SAME_WORK * max(min(old, new), 1) for old, new in pairs)
+
+
+def work_of(frame: raster.Frame) -> tuple[int, int]:
+    return sum(stop - start for start, stop in frame.runs), frame.pixel_splats
+
+
+def make_levels(gaussians: Gaussians, stop: Callable[[], bool]) -> tuple[Gaussians, ...]:
+    """The scene and what it merges to, of what fits in memory; fewer levels where `stop()` becomes true."""
+    levels = [gaussians]
+    for level in coarser_levels(gaussians):
+        if level.nbytes <= MOST_BYTES:
+            levels.append(level)
+        if stop():
+            break
+    return tuple(levels)
+
+
+def price(
+    levels: tuple[Gaussians, ...],
+    camera: Camera,
+    settings: RenderSettings,
+    stop: Callable[[], bool],
+    *,
+    threads: int | None = None,
+) -> Plan | None:
+    """Draws every level twice, in full and in half size; None where `stop()` became true."""
+    workspace = raster.Workspace()
+    half = scaled(camera, 0.5)
+    full_picture: np.ndarray | None = None
+    halving = 0.0
+    work = (0, 0)
+    shortcuts: list[Shortcut] = []
+    for level in levels:
+        splats = raster.parameters_of(level)
+        if stop():
+            return None
+        frame = raster.draw_frame(splats, camera, settings, workspace, threads=threads)
+        full_ms, picture, level_work = time_of(frame), frame.image[..., :3], work_of(frame)
+        if stop():
+            return None
+        frame = raster.draw_frame(splats, half, settings, workspace, threads=threads)
+        if full_picture is None:
+            full_picture, work = picture, level_work
+            halving = squared_error(doubled(frame.image[..., :3]), picture)
+        of_pixels = max(full_ms - time_of(frame), 0.0) / (1 - 0.5**2)
+        merging = 0.0 if level is levels[0] else squared_error(picture, full_picture)
+        shortcuts += [
+            Shortcut(
+                gaussians=level,
+                share=len(level) / max(len(levels[0]), 1),
+                scale=scale,
+                ms=max(full_ms - of_pixels, 0.0) + of_pixels * scale**2,
+                # Blur grows with the size of pixels: none at 1, what was measured at 1/2.
+                error=merging + halving * (1 / scale - 1),
+            )
+            for scale in SCALES
+        ]
+    return Plan(gaussians=levels[0], levels=levels, shortcuts=best_of(shortcuts), work=work)
+
+
+def best_of(shortcuts: list[Shortcut]) -> tuple[Shortcut, ...]:
+    """Those that no other beats in time and error both, slowest first."""
+    best: list[Shortcut] = []
+    for shortcut in sorted(shortcuts, key=lambda one: (one.ms, one.error)):
+        if not best or shortcut.error < best[-1].error:
+            best.append(shortcut)
+    return tuple(reversed(best))
+
+
+def time_of(frame: raster.Frame) -> float:
+    return sum(frame.milliseconds.values())
+
+
+def scaled(camera: Camera, scale: float) -> Camera:
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def doubled(image: np.ndarray) -> np.ndarray:
+    """(H, W, C) -> (2H, 2W, C), between pixels linearly, as the window shows a smaller picture."""
+    for axis in (0, 1):
+        before = np.concatenate([image.take([0], axis), image], axis).take(range(image.shape[axis]), axis)
+        after = np.concatenate([image, image.take([-1], axis)], axis).take(
+            range(1, image.shape[axis] + 1), axis
+        )
+        pair = np.stack([0.75 * image + 0.25 * before, 0.75 * image + 0.25 * after], axis + 1)
+        shape = list(image.shape)
+        shape[axis] *= 2
+        image = pair.reshape(shape)
+    return image
+
+
+def squared_error(image: np.ndarray, truth: np.ndarray) -> float:
+    """Mean over what both have, colours clipped to what a screen shows."""
+    height, width = min(len(image), len(truth)), min(image.shape[1], truth.shape[1])
+    difference = np.clip(image[:height, :width], 0, 1) - np.clip(truth[:height, :width], 0, 1)
+    return float(np.mean(np.square(difference)))
+
+
+class Pace:
+    """Chooses the shortcut that the time allows, from what moving pictures were seen to take."""
+
+    def __init__(self) -> None:
+        self.plan: Plan | None = None
+        self.shortcut: Shortcut | None = None
+        self._slowness = 1.0
+
+    def follow(self, plan: Plan | None) -> None:
+        """Prices have become known, or no longer hold. How slow the machine is stays known."""
+        self.plan, self.shortcut = plan, None
+        self._choose()
+
+    def learn(self, shortcut: Shortcut, milliseconds: float) -> None:
+        """A moving picture by `shortcut` took so long."""
+        if shortcut.ms > 0 and self.plan is not None and shortcut in self.plan.shortcuts:
+            self._slowness += PROMPTNESS * (milliseconds / shortcut.ms - self._slowness)
+            self._choose()
+
+    def _choose(self) -> None:
+        if self.plan is None:
+            return
+        shortcuts, allowed = self.plan.shortcuts, MOVING_MS / self._slowness
+        best = next((one for one in shortcuts if one.ms <= allowed), shortcuts[-1])
+        now = self.shortcut
+        if now is not None:
+            coarser_in_haste = best.ms < now.ms <= SLACK * allowed
+            finer_in_haste = best.ms > now.ms and best.ms > allowed / SLACK
+            best = now if coarser_in_haste or finer_in_haste else best
+        self.shortcut = best
