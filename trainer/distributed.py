@@ -74,9 +74,13 @@ class Processes:
 
     def __init__(self) -> None:
         """Meets the others. Raises InputError where they cannot be reached."""
-        import torch
-        import torch.distributed
-
+        try:
+            import torch
+            import torch.distributed
+        except ImportError:
+            raise InputError(
+                "several processes talk by torch, which is not installed: pip install torch"
+            ) from None
         self._torch, self._distributed = torch, torch.distributed
         try:
             torch.distributed.init_process_group("gloo")
@@ -145,7 +149,7 @@ def stop_between_steps(group: Group) -> None:
 
 def is_launched() -> bool:
     """Whether torchrun started this process as one of several."""
-    return "RANK" in os.environ and int(os.environ.get("WORLD_SIZE", "1")) > 1
+    return "RANK" in os.environ and os.environ.get("WORLD_SIZE", "1") != "1"
 
 
 def share_of_cores() -> int:

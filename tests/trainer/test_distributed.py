@@ -67,7 +67,7 @@ def running(capture_folder: Path, tmp_path: Path) -> Iterator[Pair]:
         process.communicate()
 
 
-@pytest.mark.parametrize("strategy", ["classic", "mcmc"])
+@pytest.mark.parametrize("strategy", ["classic", pytest.param("mcmc", marks=pytest.mark.slow)])
 def test_two_processes_train_what_one_does_with_the_same_batch(
     capture_folder: Path, tmp_path: Path, strategy: str
 ) -> None:
@@ -115,6 +115,17 @@ def test_ctrl_c_ends_both_after_the_same_step(running: Pair, tmp_path: Path) -> 
     assert (code, other_code) == (130, 130)
     assert "stopped at step" in lines[-1] and other_lines == []
     assert len(load_scene(tmp_path / "two.ply")) > 0
+
+
+def test_processes_without_a_headless_run_are_refused(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert main(["train", "anything"]) == 2
+    assert "add --headless" in capsys.readouterr().err
+    monkeypatch.setenv("MASTER_ADDR", "")
+    monkeypatch.delenv("MASTER_PORT", raising=False)
+    assert main(["train", "anything", "--headless"]) == 2
+    assert "start them with torchrun" in capsys.readouterr().err
 
 
 def test_captures_that_differ_are_told_once(capture_folder: Path, tmp_path: Path) -> None:

@@ -56,6 +56,23 @@ def make_parser() -> Parser:
     group.add_argument(
         "--batch", type=count, metavar="B", help="photos a step (default: 1, or one for each process)"
     )
+    group.add_argument(
+        "--coarse",
+        type=levels,
+        metavar="SHARE:K,..",
+        help="photos smaller by K until this share of the run, or none (default: 0.3:2)",
+    )
+    group.add_argument(
+        "--exposure",
+        choices=("auto", "on", "off"),
+        help="learn each photo's exposure (default: auto, where photos differ)",
+    )
+    group.add_argument(
+        "--abs-grad",
+        action="store_true",
+        default=None,
+        help="with --strategy classic: gradients by absolute value decide what is split",
+    )
     group.add_argument("--seed", type=index, metavar="S", help="of all that is random (default: 0)")
     group.add_argument("--threads", type=count, metavar="T", help="default: all cores")
     group = parser.add_argument_group("report")
@@ -67,6 +84,20 @@ def make_parser() -> Parser:
     return parser
 
 
+def levels(text: str) -> tuple[tuple[float, int], ...]:
+    """`0.1:4,0.3:2` or `none`, as `TrainSettings.coarse`."""
+    if text == "none":
+        return ()
+    pairs = [part.split(":") for part in text.split(",")]
+    if not all(len(pair) == 2 for pair in pairs):
+        raise argparse.ArgumentTypeError(f"must be like 0.1:4,0.3:2 or none, got {text!r}")
+    coarse = tuple((positive(share), count(factor)) for share, factor in pairs)
+    shares = [share for share, _ in coarse]
+    if not (shares == sorted(set(shares)) and shares[-1] <= 1):
+        raise argparse.ArgumentTypeError(f"shares of the run must grow and be at most 1, got {text!r}")
+    return coarse
+
+
 def run(arguments: Sequence[str]) -> int:
     """Trains; returns the exit code. Raises InputError for a user's mistake."""
     started = time.perf_counter() - process_age()
@@ -76,6 +107,8 @@ def run(arguments: Sequence[str]) -> int:
     if options.demo == (options.capture is not None):
         raise InputError("name the folder of a capture, or --demo (see splatview train --help)")
     if not options.headless:
+        if is_launched():
+            raise InputError("several processes train without a window; add --headless")
         check_window()
     # Pillow reports damaged notes of cameras, of photos that can be read all the same.
     warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
