@@ -1,0 +1,78 @@
+"""Every variant of the shaders through the compiler of Khronos, as strict as the strictest driver."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from splatview.scene.adjustment import IDENTITY
+from splatview.scene.crop import Crop
+from splatview.viewer.gl.edit_textures import Editing
+from splatview.viewer.gl.gathering import MODE_FLAGS
+from splatview.viewer.gl.overlay import Overlay
+from splatview.viewer.gl.programs import expand
+from splatview.viewer.gl.projector import QUADS_PER_INSTANCE
+from splatview.viewer.gl.scene_buffers import GROUP_SIZE
+
+Variant = tuple[str, dict[str, float | bool]]
+
+GEOMETRY: dict[str, float | bool] = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "GROUP_SIZE": GROUP_SIZE}
+
+
+def edited() -> Iterator[Editing]:
+    for hides, adjusts, crops, tints in itertools.product((False, True), repeat=4):
+        yield Editing(
+            hides=hides,
+            palette=(IDENTITY,) if adjusts else None,
+            crops=(Crop(),) if crops else (),
+            overlay=Overlay() if tints else None,
+        )
+
+
+def projections(name: str) -> Iterator[Variant]:
+    own = {"SH_STORED": 16, "DEPTH": False}
+    for editing in edited():
+        yield name, {**GEOMETRY, **own, "SH_DEGREE": 3, "ANTIALIASED": False, **editing.flags()}
+    for degree, antialiased, depth in itertools.product(range(4), (False, True), (False, True)):
+        flags = {"SH_DEGREE": degree, "ANTIALIASED": antialiased, "DEPTH": depth}
+        yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
+
+
+def drawing(folder: str) -> Iterator[Variant]:
+    for editing in edited():
+        flags = editing.flags(shows="ellipsoids")
+        yield f"{folder}/ellipsoids.vert.glsl", {**GEOMETRY, "ANTIALIASED": False, **flags}
+    for mode, overlay in itertools.product(MODE_FLAGS, (None, Overlay())):
+        flags = {**MODE_FLAGS[mode], **Editing(overlay=overlay).flags(projects=False, shows="splats")}
+        yield f"{folder}/draw.vert.glsl", {**GEOMETRY, **flags}
+        yield "quads/draw.frag.glsl", {**GEOMETRY, **flags}
+        yield "quads/resolve.frag.glsl", dict(MODE_FLAGS[mode])
+    yield "quads/ellipsoids.frag.glsl", {}
+    yield "quads/fullscreen.vert.glsl", {}
+
+
+@pytest.mark.parametrize(
+    ("version", "variants"),
+    [
+        ("430 core", [*projections("quads/project.comp.glsl"), *drawing("quads")]),
+        ("330 core", [*projections("legacy/project.frag.glsl"), *drawing("legacy")]),
+    ],
+    ids=["4.3", "3.3"],
+)
+def test_every_variant_compiles(tmp_path: Path, version: str, variants: list[Variant]):
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        pytest.skip("glslangValidator is not installed (apt-get install glslang-tools)")
+    files = []
+    for number, (name, flags) in enumerate(variants):
+        file = tmp_path / f"{number}.{name.split('.')[-2]}"
+        file.write_text(expand(name, version, flags)[0], encoding="utf8")
+        files.append(file.name)
+    done = subprocess.run([compiler, *files], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert all(file in done.stdout for file in files)
