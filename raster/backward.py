@@ -1,12 +1,15 @@
 """Gradients of the blended picture by each splat's footprint, pair by pair.
 
-The tiles are walked front to back once more, in the same chunks and with the same decisions as in
-`forward`. With g the gradient of the loss by a pixel, T_i the light in front of splat i, and the scalar
+The tiles are walked once more, back to front. With g the gradient of the loss by a pixel, T_i the light in
+front of splat i, and the scalar
 
     S_i = g·(what the pixel shows of everything behind splat i, background included)
 
-one has dL/dalpha_i = T_i·(g·c_i) - S_i / (1 - alpha_i). S starts as g·(the whole pixel), which forward
-has left in the image, and each splat takes its own share off: no list of past transmittances is kept.
+one has dL/dalpha_i = T_i·(g·c_i) - S_i / (1 - alpha_i). Both are known behind the last splat, as forward
+keeps the light that each pixel ended with and when, and from there T_i = T_(i+1) / (1 - alpha_i) and
+S_(i-1) = S_i + alpha_i·T_i·(g·c_i): no list of past transmittances is kept. Walked front to back, S would be
+what is left of the whole pixel after all splats in front have been taken off, with the rounding errors of
+the brightest of them: gradients that cancel, as those by the camera's pose, had lost 3 digits by that.
 
 Each pair's sums over the pixels of its tile go to a row of their own, and `gather_pairs` adds them up
 splat by splat: nothing is shared between threads, and sums do not depend on how many there are.
@@ -37,6 +40,8 @@ from .forward import (
     G_Y,
     GATHERED,
     STRIPS,
+    TILE_PIXELS,
+    block_in_image,
     gather,
     touched_blocks,
 )
@@ -46,13 +51,15 @@ from .simd import (
     LANES,
     absolute,
     aligned,
-    any_above,
+    any_within,
     column_centres,
     fill,
     fma,
+    greatest_lane,
     keep_if_at_least,
     keep_if_below,
     load,
+    maximum,
     minimum,
     negate,
     prefetch,
@@ -68,57 +75,74 @@ T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
 SUMS = 16
 """Numbers in a row of sums; the last five are 0."""
 
-PIXEL_VECTORS = 5
-"""By strip and block: transmittance, S, and the loss's gradient by red, green and blue."""
+PIXEL_VECTORS = 6
+"""By strip and block: transmittance, S, the loss's gradient by red, green and blue, and S behind all."""
 
-PIXELS = STRIPS * BLOCKS * PIXEL_VECTORS * LANES
-
-
-@inline
-def pixel_index(x, y):
-    """Where the transmittance of pixel (x, y) of a tile is; the others follow at steps of LANES."""
-    block = (x // BLOCK_WIDTH) * BLOCKS + y // BLOCK_HEIGHT
-    return block * PIXEL_VECTORS * LANES + (y % BLOCK_HEIGHT) * BLOCK_WIDTH + x % BLOCK_WIDTH
+PIXELS = PIXEL_VECTORS * TILE_PIXELS
 
 
 @inline
-def start_pixels(pixels, left, top, image, d_image):
-    """Fills `pixels` (PIXELS,) from image and its gradient, both (H, W, 4); beyond the border all is 0."""
+def start_pixels(pixels, left, top, first_pixel, background, lights, d_image):
+    """Fills `pixels` (PIXELS,); transmittance and S are 0 until `revive`, and all is 0 beyond the border.
+    lights as `forward` leaves them; d_image (H, W, 4)."""
     pixels[:] = 0
-    for y in range(min(TILE, image.shape[0] - top)):
-        for x in range(min(TILE, image.shape[1] - left)):
-            pixel, d_pixel = image[top + y, left + x], d_image[top + y, left + x]
-            at = pixel_index(x, y)
-            pixels[at] = 1
-            # Alpha is 1 - T, so a gradient by alpha is one by the light that is left, with its sign turned.
-            pixels[at + LANES] = (
-                d_pixel[0] * pixel[0] + d_pixel[1] * pixel[1] + d_pixel[2] * pixel[2]
-            ) - d_pixel[3] * (1 - pixel[3])
-            for channel in range(3):
-                pixels[at + (2 + channel) * LANES] = d_pixel[channel]
+    for block in range(STRIPS * BLOCKS):
+        x, y, columns, rows = block_in_image(block, left, top, d_image.shape[1], d_image.shape[0])
+        for row in range(rows):
+            for column in range(columns):
+                lane = row * BLOCK_WIDTH + column
+                at = block * PIXEL_VECTORS * LANES + lane
+                d_pixel = d_image[y + row, x + column]
+                # Alpha is 1 - T: a gradient by alpha is one by the light left, with its sign turned.
+                by_light = -d_pixel[3]
+                for channel in range(3):
+                    pixels[at + (2 + channel) * LANES] = d_pixel[channel]
+                    by_light += d_pixel[channel] * background[channel]
+                pixels[at + 5 * LANES] = lights[first_pixel + block * LANES + lane] * by_light
 
 
 @inline
-def shrink_alive(pixels, stop_below, alive):
-    """As in `forward`: narrows alive (2·STRIPS,) to blocks with light left; whether there is one."""
-    some = False
-    step = PIXEL_VECTORS * LANES
+def most_met(first_pixel, met_of):
+    """The most splats that a pixel of a tile met."""
+    most = load(met_of, first_pixel)
+    for at in range(first_pixel + LANES, first_pixel + TILE_PIXELS, LANES):
+        most = maximum(most, load(met_of, at))
+    return np.int64(greatest_lane(most))
+
+
+@inline
+def revive(pixels, first_pixel, met, lights, met_of, alive):
+    """Gives the pixels that met just so many splats the light and S that they ended with. Widens alive
+    (2·STRIPS,) int64, the first and last block by strip with light."""
+    before, behind = pixels.dtype.type(met - 0.5), pixels.dtype.type(met + 0.5)
     for strip in range(STRIPS):
-        first, last = alive[2 * strip], alive[2 * strip + 1]
-        while first <= last and not any_above(load(pixels, (strip * BLOCKS + first) * step), stop_below):
-            first += 1
-        while first <= last and not any_above(load(pixels, (strip * BLOCKS + last) * step), stop_below):
-            last -= 1
-        alive[2 * strip], alive[2 * strip + 1] = first, last
-        some = some or first <= last
-    return some
+        for block in range(BLOCKS):
+            at = (strip * BLOCKS + block) * LANES
+            ended = load(met_of, first_pixel + at)
+            if any_within(ended, before, behind):
+                base = at * PIXEL_VECTORS
+                light = load(pixels, base) + if_within(load(lights, first_pixel + at), ended, before, behind)
+                shown = load(pixels, base + LANES)
+                shown = shown + if_within(load(pixels, base + 5 * LANES), ended, before, behind)
+                store(pixels, base, light)
+                store(pixels, base + LANES, shown)
+                alive[2 * strip] = min(alive[2 * strip], block)
+                alive[2 * strip + 1] = max(alive[2 * strip + 1], block)
 
 
 @inline
-def differentiate_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels, first_row, sums):
-    """Walks gathered splats; the sums of the j-th go to sums[first_row + j], sums being (pairs·SUMS,)."""
+def if_within(value, x, above, below):
+    """`value` where above <= x < below, else 0."""
+    return keep_if_below(keep_if_at_least(value, x, spread(above)), x, spread(below))
+
+
+@inline
+def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels, first_row, sums):
+    """Walks gathered splats [start, stop) from last to first; the sums of the j-th go to sums[first_row + j],
+    sums being (pairs·SUMS,)."""
     number = gathered.dtype.type
-    for j in range(count):
+    for k in range(start, stop):
+        j = max(stop - 1 - (k - start), 0)  # max tells the compiler that no index is negative
         a, b = spread(gathered[G_A * CHUNK + j]), spread(gathered[G_B * CHUNK + j])
         c, log2_opacity = spread(gathered[G_C * CHUNK + j]), spread(gathered[G_LOG2_OPACITY * CHUNK + j])
         red = spread(gathered[G_RED * CHUNK + j])
@@ -143,19 +167,20 @@ def differentiate_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixel
                 alpha = keep_if_at_least(minimum(uncapped, cap), power, cut)
 
                 base = (strip * BLOCKS + block) * PIXEL_VECTORS * LANES
-                light, behind = load(pixels, base), load(pixels, base + LANES)
+                after, behind = load(pixels, base), load(pixels, base + LANES)
                 d_red, d_green = load(pixels, base + 2 * LANES), load(pixels, base + 3 * LANES)
                 d_blue = load(pixels, base + 4 * LANES)
-                weight = alpha * light
+                thinned = reciprocal(one - alpha)
+                ratio = alpha * thinned
+                weight = ratio * after
                 shown = fma(d_red, red, fma(d_green, green, d_blue * blue))
-                behind = fma(negate(weight), shown, behind)
-                store(pixels, base, light - weight)
-                store(pixels, base + LANES, behind)
+                t = ratio * fma(after, shown, negate(behind))
+                store(pixels, base, after * thinned)
+                store(pixels, base + LANES, fma(weight, shown, behind))
                 red_sum = fma(weight, d_red, red_sum)
                 green_sum = fma(weight, d_green, green_sum)
                 blue_sum = fma(weight, d_blue, blue_sum)
 
-                t = weight * shown - alpha * behind * reciprocal(one - alpha)
                 t = keep_if_below(t, uncapped, cap)
                 tu, tv = t * u, t * v
                 t_sum = t_sum + t
@@ -186,11 +211,11 @@ def differentiate_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixel
 
 
 @inline
-def add_background(pixels, d_background):
+def add_background(pixels, first_pixel, lights, d_background):
     """Writes the sum of the light left times the gradient by colour over a tile to d_background (3,)."""
     red = green = blue = spread(pixels.dtype.type(0))
-    for base in range(0, PIXELS, PIXEL_VECTORS * LANES):
-        light = load(pixels, base)
+    for at in range(0, TILE_PIXELS, LANES):
+        light, base = load(lights, first_pixel + at), at * PIXEL_VECTORS
         red = fma(light, load(pixels, base + 2 * LANES), red)
         green = fma(light, load(pixels, base + 3 * LANES), green)
         blue = fma(light, load(pixels, base + 4 * LANES), blue)
@@ -202,34 +227,67 @@ def add_background(pixels, d_background):
 
 @kernel
 def differentiate_tiles(
-    start, stop, offsets, base, lists, records, view, stop_below, image, d_image, sums, walked, d_background
+    start,
+    stop,
+    offsets,
+    base,
+    lists,
+    records,
+    view,
+    background,
+    rounds,
+    lights,
+    met_of,
+    d_image,
+    sums,
+    walked,
+    d_background,
 ):
     """Writes the sums of the pairs of tiles [start, stop), how many pairs of each tile have any, and each
     tile's gradient by the background, d_background (tiles, 3) float64.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
-    records (N, RECORD), image and d_image (H, W, 4) and sums (pairs·SUMS,) in one dtype.
+    rounds, lights and met_of as in `forward`; records (N, RECORD), background (3,), lights, met_of,
+    d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
     """
-    gathered = aligned(GATHERED * CHUNK, image.dtype)
+    gathered = aligned(GATHERED * CHUNK, d_image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
-    pixels = aligned(PIXELS, image.dtype)
+    pixels = aligned(PIXELS, d_image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
-        start_pixels(pixels, left, top, image, d_image)
+        first_pixel = tile * TILE_PIXELS
+        start_pixels(pixels, left, top, first_pixel, background, lights, d_image)
         for strip in range(STRIPS):
-            alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
-        position, end = offsets[tile] - base, offsets[tile + 1] - base
-        while position < end and shrink_alive(pixels, stop_below, alive):
-            count = min(end - position, CHUNK)
-            gather(lists, position, count, end, records, left, top, gathered)
+            alive[2 * strip], alive[2 * strip + 1] = BLOCKS, -1
+        first, end = offsets[tile] - base, offsets[tile + 1] - base
+        walked[tile] = min(most_met(first_pixel, met_of), end - first)
+        end = first + walked[tile]
+        for position in range(first + (walked[tile] - 1) // CHUNK * CHUNK, first - 1, -CHUNK):
+            # All of the chunk: what its rounds are must come out as it did in `forward`.
+            count = min(offsets[tile + 1] - base - position, CHUNK)
+            next_start = max(position - CHUNK, first)
+            fall = gather(lists, position, count, next_start, position, records, left, top, gathered)
             touched_blocks(gathered, count, view.log2_cut, rows)
-            differentiate_chunk(
-                gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels, position, sums
-            )
-            position += count
-        walked[tile] = position + base - offsets[tile]
-        add_background(pixels, d_background[tile])
+            step = CHUNK if fall >= rounds.most_fall else rounds.short
+            until = min(end - position, count)
+            while until > 0:
+                revive(pixels, first_pixel, position + until - first, lights, met_of, alive)
+                begin = (until - 1) // step * step
+                differentiate(
+                    gathered,
+                    begin,
+                    until,
+                    rows,
+                    alive,
+                    view.log2_cut,
+                    view.max_alpha,
+                    pixels,
+                    position,
+                    sums,
+                )
+                until = begin
+        add_background(pixels, first_pixel, lights, d_background[tile])
 
 
 @kernel

@@ -106,8 +106,18 @@ def forward_rate(frame: Frame) -> float:
     tiles, gathering records and writing pixels included."""
     bins, image = frame.bins, np.empty_like(frame.image)
     tiles = len(bins.offsets) - 1
-    stop_below = image.dtype.type(frame.early_stop)
-    arguments = (bins.offsets, 0, frame.lists, frame.records, frame.view, frame.background, stop_below, image)
+    arguments = (
+        bins.offsets,
+        0,
+        frame.lists,
+        frame.records,
+        frame.view,
+        frame.background,
+        frame.rounds,
+        image,
+        np.empty_like(frame.lights),
+        np.empty_like(frame.met_of),
+    )
     return frame.pixel_splats / _least_cpu_seconds(lambda: draw_tiles(0, tiles, *arguments))
 
 

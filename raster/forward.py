@@ -3,24 +3,33 @@
 A tile is two strips of 8 columns; a strip is eight blocks of 8x2 pixels, each a vector of `simd`. The
 tile's list is taken in chunks: the records of a chunk are gathered into columns of numbers relative to
 the tile, the rows that each ellipse can touch in each strip are computed 16 splats at a time, and then
-only the blocks of these rows are blended. After each chunk, blocks whose pixels are all opaque drop out
-at both ends of a strip; a tile ends when no block is left.
+only the blocks of these rows are blended.
+
+After a round of splats, a chunk mostly, pixels that let less light through than the early stop are retired:
+their light is put aside together with the number of splats that they have met, and counts as 0 from there
+on. A round is so short that light cannot fall from the early stop to 0 within it, and so `backward` can
+follow each pixel's light from its end to its beginning. Blocks without light drop out at both ends of a
+strip; a tile ends when no block is left.
 """
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .bins import MARGIN
 from .compiling import inline, kernel
 from .exp import exp2
-from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
+from .project import BLUE, FALL, GREEN, LOG2_OPACITY, MOST_ALPHA, RED, X_REST, Y_REST, A, B, C, X, Y
 from .simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
     LANES,
     aligned,
     any_above,
+    any_within,
     ceil,
     column_centres,
     divide,
@@ -46,7 +55,9 @@ STRIPS = TILE // BLOCK_WIDTH
 BLOCKS = TILE // BLOCK_HEIGHT
 """In a strip."""
 
-PIXELS = STRIPS * BLOCKS * 4 * LANES
+TILE_PIXELS = STRIPS * BLOCKS * LANES
+
+PIXELS = 4 * TILE_PIXELS
 """Numbers that a tile in work is: by strip and block, a vector each of transmittance, red, green, blue."""
 
 CHUNK = 64
@@ -56,18 +67,23 @@ CHUNK = 64
 G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE = range(9)
 GATHERED = 9
 
+LEAST_LIGHT = 1e8
+"""No pixel goes on with less light than this times the smallest normal number, however low the early stop."""
+
 EARLY_STOP = 1e-5
 """A pixel ends when less light than this comes through: what is left out is at most this times the
 brightest colour behind."""
 
 
 @inline
-def gather(lists, start, count, end, records, left, top, gathered):
+def gather(lists, start, count, next_start, next_stop, records, left, top, gathered):
     """Copies the records of lists[start:start + count] to `gathered` (GATHERED·CHUNK,), means relative to
-    the tile's corner; fills up to a whole vector with copies of the last. Asks for those of the next
-    chunk, up to lists[end], meanwhile."""
+    the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
+    lists[next_start:next_stop], which will be gathered next, meanwhile. Returns by how many powers of two
+    these splats can make light fall at most."""
     number = gathered.dtype.type
-    for k in range(start + count, min(start + 2 * count, end)):
+    fall = number(0)
+    for k in range(next_start, next_stop):
         prefetch(records, lists[k])
     for j in range((count + LANES - 1) // LANES * LANES):
         record = records[lists[start + min(j, count - 1)]]
@@ -81,6 +97,8 @@ def gather(lists, start, count, end, records, left, top, gathered):
         gathered[G_RED * CHUNK + j] = record[RED]
         gathered[G_GREEN * CHUNK + j] = record[GREEN]
         gathered[G_BLUE * CHUNK + j] = record[BLUE]
+        fall += record[FALL]
+    return fall
 
 
 @inline
@@ -127,45 +145,84 @@ def touched_blocks(gathered, count, log2_cut, rows):
             store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, zero) * per_row)
 
 
+class Rounds(NamedTuple):
+    """When pixels retire."""
+
+    stop_below: float
+    """The light below which they do."""
+    most_fall: float
+    """Light may fall by so many powers of two, a negative number, in a round, and stays a normal number."""
+    short: int
+    """Splats that cannot do more than that, even if all have the largest alpha there is."""
+
+
+def make_rounds(early_stop: float, max_alpha: float, dtype: np.dtype) -> Rounds:
+    smallest = float(np.finfo(dtype).smallest_normal)
+    stop_below = max(early_stop, smallest * LEAST_LIGHT)
+    most_fall = math.log2(smallest / stop_below)
+    short = int(most_fall / math.log2(1 - min(max_alpha, MOST_ALPHA)))
+    return Rounds(stop_below, most_fall, min(max(short, 1), CHUNK))
+
+
 @inline
 def start_pixels(pixels, left, top, view):
     """Transmittance 1 and colour 0 in `pixels` (PIXELS,); transmittance 0 beyond the image's border, where
     nothing is left to do."""
     pixels[:] = 0
-    for y in range(min(TILE, view.height - top)):
-        for x in range(min(TILE, view.width - left)):
-            pixels[pixel_index(x, y)] = 1
+    for block in range(STRIPS * BLOCKS):
+        _, _, columns, rows = block_in_image(block, left, top, view.width, view.height)
+        for row in range(rows):
+            for column in range(columns):
+                pixels[block * 4 * LANES + row * BLOCK_WIDTH + column] = 1
 
 
 @inline
-def pixel_index(x, y):
-    """Where the transmittance of pixel (x, y) of a tile is; its colour follows at steps of LANES."""
-    block = (x // BLOCK_WIDTH) * BLOCKS + y // BLOCK_HEIGHT
-    return block * 4 * LANES + (y % BLOCK_HEIGHT) * BLOCK_WIDTH + x % BLOCK_WIDTH
+def block_in_image(block, left, top, width, height):
+    """The top left pixel of a tile's block, and how many columns and rows of it are in the image."""
+    x = left + block // BLOCKS * BLOCK_WIDTH
+    y = top + block % BLOCKS * BLOCK_HEIGHT
+    return x, y, min(BLOCK_WIDTH, width - x), min(BLOCK_HEIGHT, height - y)
 
 
 @inline
-def shrink_alive(pixels, stop_below, alive):
-    """Narrows alive (2·STRIPS,) int64, first and last block by strip, to blocks with light left. Returns
-    whether there is one."""
+def retire(pixels, first_pixel, stop_below, met, lights, met_of, alive):
+    """Retires pixels with less light than `stop_below`, after `met` splats: their transmittance moves to
+    lights and `met` to met_of, flat arrays where the tile begins at first_pixel. Narrows alive (2·STRIPS,)
+    int64, first and last block by strip, to blocks with light left; returns whether there is one."""
     some = False
+    zero, below = pixels.dtype.type(0), pixels.dtype.type(stop_below)
     for strip in range(STRIPS):
-        first, last = alive[2 * strip], alive[2 * strip + 1]
-        while first <= last and not any_above(load(pixels, (strip * BLOCKS + first) * 4 * LANES), stop_below):
-            first += 1
-        while first <= last and not any_above(load(pixels, (strip * BLOCKS + last) * 4 * LANES), stop_below):
-            last -= 1
+        first, last = np.int64(BLOCKS), np.int64(-1)
+        for block in range(alive[2 * strip], alive[2 * strip + 1] + 1):
+            at = (strip * BLOCKS + block) * LANES
+            light = load(pixels, 4 * at)
+            if any_within(light, zero, below):
+                retired = keep_if_below(light, light, spread(below))
+                put_aside(retired, first_pixel + at, met, lights, met_of)
+                light = light - retired
+                store(pixels, 4 * at, light)
+            if any_above(light, zero):
+                first, last = min(first, block), block
         alive[2 * strip], alive[2 * strip + 1] = first, last
         some = some or first <= last
     return some
 
 
 @inline
-def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
-    """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
+def put_aside(retired, at, met, lights, met_of):
+    """Notes the light of the pixels from `at` on where it is not 0, and how many splats they met."""
+    store(lights, at, load(lights, at) + retired)
+    count = keep_if_below(fill(retired, met), fill(retired, 0.0), retired)
+    store(met_of, at, load(met_of, at) + count)
+
+
+@inline
+def blend(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels):
+    """Blends gathered splats [start, stop) over the pixels of a tile, in their order. Returns the number of
+    blocks."""
     number = gathered.dtype.type
     blocks = 0
-    for j in range(count):
+    for j in range(max(start, 0), stop):  # max tells the compiler that no index is negative
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
         red = spread(gathered[G_RED * CHUNK + j])
@@ -188,7 +245,8 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
                 base = (strip * BLOCKS + block) * 4 * LANES
                 light = load(pixels, base)
                 weight = alpha * light
-                store(pixels, base, light - weight)
+                # Not light - weight, whose rounding would be that of the light in front.
+                store(pixels, base, fma(negate(alpha), light, light))
                 store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
                 store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
                 store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
@@ -196,26 +254,31 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
 
 
 @inline
-def write_pixels(pixels, left, top, background, image):
+def write_pixels(pixels, left, top, first_pixel, background, lights, image):
     """Writes the tile's part of image (H, W, 4): colour over the background, alpha."""
-    for y in range(min(TILE, image.shape[0] - top)):
-        for x in range(min(TILE, image.shape[1] - left)):
-            base = pixel_index(x, y)
-            light = pixels[base]
-            pixel = image[top + y, left + x]
-            pixel[0] = pixels[base + LANES] + light * background[0]
-            pixel[1] = pixels[base + 2 * LANES] + light * background[1]
-            pixel[2] = pixels[base + 3 * LANES] + light * background[2]
-            pixel[3] = 1 - light
+    for block in range(STRIPS * BLOCKS):
+        x, y, columns, rows = block_in_image(block, left, top, image.shape[1], image.shape[0])
+        for row in range(rows):
+            for column in range(columns):
+                lane = row * BLOCK_WIDTH + column
+                at = block * 4 * LANES + lane
+                light = lights[first_pixel + block * LANES + lane]
+                pixel = image[y + row, x + column]
+                pixel[0] = pixels[at + LANES] + light * background[0]
+                pixel[1] = pixels[at + 2 * LANES] + light * background[1]
+                pixel[2] = pixels[at + 3 * LANES] + light * background[2]
+                pixel[3] = 1 - light
 
 
 @kernel
-def draw_tiles(start, stop, offsets, base, lists, records, view, background, stop_below, image):
-    """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks
-    that were blended, of LANES pixels each.
+def draw_tiles(start, stop, offsets, base, lists, records, view, background, rounds, image, lights, met_of):
+    """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks that
+    were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    records (N, RECORD), background (3,), stop_below (a number) and image share one dtype.
+    rounds is a `Rounds`. lights and met_of (tiles·TILE_PIXELS,) receive the light that got through each pixel
+    and how many splats of its tile's list it met, a vector a block, strip by strip; both are 0 beyond the
+    image. records (N, RECORD), background (3,), image, lights and met_of share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
@@ -224,15 +287,28 @@ def draw_tiles(start, stop, offsets, base, lists, records, view, background, sto
     blocks = 0
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
+        first_pixel = tile * TILE_PIXELS
+        lights[first_pixel : first_pixel + TILE_PIXELS] = 0
+        met_of[first_pixel : first_pixel + TILE_PIXELS] = 0
         start_pixels(pixels, left, top, view)
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
-        position, end = offsets[tile] - base, offsets[tile + 1] - base
-        while position < end and shrink_alive(pixels, stop_below, alive):
+        first, end = offsets[tile] - base, offsets[tile + 1] - base
+        position, some = first, True
+        while position < end and some:
             count = min(end - position, CHUNK)
-            gather(lists, position, count, end, records, left, top, gathered)
+            next_stop = min(position + 2 * CHUNK, end)
+            fall = gather(lists, position, count, position + count, next_stop, records, left, top, gathered)
             touched_blocks(gathered, count, view.log2_cut, rows)
-            blocks += blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
-            position += count
-        write_pixels(pixels, left, top, background, image)
+            step = CHUNK if fall >= rounds.most_fall else rounds.short
+            done = 0
+            while done < count and some:
+                until = min(done + step, count)
+                blocks += blend(gathered, done, until, rows, alive, view.log2_cut, view.max_alpha, pixels)
+                done = until
+                met = position + done - first
+                some = retire(pixels, first_pixel, rounds.stop_below, met, lights, met_of, alive)
+            position += done
+        retire(pixels, first_pixel, np.inf, position - first, lights, met_of, alive)
+        write_pixels(pixels, left, top, first_pixel, background, lights, image)
     return blocks

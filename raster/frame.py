@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
-from .forward import draw_tiles
+from .forward import TILE_PIXELS, Rounds, draw_tiles, make_rounds
 from .parameters import Parameters
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from .project import RECORD, project
@@ -88,11 +88,15 @@ class Frame:
     view: View
     background: np.ndarray
     """(3,) in the picture's dtype."""
-    early_stop: float
+    rounds: Rounds
     sh_degree: int
     threads: int
     image: np.ndarray
     """(H, W, 4), the caller's to keep."""
+    lights: np.ndarray
+    """(tiles·TILE_PIXELS,), the light that got through each pixel, and..."""
+    met_of: np.ndarray
+    """... how many splats of its tile's list it met: see `forward.draw_tiles`."""
     records: np.ndarray
     """(N, RECORD), see `project`; only rows of visible splats mean anything."""
     pieces: Runs
@@ -134,6 +138,10 @@ def draw(
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
     image = np.empty((view.height, view.width, 4), dtype)
+    pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
+    lights = workspace.take("lights", (pixels,), dtype)
+    met_of = workspace.take("met_of", (pixels,), dtype)
+    rounds = make_rounds(early_stop, view.max_alpha, dtype)
     lists = np.empty(0, np.int32)
     blocks = 0
     for band in bins.bands:
@@ -141,22 +149,34 @@ def draw(
             lists = bins.write(band, workspace)
         with clock.stage("forward"):
             base = int(bins.offsets[band[0]])
-            stop_below = dtype.type(early_stop)
             blocks += sum(
                 run(
                     draw_tiles,
                     tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                    (bins.offsets, base, lists, records, view, background, stop_below, image),
+                    (
+                        bins.offsets,
+                        base,
+                        lists,
+                        records,
+                        view,
+                        background,
+                        rounds,
+                        image,
+                        lights,
+                        met_of,
+                    ),
                     threads,
                 )
             )
     return Frame(
         view=view,
         background=background,
-        early_stop=early_stop,
+        rounds=rounds,
         sh_degree=sh_degree,
         threads=threads,
         image=image,
+        lights=lights,
+        met_of=met_of,
         records=records,
         pieces=pieces,
         runs=runs,

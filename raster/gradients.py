@@ -84,7 +84,6 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
         base, end = int(bins.offsets[band[0]]), int(bins.offsets[band[1]])
         sums = workspace.take("pair_sums", ((end - base) * SUMS,), dtype)
         with clock.stage("backward"):
-            stop_below = dtype.type(frame.early_stop)
             run(
                 differentiate_tiles,
                 tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
@@ -94,8 +93,10 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
                     lists,
                     frame.records,
                     frame.view,
-                    stop_below,
-                    frame.image,
+                    frame.background,
+                    frame.rounds,
+                    frame.lights,
+                    frame.met_of,
                     d_image,
                     sums,
                     walked,

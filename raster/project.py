@@ -12,6 +12,7 @@ A record is one row of RECORD numbers, a cache line in float32, in the dtype of 
     LOG2_OPACITY    after the antialiasing factor
     RED, GREEN, BLUE
     RX, RY          px, half extents: beyond mean ± this, alpha is below the cut
+    FALL            log2(1 - alpha) at its most: by how many powers of two the light behind can be less
 """
 
 from __future__ import annotations
@@ -27,14 +28,17 @@ from .compiling import inline, kernel
 from .exp import exp_lanes, log2_lanes
 from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
 
-X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY = range(13)
+X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, FALL = range(14)
 RECORD = 16
-"""Numbers in a record; the last three are padding to a cache line."""
+"""Numbers in a record; the last two are padding to a cache line."""
 
 HALF_LOG2_E = 0.5 * math.log2(math.e)
 """exp(-q/2) = 2^(-q·HALF_LOG2_E)."""
 
 CONIC_SCALE = math.sqrt(HALF_LOG2_E)
+
+MOST_ALPHA = 1 - 2.0**-24
+"""What FALL counts an alpha of 1 as."""
 
 
 @inline
@@ -166,8 +170,8 @@ def sh_sum(sh, splat, basis, count):
 OFFSET, QUAT, LOG_SCALE, LOGIT = 0, 3, 7, 10
 # ... then what `project_group` makes of it: the order of a record, the direction, the depth, and 1 or 0 for
 # whether the splat is drawn, its colour apart.
-FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 24, 27, 28
-COLUMNS = 29
+FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 25, 28, 29
+COLUMNS = 30
 
 
 @inline
@@ -274,6 +278,8 @@ def project_group(view, lanes):
     set_column(lanes, FOOTPRINT + LOG2_OPACITY, log2_opacity)
     set_column(lanes, FOOTPRINT + RX, rx)
     set_column(lanes, FOOTPRINT + RY, ry)
+    most_alpha = min(view.max_alpha, MOST_ALPHA)
+    set_column(lanes, FOOTPRINT + FALL, log2_lanes(one - min(opacity, most_alpha)))
 
 
 @kernel
@@ -312,7 +318,7 @@ def project(
                 continue
 
             record = records[i]
-            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY):
+            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY, FALL):
                 record[field] = number(lanes[(FOOTPRINT + field) * LANES + lane])
             record[X_REST] = number(lanes[(FOOTPRINT + X) * LANES + lane] - record[X])
             record[Y_REST] = number(lanes[(FOOTPRINT + Y) * LANES + lane] - record[Y])

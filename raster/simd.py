@@ -321,6 +321,23 @@ def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
 
 
 @intrinsic
+def any_within(typingctx: Any, vector: Any, above: Any, below: Any) -> Any:
+    """Whether a lane of `vector` is above the one and below the other scalar (same float type)."""
+    if not (isinstance(vector, Vector) and vector.element == above == below):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        mask = builder.and_(
+            builder.fcmp_ordered(">", args[0], _spread(builder, args[1])),
+            builder.fcmp_ordered("<", args[0], _spread(builder, args[2])),
+        )
+        bits = builder.bitcast(mask, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(vector, above, below), codegen
+
+
+@intrinsic
 def sum_lanes(typingctx: Any, vectors: Any) -> Any:
     """The sums over the lanes of a tuple of up to 16 vectors, as one vector: lane i has the i-th sum.
 
@@ -351,6 +368,25 @@ def sum_lanes(typingctx: Any, vectors: Any) -> Any:
         return rows[0]
 
     return result(vectors), codegen
+
+
+@intrinsic
+def greatest_lane(typingctx: Any, vector: Any) -> Any:
+    """The greatest of a vector's lanes."""
+    if not isinstance(vector, Vector):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        greatest, half = args[0], LANES // 2
+        while half:
+            lanes = [lane ^ half for lane in range(LANES)]
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+            other = builder.shuffle_vector(greatest, ir.Constant(greatest.type, ir.Undefined), mask)
+            greatest = builder.select(builder.fcmp_ordered(">", greatest, other), greatest, other)
+            half //= 2
+        return builder.extract_element(greatest, ir.Constant(ir.IntType(32), 0))
+
+    return vector.element(vector), codegen
 
 
 @intrinsic

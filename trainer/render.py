@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..raster import EARLY_STOP, Frame, Parameters, Workspace, check_parameters, differentiate, draw_frame
+from ..raster import Frame, Parameters, Workspace, check_parameters, differentiate, draw_frame
 from ..raster.project import RX, RY
 from ..scene import Camera, RenderSettings
+
+GRADIENT_EARLY_STOP = 1e-7
+"""The light below which a pixel ends, in float32. Where gradients nearly cancel, what they leave out at
+`raster.EARLY_STOP` shows in their fourth digit; at this, in their sixth, for a twentieth more time."""
 
 
 @dataclass(eq=False)
@@ -56,8 +60,8 @@ def render(
     Parameters have the shapes of `scene.Gaussians` and are all float32 or all float64, on the CPU.
     `background` (3,) stands for that of the settings and may need a gradient. `pose` (6,) must be zeros;
     its gradient is that of a small motion of the camera, (shift, turn) in camera axes: see
-    `raster.gradients`. `early_stop` is the light below which a pixel ends; by default `EARLY_STOP` in
-    float32 and 0, never, in float64. Threads: None means all cores.
+    `raster.gradients`. `early_stop` is the light below which a pixel ends; by default
+    `GRADIENT_EARLY_STOP` in float32 and 0, never, in float64. Threads: None means all cores.
 
     The gradients by the means in the image are in the `Visibility` once the picture has been
     differentiated, which can be done once.
@@ -90,7 +94,7 @@ def render(
     if not (pose.detach() == 0).all():
         raise ValueError("pose must be zeros: move the camera instead")
     if early_stop is None:
-        early_stop = EARLY_STOP if means.dtype == torch.float32 else 0.0
+        early_stop = GRADIENT_EARLY_STOP if means.dtype == torch.float32 else 0.0
     visibility = Visibility(torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=means.dtype), len(means))
     options = (camera, settings, early_stop, threads, visibility)
     image = _Render.apply(*named.values(), background, pose, options)

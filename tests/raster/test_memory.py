@@ -16,6 +16,9 @@ BYTES_A_SPLAT = 120
 
 BYTES_A_PAIR = 4
 
+BYTES_A_PIXEL = 8
+"""The light that is left, and the splats met before it was."""
+
 BYTES_A_SPLAT_BACKWARD = 64
 BYTES_A_PAIR_BACKWARD = 64
 
@@ -30,7 +33,7 @@ def test_workspace_per_splat_and_per_pair(random_gaussians):
     frame = raster.draw_frame(splats, camera, RenderSettings(), workspace, threads=2)
     pairs, tiles = int(frame.bins.offsets[-1]), len(frame.bins.offsets)
     extra_rows = max(0, len(frame.bins.spans) - len(scene))
-    fixed = 64 * tiles + 2 * frame.bins.positions.nbytes + 20_000
+    fixed = (64 + BYTES_A_PIXEL * 256) * tiles + 2 * frame.bins.positions.nbytes + 20_000
     allowed = BYTES_A_SPLAT * len(scene) + BYTES_A_PAIR * pairs + 8 * extra_rows + fixed
     assert workspace.nbytes <= allowed
     raster.differentiate(splats, frame, np.ones_like(frame.image))

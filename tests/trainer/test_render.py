@@ -8,18 +8,25 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, event, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.projection import project
 from splatview.trainer import reference_torch
-from splatview.trainer.render import Visibility, render
+from splatview.trainer.render import GRADIENT_EARLY_STOP, Visibility, render
 
 GROUPS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 BOUNDS = {torch.float32: 1e-4, torch.float64: 1e-9}
-POSE_BOUND = 1e-3
+"""Of |ours - truth| / |truth|, the norms being those of a whole group: the error that a step along it has."""
+
+NEGLIGIBLE = 1e-6
+"""A group whose gradient is below this share of the largest one's counts as that large: some cancel to
+nothing, a round splat's by its quaternion say, and only rounding is left of them."""
+
+NEAR_CUT, NEAR_CAP = 1e-6, 1e-5
+"""An alpha so close to the cut or the cap may fall on the other side of it in float32."""
 
 
 def tensors_of(scene: Gaussians, dtype: torch.dtype) -> dict[str, torch.Tensor]:
@@ -37,11 +44,12 @@ def gradient(tensor: torch.Tensor) -> torch.Tensor:
 
 
 def loss_weights(camera: Camera) -> torch.Tensor:
-    """A random linear loss: its gradient by the picture, (H, W, 4) float64."""
-    return torch.from_numpy(np.random.default_rng(5).normal(size=(camera.height, camera.width, 4)))
+    """A random linear loss: its gradient by the picture, (H, W, 4) float64, exact in float32 too."""
+    weights = np.random.default_rng(5).normal(size=(camera.height, camera.width, 4))
+    return torch.from_numpy(weights.astype(np.float32).astype(np.float64))
 
 
-def true_gradients(scene, camera, settings) -> dict[str, torch.Tensor]:
+def true_gradients(scene, camera, settings, weights) -> dict[str, torch.Tensor]:
     inputs = tensors_of(scene, torch.float64)
     inputs["background"] = torch.tensor(settings.background, dtype=torch.float64, requires_grad=True)
     inputs["pose"] = torch.zeros(6, dtype=torch.float64, requires_grad=True)
@@ -49,36 +57,56 @@ def true_gradients(scene, camera, settings) -> dict[str, torch.Tensor]:
     image = reference_torch.render(
         means, quats, log_scales, opacity_logits, sh, camera, settings, background, pose
     )
-    (image * loss_weights(camera)).sum().backward()
+    (image * weights).sum().backward()
     assert np.abs(image.detach().numpy() - reference.render(scene, camera, settings)).max() < 1e-12
     return {name: gradient(value) for name, value in inputs.items()}
 
 
-def our_gradients(scene, camera, settings, dtype, **options) -> dict[str, torch.Tensor]:
+def our_gradients(scene, camera, settings, dtype, *, weights=None, **options) -> dict[str, torch.Tensor]:
     inputs = tensors_of(scene, dtype)
     background = torch.tensor(settings.background, dtype=dtype, requires_grad=True)
     pose = torch.zeros(6, dtype=dtype, requires_grad=True)
     image, _ = picture(inputs, camera, settings, background=background, pose=pose, **options)
-    (image * loss_weights(camera).to(dtype)).sum().backward()
+    weights = loss_weights(camera) if weights is None else weights
+    (image * weights.to(dtype)).sum().backward()
     inputs |= {"background": background, "pose": pose}
     return {name: gradient(value) for name, value in inputs.items()}
 
 
-def assert_gradients(scene, camera, settings=None, dtypes=(torch.float32, torch.float64)) -> None:
+def assert_gradients(scene, camera, settings=None) -> None:
+    """Both precisions against float64 autograd. In float32 pixels with an alpha beside an edge are given no
+    weight in the loss, on either side: rounding may decide whether they show a splat at all."""
     settings = settings or RenderSettings(background=(0.2, 0.5, 0.8))
-    truth = true_gradients(scene, camera, settings)
-    assert set(truth) == {*GROUPS, "background", "pose"}
-    # Some gradients cancel to nothing, a round splat's by its quaternion say: what rounding leaves of
-    # them is measured against a share of the largest gradient.
-    floor = 1e-5 * max(value.abs().max() for value in truth.values())
-    for dtype in dtypes:
-        ours = our_gradients(scene, camera, settings, dtype)
+    beside = torch.from_numpy(beside_an_edge(scene, camera, settings))
+    weights = loss_weights(camera)
+    truth = true_gradients(scene, camera, settings, weights)
+    for dtype, bound in reversed(BOUNDS.items()):
+        if dtype == torch.float32 and beside.any():
+            weights[beside] = 0
+            truth = true_gradients(scene, camera, settings, weights)
+        assert set(truth) == {*GROUPS, "background", "pose"}
+        ours = our_gradients(scene, camera, settings, dtype, weights=weights)
+        floor = NEGLIGIBLE * max(float(value.norm()) for value in truth.values())
         for name, expected in truth.items():
-            error = (ours[name].double() - expected).abs().max()
-            error /= max(expected.abs().max(), floor, 1e-12)
-            # The pose's gradient is a sum over all splats, which may cancel.
-            bound = POSE_BOUND if name == "pose" and dtype == torch.float32 else BOUNDS[dtype]
-            assert error <= bound, f"{name} in {dtype}: {error:.1e}"
+            error = float((ours[name].double() - expected).norm())
+            allowed = bound * max(float(expected.norm()), floor)
+            if name == "background" and dtype == torch.float32:
+                # Where less light than the early stop is left, how much less is not followed up.
+                allowed += GRADIENT_EARLY_STOP * float(weights.abs().sum())
+            assert error <= allowed, f"{name} in {dtype}: {error:.1e}, allowed {allowed:.1e}"
+
+
+def beside_an_edge(scene, camera, chosen) -> np.ndarray:
+    """(H, W) bool: pixels with an alpha beside the cut or the cap, by the reference's own numbers."""
+    free = replace(chosen, model=replace(chosen.model, max_alpha=np.inf, alpha_cut=0.0))
+    footprints = project(scene, camera, chosen)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    alphas = reference.alphas(footprints, np.arange(len(footprints.indices)), x.ravel(), y.ravel(), free)
+    model = chosen.model
+    beside = np.abs(alphas - model.max_alpha) <= NEAR_CAP
+    if model.alpha_cut > 0:
+        beside |= np.abs(alphas - model.alpha_cut) <= NEAR_CUT
+    return beside.any(axis=0).reshape(camera.height, camera.width)
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
@@ -140,7 +168,7 @@ def test_many_opaque_layers(random_gaussians):
     stretch=st.floats(0, 2),
 )
 @settings(
-    max_examples=60,
+    max_examples=80,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
@@ -155,24 +183,14 @@ def test_generated_scenes(
     camera = look_at((eye[0], eye[1], eye[2] - 2), (0, 0, 0), width=width, height=height)
     model = ImageModel(antialiased=antialiased)
     chosen = RenderSettings(model=model)
-    # In float64 no alpha is so close to the cut or the cap that rounding decides; in float32 some are. And
-    # of splats larger than the whole scene, all over a picture of few pixels, gradients nearly cancel.
-    comparable = scales.max() < 0 and not beside_an_edge(scene, camera, chosen)
-    dtypes = (torch.float32, torch.float64) if comparable else (torch.float64,)
-    event(f"{len(dtypes)} precisions compared")
-    assert_gradients(scene, camera, chosen, dtypes=dtypes)
+    assert_gradients(scene, camera, chosen)
 
 
-def beside_an_edge(scene, camera, chosen) -> bool:
-    """Whether an alpha lies within 1e-6 of the cut, or as close to the cap as float32's exponential errs."""
-    free = replace(chosen, model=replace(chosen.model, max_alpha=np.inf, alpha_cut=0.0))
-    footprints = project(scene, camera, chosen)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    alphas = reference.alphas(footprints, np.arange(len(footprints.indices)), x.ravel(), y.ravel(), free)
-    model = chosen.model
-    return bool(
-        (np.abs(alphas - model.alpha_cut) <= 1e-6).any() or (np.abs(alphas - model.max_alpha) <= 1e-5).any()
-    )
+def test_few_pixels_are_beside_an_edge(random_gaussians):
+    """What the comparisons in float32 leave out."""
+    scene = random_gaussians(300, seed=33)
+    camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=200, height=150)
+    assert 0 < beside_an_edge(scene, camera, RenderSettings()).mean() < 2e-3
 
 
 def test_any_number_of_threads_gives_the_same_bits(random_gaussians):
