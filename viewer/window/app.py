@@ -20,6 +20,7 @@ from .core import Core
 from .display import best_gl_version
 from .dropping import install_drop_handler
 from .editing.taking_up import continue_editing, put_away
+from .editing.files import continue_restoring, look_for_abandoned
 from .file_dialogs import FileDialogs
 from .picture import choose_picture
 from .preferences import Preferences, load_preferences, save_preferences
@@ -91,6 +92,8 @@ class Window:
             opening.open_paths(self.core, self._paths)
         else:
             opening.begin_demo(self.core)
+        if self.core.training is None:
+            look_for_abandoned(self.core)
 
     def before_frame(self) -> None:
         """Everything that changes the state happens here, between two frames."""
@@ -110,6 +113,7 @@ class Window:
             core.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
             core.training.advance(core)
         continue_editing(core)
+        continue_restoring(core)
         core.advance()
         core.note_statistics()
         if core.clipboard_write is not None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...edit.journal import AbandonedJournal
 from ...scene import Camera, RenderSettings
 from ...scene.edits import SceneEdits
 from ..gl import FrameStats, VisualMode
@@ -97,8 +98,12 @@ class Core:
     problem: str | None = None
     """An error that waits in a dialog for the user to read it."""
     dialog: str | None = None
-    """Which dialog is open: "help", "screenshot", "palette" or none."""
+    """Which dialog is open: "help", "screenshot", "palette", "restore" or none."""
     palette: Palette = field(default_factory=Palette)
+    abandoned: list[AbandonedJournal] = field(default_factory=list)
+    """What earlier windows left unsaved, to be offered."""
+    restoring: AbandonedJournal | None = None
+    """Whose scene is on its way."""
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""
     gpu_name: str = ""
@@ -200,7 +205,7 @@ class Core:
     @property
     def edits(self) -> SceneEdits | None:
         """Those of the scene that the picture holds; None where nothing is edited."""
-        return self.desk.document.edits if self.desk else None
+        return self.desk.edits if self.desk else None
 
     @property
     def overlay(self) -> Overlay | None:

@@ -11,7 +11,7 @@ from typing import Literal
 from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
-Kind = Literal["scene", "cameras", "save_picture", "save_camera", "save_scene"]
+Kind = Literal["scene", "cameras", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"]
 
 FILTERS: dict[Kind, list[str]] = {
     "scene": ["Splat scenes", "*.ply *.splat *.spz *.ksplat *.sog", "All files", "*"],
@@ -19,6 +19,8 @@ FILTERS: dict[Kind, list[str]] = {
     "save_picture": ["PNG pictures", "*.png"],
     "save_camera": ["Cameras", "*.json"],
     "save_scene": ["Splat scenes", "*.ply"],
+    "recipe": ["Recipes", "*.json", "All files", "*"],
+    "save_recipe": ["Recipes", "*.json"],
 }
 
 LINUX_PROGRAMS = ("zenity", "kdialog", "qarma", "matedialog")

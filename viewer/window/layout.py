@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from ..folders import config_folder
 from . import dialogs, menus, overlays, palette, viewport
 from .core import Core
+from .editing.panels import edit, history, restore
 from .file_dialogs import FileDialogs
 from .panels import bookmarks, camera, messages, rendering, scene, statistics
 from .training import panels as training_panels
@@ -20,9 +21,11 @@ TRAINING_LAYOUT_FILE = "training-layout.ini"
 
 PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
     ("Scene", "Upper", scene.show),
+    ("Edit", "Upper", edit.show),
     ("Picture", "Upper", rendering.show),
     ("Camera", "Upper", camera.show),
     ("Views", "Lower", bookmarks.show),
+    ("History", "Lower", history.show),
     ("Statistics", "Lower", statistics.show),
     ("Messages", "Lower", messages.show),
 )
@@ -73,14 +76,14 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     tidy = imgui.internal.DockNodeFlagsPrivate_
     flags = tidy.no_window_menu_button | tidy.no_close_button
     params.docking_splits = [
-        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27, flags),
-        split("Upper", "Lower", imgui.Dir.down, 0.45, flags),
+        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27 if core.training is None else 0.30, flags),
+        split("Upper", "Lower", imgui.Dir.down, 0.34, flags),
     ]
     panels = PANELS
     if core.training is not None:
         params.docking_splits = [
             *params.docking_splits,
-            split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.30, flags),
+            split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.33, flags),
         ]
         panels = (*training_panels.PANELS, *PANELS)
     view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
@@ -133,6 +136,7 @@ def show_floating(core: Core, files: FileDialogs) -> None:
     dialogs.help_page(core)
     dialogs.screenshot(core)
     palette.show(core)
+    restore.show(core)
     files.show()
 
 

@@ -63,7 +63,14 @@ def file_menu(core: Core) -> None:
         if imgui.menu_item("Forget these", "", False)[0]:
             core.prefer(recent=())
         imgui.end_menu()
+    item(core, "merge", "Merge as an edit...", enabled=core.desk is not None)
     item(core, "reload", enabled=core.scene_path is not None)
+    imgui.separator()
+    item(core, "export", "Export the edited scene...", enabled=core.desk is not None)
+    item(core, "split", "Selection to its own file...", enabled=core.desk is not None)
+    item(core, "save_recipe", "Save recipe...", enabled=core.desk is not None)
+    item(core, "replay_recipe", "Replay recipe...", enabled=core.desk is not None)
+    imgui.separator()
     if imgui.menu_item("Demo scene", "", False)[0]:
         core.post(opening.begin_demo)
     imgui.separator()
@@ -82,7 +89,7 @@ def edit_menu(core: Core) -> None:
     item(core, "undo", enabled=history is not None and history.can_undo)
     item(core, "redo", enabled=history is not None and history.can_redo)
     imgui.separator()
-    for action in ("delete", "hide", "isolate", "lock"):
+    for action in ("delete", "hide", "isolate", "lock", "duplicate"):
         item(core, action, enabled=selected)
     item(core, "show", enabled=desk is not None and desk.document.counts.hidden > 0)
     item(core, "unlock", enabled=desk is not None and desk.document.counts.locked > 0)

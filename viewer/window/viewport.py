@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from ...scene import InputError
 from .actions import focus_at
 from .core import Core
+from .editing.gizmos import grabbed
 from .editing.on_picture import draw_tool, use_tool
 from .keys import held_step
 from .navigation import dolly, look, move, orbit, pan, trackball
@@ -48,7 +49,7 @@ def show(core: Core) -> None:
     )
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    tool_has_it = use_tool(core, corner, width, height)
+    tool_has_it = use_tool(core, corner, width, height) or (core.desk is not None and grabbed())
     steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(core)
     turning = imgui.is_item_active() and not tool_has_it

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, get_args
 from ....edit.operations import OPERATIONS
 from ....edit.operations.operation import Operation
 from .desk import Desk
+from .files import FILE_ACTIONS
 from .tool_names import Depth, ToolName
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def redo(core: Core, desk: Desk) -> None:
 @with_desk
 def jump(core: Core, desk: Desk, position: int) -> None:
     """Undoes or redoes until `position` steps are in force."""
-    desk.document.jump(position)
+    desk.jump(position)
 
 
 @with_desk
@@ -95,8 +96,10 @@ def _operation(name: str, **fields: object) -> Operation:
 
 
 EDIT_ACTIONS: dict[str, Callable[[Core], None]] = {
+    **FILE_ACTIONS,
     "undo": undo,
     "redo": redo,
+    "duplicate": partial(apply_to_selection, operation=_operation("duplicate")),
     **{
         name: partial(apply, operation=_operation(name))
         for name in ("select_all", "select_none", "select_inverse", "show", "unlock")

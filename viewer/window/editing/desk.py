@@ -6,16 +6,22 @@ Nothing here imports ImGui, so that all of it is tested without a display.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from ....edit.document import Document, Planned
+from ....edit.journal import Journal
 from ....edit.operations.operation import Operation
+from ....edit.price import unchanging
 from ....edit.selecting.colour import TOLERANCE
 from ....edit.watch import Cancelled, Watch
 from ....scene import Gaussians, InputError
+from ....scene.edits import PREVIEW, SceneEdits
 from ...gl.overlay import Overlay
+from .forms import Forms
 from .measuring import Measured
 from .strokes import Stroke
 from .tool_names import Depth, Place, ToolName
@@ -72,6 +78,19 @@ class Desk:
     brush_radius: float = BRUSH_RADIUS
     tolerance: float = TOLERANCE
     """How much colours may differ, for the magic wand and the eyedropper; Oklab, black to white being 1."""
+    forms: Forms = field(default_factory=Forms)
+    highlight: np.ndarray | None = None
+    """(N,) bool: splats that a tool would take, lit up on the picture until the next edit; never written
+    to."""
+    journal: Journal | None = None
+    pivot: tuple[object, Place] | None = None
+    """What it is of, and the middle that transforms turn about."""
+    seen_position: int = -1
+    """Of the history, when its panel was drawn last."""
+    loading: tuple[Gaussians, Generator[float]] | None = None
+    """A changed scene on its way to the picture."""
+    loaded: Gaussians | None = None
+    """What the picture holds; None: the document's own scene."""
     stroke: Stroke | None = None
     """What is being drawn on the picture."""
     picked: list[Place] = field(default_factory=list)
@@ -81,6 +100,11 @@ class Desk:
     job: Job | None = None
     problem: str | None = None
     """A line for the user, taken by the window."""
+    _shown: tuple[object, SceneEdits] | None = None
+    _latest: SceneEdits | None = None
+    _held: SceneEdits | None = None
+    _highlighted: np.ndarray | None = None
+    _highlighted_at: object = None
     news: str | None = None
     """Likewise, of less weight."""
 
@@ -88,10 +112,68 @@ class Desk:
     def gaussians(self) -> Gaussians:
         return self.document.gaussians
 
-    def apply(self, operation: Operation | Planned) -> bool:
-        """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
+    @property
+    def edits(self) -> SceneEdits:
+        """Those of the document, and the highlight: what the picture is drawn with."""
+        if self._held is not None:
+            return self._held
+        if (
+            self.loaded is not None
+            and self.loaded is not self.document.gaussians
+            and self._latest is not None
+        ):
+            # The picture still holds the scene of before: it is shown as it was until the new one is there.
+            return self._latest
+        self._latest = edits = self.document.edits
+        mask = self.highlight
+        versions = self.document.versions
+        if mask is not None and self._highlighted is not mask:
+            self._highlighted, self._highlighted_at = mask, versions
+        if mask is None or self._highlighted_at != versions:
+            self.highlight = self._highlighted = None
+            return edits
+        key = (versions, id(mask))
+        if self._shown is None or self._shown[0] != key:
+            marks = edits.marks | np.where(mask, np.uint32(PREVIEW), np.uint32(0))
+            lit = replace(edits, marks=marks, changes=(), flags=edits.flags | PREVIEW)
+            self._shown = (key, lit)
+        return self._shown[1]
+
+    def preview(self, section: str, operation: Operation) -> None:
+        """Shows what `operation` would do, until it is committed or cancelled."""
+        if self.job is not None:
+            return
+        try:
+            self.document.preview(operation)
+            self.forms.previewing = section
+        except InputError as error:
+            self.forms.previewing = ""
+            self.problem = str(error)
+
+    def commit_preview(self) -> None:
+        change = self.document.commit_preview()
+        self.forms.previewing = ""
+        if change is not None:
+            self.news = change.title
+
+    def cancel_preview(self) -> None:
+        self.document.cancel_preview()
+        self.forms.previewing = ""
+
+    def _busy(self) -> bool:
+        """Says so where a job is under way: nothing may change beneath it."""
         if self.job is not None:
             self.problem = f"{self.job.title} is still under way; wait for it or cancel it"
+        return self.job is not None
+
+    def jump(self, position: int) -> None:
+        """Undoes or redoes until `position` steps are in force."""
+        if not self._busy():
+            self.document.jump(position)
+
+    def apply(self, operation: Operation | Planned) -> bool:
+        """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
+        if self._busy():
             return False
         try:
             change = self.document.apply(operation)
@@ -103,16 +185,25 @@ class Desk:
 
     def apply_slowly(self, operation: Operation, title: str) -> None:
         """Plans it in a thread, with progress, and applies it between two frames when that is done."""
-        self.start(title, lambda watch: self.document.plan(operation), self._apply_planned)
+        self.start(title, lambda watch: self.document.plan(operation, watch=watch), self._apply_planned)
 
     def _apply_planned(self, planned: Planned) -> None:
         self.apply(planned)
 
-    def start(self, title: str, work: Callable[[Watch], Any], done: Callable[[Any], None]) -> None:
-        """Runs `work(watch)` in a thread and `done(result)` between frames; one job at a time."""
-        if self.job is not None:
-            self.problem = f"{self.job.title} is still under way; wait for it or cancel it"
+    def start(
+        self,
+        title: str,
+        work: Callable[[Watch], Any],
+        done: Callable[[Any], None],
+        *,
+        edits: bool = False,
+    ) -> None:
+        """Runs `work(watch)` in a thread and `done(result)` between frames; one job at a time. Where it
+        `edits` the document, the picture stays as it was until it has ended."""
+        if self._busy():
             return
+        if edits:
+            self._held = unchanging(self.edits)
         self.job = Job(title, work, done)
 
     def advance(self) -> None:
@@ -120,7 +211,7 @@ class Desk:
         job = self.job
         if job is None or not job.done:
             return
-        self.job = None
+        self.job, self._held = None, None
         if isinstance(job.error, Cancelled) or job.cancelled:
             self.news = f"{job.title}: cancelled, nothing was changed"
         elif isinstance(job.error, InputError):
@@ -131,14 +222,20 @@ class Desk:
             job.finish(job.result)
 
     def undo(self) -> None:
+        if self._busy():
+            return
         step = self.document.undo()
         self.news = f"Undone: {step.title}" if step else "Nothing to undo"
 
     def redo(self) -> None:
+        if self._busy():
+            return
         step = self.document.redo()
         self.news = f"Redone: {step.title}" if step else "Nothing to redo"
 
     def close(self) -> None:
-        """Ends what is under way."""
+        """Ends what is under way. Edits that are in no file stay in the journal, for the next start."""
         if self.job is not None:
             self.job.cancel()
+        if self.journal is not None:
+            self.journal.close(keep=self.document.history.modified)

@@ -14,6 +14,7 @@ from .. import theme
 from ..drawing import point_on_picture
 from . import picks
 from .desk import Desk
+from .panels import crops, move
 from .strokes import CLICKED, DRAGGED, Stroke, mode_of
 from .tool_names import Mode, ToolName
 
@@ -112,6 +113,9 @@ def draw_tool(core: Core, corner: ImVec2, width: int, height: int) -> None:
         mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
         draw.add_circle(io.mouse_pos, desk.brush_radius, colour(mode, 0.9), 0, 1.5)
     draw_points(core, draw, desk, corner, width, height)
+    camera = core.view.camera(width, height)
+    crops.draw(core, desk, camera, corner)
+    move.handles(core, desk, camera, corner)
     draw.pop_clip_rect()
 
 

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 from ....edit.document import Document
+from ....edit.journal import Journal
 from ....scene import InputError
+from ...commands.edit_tools import RasterTools
+from ...folders import cache_folder
 from .desk import Desk
 
 if TYPE_CHECKING:
     from ..core import Core
     from ..loading import LoadedScene
+
+
+LOAD_SECONDS = 0.012
+"""Of each frame, for giving the picture a scene that edits have changed."""
+
+JOURNALS = "journals"
+"""Folder in the cache: steps of windows that run, and of those that did not end well."""
 
 
 def take_up(core: Core, scene: LoadedScene) -> None:
@@ -19,10 +30,15 @@ def take_up(core: Core, scene: LoadedScene) -> None:
         core.desk.close()
     folder = scene.paths[0].parent if scene.paths else None
     try:
-        core.desk = Desk(document=Document(scene.gaussians, name=scene.name, folder=folder))
+        document = Document(scene.gaussians, name=scene.name, folder=folder, tools=RasterTools())
     except InputError as error:
         core.desk = None
         core.tell(f"{error}; it can be looked at")
+        return
+    core.desk = Desk(document=document)
+    core.desk.journal = Journal(
+        document, cache_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
+    )
 
 
 def continue_editing(core: Core) -> None:
@@ -31,9 +47,49 @@ def continue_editing(core: Core) -> None:
     if desk is None:
         return
     desk.advance()
+    load_changed_scene(core, desk)
+    if desk.journal is not None and desk.journal.problem is not None:
+        core.tell(desk.journal.problem)
+        desk.journal.close(keep=True)
+        desk.journal = None
     if desk.problem is not None:
         core.complain(desk.problem)
         desk.problem = None
     if desk.news is not None:
         core.tell(desk.news)
         desk.news = None
+
+
+def load_changed_scene(core: Core, desk: Desk) -> None:
+    """Gives the picture a scene whose values or number of splats an edit has changed, some at each frame."""
+    wanted = desk.document.gaussians
+    if desk.loaded is None:
+        desk.loaded = wanted
+    if desk.job is not None or core.loading is not None or core.picture is None:
+        return
+    if desk.loading is not None and desk.loading[0] is not wanted:
+        desk.loading[1].close()
+        desk.loading = None
+    if desk.loaded is wanted:
+        return
+    if desk.loading is None:
+        desk.loading = (wanted, core.picture.load_steps(wanted))
+    until = time.perf_counter() + LOAD_SECONDS
+    try:
+        while time.perf_counter() < until:
+            next(desk.loading[1])
+    except StopIteration:
+        desk.loaded, desk.loading = wanted, None
+    except InputError as error:
+        desk.loading = None
+        desk.problem = f"{error}; the last step is taken back"
+        desk.undo()
+
+
+def put_away(core: Core) -> None:
+    """The window closes."""
+    if core.desk is not None:
+        if core.desk.document.history.modified:
+            core.tell("The edits are kept: the next start offers to restore them")
+        core.desk.close()
+        core.desk = None

@@ -1,0 +1,203 @@
+"""Exporting the edited scene, and saving, replaying and restoring what was done to it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ....edit.export import export
+from ....edit.journal import AbandonedJournal, find_abandoned_journals
+from ....edit.operations.combining import Merge, Split
+from ....edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
+from ....edit.watch import Watch
+from ....scene import InputError
+from ...folders import cache_folder
+from .desk import Desk
+from .taking_up import JOURNALS
+
+if TYPE_CHECKING:
+    from ..core import Core
+
+
+def choose_export(core: Core) -> None:
+    """Asks where the edited scene goes."""
+    if core.desk is None:
+        core.tell("Open a scene first")
+        return
+    core.choose_files(
+        "Export the edited scene",
+        lambda paths: core.post(export_to, paths[0]),
+        kind="save_scene",
+        name=f"{_stem(core)}-edited.ply",
+    )
+
+
+def export_to(core: Core, path: Path) -> None:
+    """Writes the edited scene, whole or not at all, in a thread."""
+    desk = core.desk
+    if desk is None:
+        return
+    target = path if path.suffix else path.with_suffix(".ply")
+    desk.document.cancel_preview()
+    document = desk.document
+
+    def work(watch: Watch) -> int:
+        return export(document, target)
+
+    def done(count: int) -> None:
+        desk.news = f"Exported {count:,} splats to {target}"
+
+    desk.start(f"Exporting {target.name}", work, done)
+
+
+def choose_recipe_to_save(core: Core) -> None:
+    if core.desk is None or not core.desk.document.history.position:
+        core.tell("Nothing has been done yet that a recipe could hold")
+        return
+    core.choose_files(
+        "Save what was done as a recipe",
+        lambda paths: core.post(save_recipe_to, paths[0]),
+        kind="save_recipe",
+        name=f"{_stem(core)}-recipe.json",
+    )
+
+
+def save_recipe_to(core: Core, path: Path) -> None:
+    if core.desk is None:
+        return
+    target = path if path.suffix else path.with_suffix(".json")
+    try:
+        save_recipe(recipe_of(core.desk.document), target)
+    except InputError as error:
+        core.complain(str(error))
+        return
+    core.tell(f"{target}: {core.desk.document.history.position} steps; splatview edit replays them on a file")
+
+
+def choose_recipe_to_replay(core: Core) -> None:
+    if core.desk is None:
+        core.tell("Open a scene first")
+        return
+    core.choose_files("Replay a recipe", lambda paths: core.post(replay_file, paths[0]), kind="recipe")
+
+
+def replay_file(core: Core, path: Path) -> None:
+    desk = core.desk
+    if desk is None:
+        return
+    try:
+        recipe = load_recipe(path)
+        check_scene(recipe, desk.document, any_scene=True)
+    except InputError as error:
+        core.complain(str(error))
+        return
+    replay_on(core, desk, recipe, f"Replaying {path.name}")
+
+
+def replay_on(core: Core, desk: Desk, recipe: Recipe, title: str) -> None:
+    """Does every step again, as steps of this history. The document waits for it: nothing else may edit."""
+    desk.cancel_preview()
+    folder, desk.document.folder = desk.document.folder, recipe.folder or desk.document.folder
+
+    def work(watch: Watch) -> None:
+        try:
+            replay(recipe, desk.document, watch=watch)
+        finally:
+            desk.document.folder = folder
+
+    def done(_: None) -> None:
+        desk.news = f"{len(recipe.steps)} steps done again"
+
+    desk.start(title, work, done, edits=True)
+
+
+def choose_merge(core: Core) -> None:
+    """Adds a file's splats as an edit, which can be undone and replayed."""
+    if core.desk is None:
+        core.tell("Open a scene first")
+        return
+    core.choose_files("Merge another scene", lambda paths: core.post(merge_files, paths), kind="scene")
+
+
+def merge_files(core: Core, paths: list[Path]) -> None:
+    if core.desk is not None:
+        core.desk.apply_slowly(Merge(path=str(paths[0].absolute())), f"Reading {paths[0].name}")
+
+
+def choose_split(core: Core) -> None:
+    """Moves the selection to a file of its own."""
+    if core.desk is None or not core.desk.document.counts.selected:
+        core.tell("Select the splats that are to go to a file of their own")
+        return
+    core.choose_files(
+        "Split the selection to a scene of its own",
+        lambda paths: core.post(split_to, paths[0]),
+        kind="save_scene",
+        name=f"{_stem(core)}-part.ply",
+    )
+
+
+def split_to(core: Core, path: Path) -> None:
+    if core.desk is not None:
+        target = path if path.suffix else path.with_suffix(".ply")
+        core.desk.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
+
+
+def _stem(core: Core) -> str:
+    return core.scene_path.stem if core.scene_path else "scene"
+
+
+# ---- after a crash
+
+
+def look_for_abandoned(core: Core) -> None:
+    """At the start: offers what a window that did not end well, or with unsaved edits, was doing."""
+    core.abandoned = [
+        journal for journal in find_abandoned_journals(cache_folder() / JOURNALS) if journal.scene is not None
+    ]
+    if core.abandoned:
+        core.dialog = "restore"
+
+
+def restore(core: Core, journal: AbandonedJournal) -> None:
+    """Opens the journal's scene; its steps follow when that is loaded."""
+    from .. import opening
+
+    if journal.scene is None or not journal.scene.exists():
+        core.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
+        return
+    core.restoring = journal
+    opening.open_paths(core, [journal.scene])
+
+
+def continue_restoring(core: Core) -> None:
+    """Called every frame: replays the steps once their scene is on the desk."""
+    journal, desk = core.restoring, core.desk
+    if journal is None or desk is None or core.loading is not None or core.scene_path != journal.scene:
+        return
+    core.restoring = None
+    try:
+        check_scene(journal.recipe, desk.document)
+    except InputError as error:
+        core.complain(f"The scene has changed since it was edited: {error}")
+        return
+    journal.discard()
+    replay_on(core, desk, journal.recipe, "Restoring")
+
+
+def described(journal: AbandonedJournal) -> str:
+    """One line for the list."""
+    name = journal.scene.name if journal.scene else "?"
+    when = time.strftime("%d %b %H:%M", time.localtime(journal.time))
+    return f"{name}: {len(journal.recipe.steps)} steps of {when}"
+
+
+FILE_ACTIONS = {
+    "export": choose_export,
+    "save_recipe": choose_recipe_to_save,
+    "replay_recipe": choose_recipe_to_replay,
+    "merge": choose_merge,
+    "split": choose_split,
+}
+"""Every file action that has a name in `shortcuts.SHORTCUTS`."""

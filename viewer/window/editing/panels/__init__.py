@@ -1,0 +1,1 @@
+"""What the Edit and History panels show, a module a section."""

@@ -1,0 +1,78 @@
+"""The Edit panel: tools on top, one section for each kind of change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from imgui_bundle import ImVec4, imgui
+
+from ... import theme
+from ...panels import widgets
+from ..desk import Desk
+from ..tool_names import ToolName
+from . import clean, crops, look, move, select
+
+if TYPE_CHECKING:
+    from ...core import Core
+
+SECTIONS: tuple[tuple[str, bool, Callable[[Core, Desk], None]], ...] = (
+    ("Select", True, select.show),
+    ("Clean up", False, clean.show),
+    ("Crop", False, crops.show),
+    ("Move", False, move.show),
+    ("Look", False, look.show),
+)
+"""Title, whether it is open at first, contents."""
+
+TOOLS: tuple[tuple[str, ToolName], ...] = (
+    ("Rectangle", "rectangle"),
+    ("Brush", "brush"),
+    ("Lasso", "lasso"),
+    ("Polygon", "polygon"),
+    ("Wand", "flood"),
+    ("Colour", "colour"),
+    ("Measure", "measure"),
+)
+
+
+def show(core: Core) -> None:
+    desk = core.desk
+    if desk is None:
+        widgets.note("Open a scene to edit it.")
+        return
+    toolbar(core, desk)
+    job(core, desk)
+    for title, opened, contents in SECTIONS:
+        flags = imgui.TreeNodeFlags_.default_open if opened else 0
+        if imgui.collapsing_header(title, flags):
+            imgui.push_id(title)
+            contents(core, desk)
+            imgui.pop_id()
+
+
+def toolbar(core: Core, desk: Desk) -> None:
+    """A button a tool; the one in hand is bright."""
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    spacing, padding = imgui.get_style().item_spacing.x, imgui.get_style().frame_padding.x
+    for number, (name, tool) in enumerate(TOOLS):
+        width = imgui.calc_text_size(name).x + 2 * padding
+        if number and imgui.get_item_rect_max().x + spacing + width < right:
+            imgui.same_line()
+        chosen = desk.tool == tool
+        if chosen:
+            imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))
+        widgets.action_button(core, name, f"tool_{tool}")
+        if chosen:
+            imgui.pop_style_color()
+    if desk.tool != "none":
+        widgets.note("Shift adds, Ctrl removes, both keep what is common. Alt + drag turns. Esc: done.")
+
+
+def job(core: Core, desk: Desk) -> None:
+    """Slow work under way, with a way to stop it."""
+    if desk.job is None:
+        return
+    imgui.progress_bar(desk.job.progress, (-imgui.get_font_size() * 5, 0), desk.job.title)
+    imgui.same_line()
+    widgets.action_button(core, "Cancel", "cancel")
