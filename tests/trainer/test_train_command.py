@@ -137,6 +137,16 @@ def test_minutes_end_a_run(capture_folder: Path, tmp_path: Path) -> None:
     assert metrics_of(metrics)[-1]["iteration"] <= 1 or len(metrics_of(metrics)) <= 2
 
 
+def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path, tmp_path: Path) -> None:
+    output, options = tmp_path / "toy.ply", ("--strategy", "classic", "--abs-grad", "--exposure", "on")
+    assert train(capture_folder, output, "--iterations", "40", "--coarse", "0.2:3,0.5:2", *options) == 0
+    settings = load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings
+    assert settings.coarse == ((0.2, 3), (0.5, 2))
+    assert (settings.strategy, settings.absolute_gradient, settings.exposure) == ("classic", True, "on")
+    assert train(capture_folder, output, "--iterations", "2", "--coarse", "none") == 0
+    assert load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings.coarse == ()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -146,6 +156,10 @@ def test_minutes_end_a_run(capture_folder: Path, tmp_path: Path) -> None:
         (("--resume", "missing.safetensors"), "no such file"),
         (("--metrics", "nowhere/m.jsonl"), "cannot be written"),
         (("--downscale", "9"), "too small to train"),
+        (("--abs-grad",), "add --strategy classic"),
+        (("--coarse", "0.3"), "must be like 0.1:4,0.3:2"),
+        (("--coarse", "0.3:2,0.1:4"), "must grow"),
+        (("--coarse", "0.3:0"), "at least 1"),
     ],
 )
 def test_mistakes_are_one_line(

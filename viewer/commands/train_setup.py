@@ -31,7 +31,7 @@ COMPILED_SECONDS = 10.0
 BYTES_A_SPLAT = 250 + 2 * 710
 """In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
 
-OF_THE_CHECKPOINT = ("seed", "strategy", "max_splats", "batch")
+OF_THE_CHECKPOINT = ("seed", "strategy", "max_splats", "batch", "coarse", "exposure", "abs_grad")
 """Options that a resumed run takes from where it was."""
 
 
@@ -183,6 +183,9 @@ def _new_trainer(
     iterations, minutes = options.iterations, options.minutes
     if iterations is None and minutes is None:
         iterations = PAPER_ITERATIONS
+    strategy = options.strategy or "mcmc"
+    if options.abs_grad and strategy != "classic":
+        raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
     pull = automatic_pull(len(shots))
     settings = TrainSettings(
         iterations=iterations,
@@ -191,7 +194,10 @@ def _new_trainer(
         batch=batch,
         opacity_pull=pull,
         scale_pull=pull,
-        strategy=options.strategy or "mcmc",
+        strategy=strategy,
+        exposure=options.exposure or "auto",
+        absolute_gradient=bool(options.abs_grad),
+        coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
         background=capture.background or (0.0, 0.0, 0.0),
         max_splats=options.max_splats
         or automatic_limit(shots.pixel_count, minutes if iterations is None else None),
