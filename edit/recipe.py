@@ -151,6 +151,7 @@ def replay(
     try:
         for number, operation in enumerate(recipe.steps, start=1):
             share = watch.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
+            share.step(0.0)
             try:
                 change = document.apply(document.plan(operation, watch=share))
             except InputError as error:
