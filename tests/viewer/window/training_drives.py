@@ -143,11 +143,11 @@ def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     training = training_of(core)
     seen(hand)
 
-    def fail(*arguments: Any) -> None:
+    def fail(*arguments: Any) -> Any:
         raise FloatingPointError("a step went wrong")
 
     trainer = training.thread.post(lambda session: session.trainer).result(60)
-    trainer.step = fail
+    vars(trainer)["step"] = fail
     hand.wait(lambda: core.problem is not None, "the dialog")
     hand.frames(5)
     found["problem"] = core.problem
@@ -156,7 +156,7 @@ def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
     hand.ctx.item_click("//That did not work/OK")
     hand.frames(3)
-    del trainer.step
+    del vars(trainer)["step"]
     at = training.status.iteration
     hand.ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.iteration > at + 3, "steps after the failure")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import partial
 
 import moderngl
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from .. import theme
 from ..core import Core
 from ..panels import widgets
 from . import actions
@@ -30,10 +29,9 @@ def show(core: Core) -> None:
     tools(core, training)
     comparison = training.comparer.latest
     room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing
-    line = imgui.get_text_line_height_with_spacing()
     camera = training.photo.camera
     width = (room.x - 2 * spacing.x) / 3
-    width = max(min(width, (room.y - line) * camera.width / camera.height), 16.0)
+    width = max(min(width, room.y * camera.width / camera.height), 16.0)
     height = width * camera.height / camera.width
     want(core, training, width, height)
     if comparison is None or comparison.wish.shot is not training.photo.shot:
@@ -43,12 +41,21 @@ def show(core: Core) -> None:
     for column, (title, texture) in enumerate(zip(TITLES, textures, strict=True)):
         if column:
             imgui.same_line()
-        imgui.begin_group()
-        imgui.text_colored(theme.QUIET, title if column < 2 else f"{title} x {comparison.wish.gain:.1f}")
         imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
+        caption(title)
         if imgui.is_item_hovered():
             magnify(textures, width, height)
-        imgui.end_group()
+
+
+def caption(text: str) -> None:
+    """In the corner of the picture just drawn, on a dark ground."""
+    corner, size = imgui.get_item_rect_min(), imgui.calc_text_size(text)
+    edge = 0.3 * imgui.get_font_size()
+    draw = imgui.get_window_draw_list()
+    low = ImVec2(corner.x + edge, corner.y + edge)
+    high = ImVec2(low.x + size.x + 2 * edge, low.y + size.y + edge)
+    draw.add_rect_filled(low, high, imgui.get_color_u32(ImVec4(0, 0, 0, 0.6)), edge)
+    draw.add_text(ImVec2(low.x + edge, low.y + edge / 2), imgui.get_color_u32(ImVec4(1, 1, 1, 0.9)), text)
 
 
 def tools(core: Core, training: Training) -> None:
@@ -78,7 +85,7 @@ def tools(core: Core, training: Training) -> None:
         height, width = comparison.photo.shape[:2]
         score = f"   {comparison.psnr:.2f} dB at {width} x {height}"
     imgui.text_unformatted(
-        f"{training.photo.name} ({'held out' if training.photo.held_out else 'trained'}){score}"
+        f"{training.photo.label} ({'held out' if training.photo.held_out else 'trained'}){score}"
     )
     imgui.same_line()
     imgui.set_next_item_width(imgui.get_font_size() * 8)

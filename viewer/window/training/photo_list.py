@@ -52,7 +52,7 @@ def table(core: Core) -> None:
             imgui.table_next_row()
             imgui.table_next_column()
             flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
-            if imgui.selectable(f"{photo.name}##{index}", index == training.photo_index, flags)[0]:
+            if imgui.selectable(f"{photo.label}##{index}", index == training.photo_index, flags)[0]:
                 double = imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
                 core.post(actions.go_to_photo if double else actions.compare_photo, index)
             widgets.tooltip(f"{photo.name}: {photo.camera.width} x {photo.camera.height} px")

@@ -6,8 +6,10 @@ Nothing here imports ImGui, so all of it is tested without a display.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from ....scene import Camera, InputError, RenderSettings
@@ -60,6 +62,8 @@ class WatchedPhoto:
 
     shot: Shot
     held_out: bool
+    label: str
+    """Its name, without folders where that is enough to tell it from the others."""
 
     @property
     def camera(self) -> Camera:
@@ -283,8 +287,14 @@ def viewer_threads(share: float, cores: int) -> int:
 
 def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[WatchedPhoto]:
     """Both sorts, sorted by name."""
-    photos = [WatchedPhoto(shot=shot, held_out=False) for shot in train]
-    photos += [WatchedPhoto(shot=shot, held_out=True) for shot in held_out]
+    shots = [(shot, False) for shot in train] + [(shot, True) for shot in held_out]
+    files = Counter(PurePosixPath(shot.camera.name).name for shot, _ in shots)
+
+    def label(name: str) -> str:
+        file = PurePosixPath(name).name
+        return file if files[file] == 1 else name
+
+    photos = [WatchedPhoto(shot=shot, held_out=kept, label=label(shot.camera.name)) for shot, kept in shots]
     return sorted(photos, key=lambda photo: photo.name)
 
 
