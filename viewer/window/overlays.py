@@ -43,12 +43,26 @@ def over_picture(core: Core) -> None:
     if core.picture is not None and core.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
         imgui.text_colored(theme.WARNING, core.picture.status)
+    if core.picture is not None and core.picture.note:
+        badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
     if core.scene is None and core.loading is None:
         text = f"Drop a scene here, or press {keys_of('open')}"
         size, area = imgui.calc_text_size(text), imgui.get_window_size()
         place = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + (area.y - size.y) / 2)
         imgui.set_cursor_screen_pos(place)
         imgui.text_colored(theme.QUIET, text)
+
+
+def badge(note: str, at: ImVec2) -> None:
+    """What the picture leaves out while it moves, over its lower left corner `at`."""
+    text = f"moving: {note}"
+    size, edge = imgui.calc_text_size(text), imgui.get_font_size() * 0.3
+    draw = imgui.get_window_draw_list()
+    low = ImVec2(at.x, at.y - size.y - 2 * edge)
+    draw.add_rect_filled(
+        low, ImVec2(at.x + size.x + 2 * edge, at.y), imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.7)), edge
+    )
+    draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
 
 
 def mode_chooser(core: Core) -> None:

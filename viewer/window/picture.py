@@ -23,8 +23,14 @@ class Picture(Protocol):
     """What the statistics panel calls it."""
     modes: tuple[VisualMode, ...]
     """What it can show."""
-    threads: int | None
-    """Cores that drawing may take, where the processor draws; None: all. May be set at any time."""
+
+    @property
+    def threads(self) -> int | None:
+        """Cores that drawing may take, where the processor draws; None: all. May be set at any time."""
+        ...
+
+    @threads.setter
+    def threads(self, threads: int | None) -> None: ...
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
@@ -208,7 +214,7 @@ class CpuPicture:
         if self._by_gpu:
             self._loaded_gpu().draw(camera, settings, mode, edits, overlay)
         else:
-            self._cpu.draw(camera, settings)
+            self._cpu.draw(camera, settings, edits=edits, overlay=overlay)
 
     def read(
         self,
@@ -220,7 +226,7 @@ class CpuPicture:
     ) -> np.ndarray:
         if mode != "splats":
             return self._loaded_gpu().read(camera, settings, mode, edits, overlay)
-        return self._cpu.read(camera, settings)
+        return self._cpu.read(camera, settings, edits=edits, overlay=overlay)
 
     def _loaded_gpu(self) -> GpuPicture:
         if self._gpu is None:
