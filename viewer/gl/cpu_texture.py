@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import raster
 from ...scene import Camera, Gaussians, RenderSettings
+from ...scene.edits import SceneEdits, bake
 from . import FrameStats
 from .moving import (
     MOVING_MS,
@@ -25,6 +26,8 @@ from .moving import (
     time_of,
     work_of,
 )
+from .overlay import Overlay
+from .shown_edits import ShownEdits, shown_edits
 
 REST_SECONDS = 0.25
 """A camera that has not changed for so long rests: the next picture may take its time."""
@@ -41,10 +44,12 @@ class _Wish:
     gaussians: Gaussians
     camera: Camera
     settings: RenderSettings
+    edits: ShownEdits | None
     since: float
 
     def same_picture(self, other: _Wish) -> bool:
-        return self.gaussians is other.gaussians and self.same_view(other)
+        same_scene = self.gaussians is other.gaussians and self.edits is other.edits
+        return same_scene and self.same_view(other)
 
     def same_view(self, other: _Wish) -> bool:
         """Of whatever scene."""
@@ -96,13 +101,26 @@ class CpuTexture:
 
     def load(self, gaussians: Gaussians) -> None:
         """Replaces the scene; pictures of the old one are no longer shown."""
-        self._gaussians = gaussians
+        with self._change:
+            self._gaussians = gaussians
+            self._plan = None  # which would keep the old scene in memory
 
-    def draw(self, camera: Camera, settings: RenderSettings) -> None:
-        """Asks for a picture and shows the latest that is there. Never waits."""
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        """Asks for a picture and shows the latest that is there. Never waits.
+
+        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark.
+        """
         if self._gaussians is None:
             return
-        wish = _Wish(self._gaussians, camera, settings, time.monotonic())
+        shown = shown_edits(edits, overlay, self._wish.edits if self._wish else None)
+        wish = _Wish(self._gaussians, camera, settings, shown, time.monotonic())
         with self._change:
             if self._wish is None or not self._wish.same_picture(wish):
                 # A scene that changes before an eye at rest, as in training, is drawn sharp at once.
@@ -123,11 +141,19 @@ class CpuTexture:
         with self._change:
             self._change.wait_for(lambda: self._image is not None or not self._drawing, seconds)
 
-    def read(self, camera: Camera, settings: RenderSettings) -> np.ndarray:
+    def read(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> np.ndarray:
         """The full picture (H, W, 4) float32, rendered while the caller waits."""
         if self._gaussians is None:
             return np.zeros((camera.height, camera.width, 4), np.float32)
-        return raster.render(self._gaussians, camera, settings, threads=self.threads)
+        shown = shown_edits(edits, overlay, None)
+        return raster.render(edited(self._gaussians, shown), camera, settings, threads=self.threads)
 
     @property
     def busy(self) -> bool:
@@ -173,7 +199,7 @@ class CpuTexture:
                 wish, plan = self._wish, self._plan
                 assert wish is not None
                 sharp = coarse is wish or self._resting
-            if plan is not None and plan is not self._pace.plan:
+            if plan is not self._pace.plan:
                 self._pace.follow(plan)
             try:
                 self._render(wish, None if sharp else self._shortcut(wish), workspace)
@@ -192,8 +218,9 @@ class CpuTexture:
         return coarse is not self._wish or self._resting
 
     def _shortcut(self, wish: _Wish) -> Shortcut | None:
-        """How to draw a moving picture; None: in full."""
-        if self._pace.plan is not None and self._pace.plan.gaussians is wish.gaussians:
+        """How to draw a moving picture; None: in full. Merged splats know nothing of edits."""
+        planned = self._pace.plan is not None and self._pace.plan.gaussians is wish.gaussians
+        if planned and wish.edits is None:
             return self._pace.shortcut
         if self._drawn_of is wish.gaussians and self._full_ms is not None and self._full_ms <= MOVING_MS:
             return None
@@ -208,9 +235,8 @@ class CpuTexture:
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
-        frame = raster.draw_frame(
-            raster.parameters_of(gaussians), camera, wish.settings, workspace, threads=self.threads
-        )
+        splats = raster.parameters_of(edited(gaussians, wish.edits))
+        frame = raster.draw_frame(splats, camera, wish.settings, workspace, threads=self.threads)
         self.status = ""
         visible, _ = work_of(frame)
         with self._change:
@@ -240,7 +266,7 @@ class CpuTexture:
 
     def _look_for_shortcuts(self, wish: _Wish, frame: raster.Frame) -> None:
         """Has prices found out in another thread, where pictures are slow and no prices are known."""
-        if not len(wish.gaussians) or not time_of(frame) > MOVING_MS:
+        if not len(wish.gaussians) or wish.edits is not None or not time_of(frame) > MOVING_MS:
             return
         if self._planner is not None and self._planner.is_alive():
             return
@@ -277,4 +303,10 @@ class CpuTexture:
                 self.problem = f"moving pictures stay slow: {type(error).__name__}: {error}"
             return
         with self._change:
-            self._plan = plan or self._plan
+            if plan is not None and not stop():
+                self._plan = plan
+
+
+def edited(gaussians: Gaussians, shown: ShownEdits | None) -> Gaussians:
+    """What the rasteriser draws."""
+    return gaussians if shown is None else bake(gaussians, shown.drawn)

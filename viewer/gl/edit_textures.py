@@ -121,7 +121,7 @@ class EditTextures:
         splats = len(self._means)
         if len(edits.marks) != splats:
             raise ValueError(f"{len(edits.marks):,} marks for a scene of {splats:,} splats")
-        lights = overlay is not None and bool(overlay.flags & edits.flags)
+        lights = overlay is not None and overlay.lights(edits)
         matters = edits.hides or edits.adjusts
         if matters or lights:
             self._update_marks(edits)

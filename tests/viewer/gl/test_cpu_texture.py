@@ -196,6 +196,9 @@ def test_slow_scenes_are_priced_and_move_by_a_shortcut(texture, random_gaussians
     assert texture.texture.size != (96, 64) or "of the splats" in texture.note
     np.testing.assert_array_equal(rest(texture, camera(0.5)), raster.render(scene, camera(0.5), SETTINGS))
     assert texture.note == "", "a picture at rest leaves nothing out"
+    texture.load(random_gaussians(10))
+    rest(texture, camera(0.5))
+    assert texture._plan is None and texture._pace.plan is None, "the old scene is let go"
 
 
 def test_waiting_ends_with_the_picture_and_at_once_where_none_comes(texture, random_gaussians, monkeypatch):
