@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -100,7 +99,9 @@ class Document:
         self.tools: Tools = tools or NoTools()
         self.load, self.save = load, save
         self.listeners: list[Listener] = []
-        self._original = gaussians
+        # Now, rather than keeping the unedited scene for when it is asked for.
+        self.identity = {"name": name, "count": len(gaussians), "fingerprint": fingerprint(gaussians)}
+        """What tells the unedited scene from others."""
         self.state = State(gaussians)
         """For operations to read; only changes write to it."""
         self.history = History(self.state)
@@ -212,15 +213,6 @@ class Document:
     @property
     def selected(self) -> SplatSet:
         return self.splats(SELECTED, SELECTED)
-
-    @cached_property
-    def identity(self) -> dict[str, object]:
-        """What tells the unedited scene from others: name, count, fingerprint."""
-        return {
-            "name": self.name,
-            "count": len(self._original),
-            "fingerprint": fingerprint(self._original),
-        }
 
     def path(self, text: str) -> Path:
         """The file that an operation names."""

@@ -117,7 +117,7 @@ def measure(scene: Gaussians, before: list[Step], step: Step, repeats: int) -> d
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000, 5_000_000])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "edit.json")
@@ -132,7 +132,7 @@ def main() -> None:
             print(
                 f"{count:>9,} {name:24}"
                 + "".join(f"{key} {figures[key]:8.2f}  " for key in ("do", "undo", "redo", "state"))
-                + f"stored {figures['stored_bytes'] / 1e6:6.2f} MB  peak {figures['peak_bytes'] / 1e6:6.1f} MB"
+                + f"stored {figures['stored_bytes'] / 1e6:5.2f} MB, peak {figures['peak_bytes'] / 1e6:6.1f} MB"
                 + over
             )
     columns = ["operation"]
@@ -155,7 +155,7 @@ def main() -> None:
                 "columns": columns,
                 "rows": rows,
                 "note": "Medians. Stored is what the history keeps of the step, peak the most that doing it "
-                "takes besides the scene, which itself has 56 MB per million splats here and is never copied.",
+                "takes besides the scene, which has 56 MB per million splats here and is never copied.",
             },
         },
     )

@@ -81,7 +81,8 @@ def steps_left(tmp_path: Path) -> list[str]:
 
 def forget(journal: Journal) -> None:
     """Lets go of the file as a crash does."""
-    assert journal._file is not None
+    assert journal._file is not None and journal._syncing is not None
+    journal._syncing.join()
     journal._file.close()
 
 

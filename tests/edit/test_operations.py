@@ -11,10 +11,8 @@ from splatview.edit.document import Document
 from splatview.edit.export import exported
 from splatview.edit.grade import LUMINANCE, Grade
 from splatview.edit.operations import OPERATIONS, operation_from_json
-from splatview.edit.operations.repairing import REPAIRS
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED
-from splatview.scene.health import check
 from splatview.scene.projection import rotation_matrices
 
 
@@ -161,7 +159,7 @@ def test_crops_move_with_the_scene(document, edit_helpers):
         document,
         "change_crop",
         index=1,
-        crop={"shape": "sphere", "half_extents": [0.2] * 3, "keep": "outside"},
+        crop={"shape": "sphere", "half_extents": [0.2, 0.2, 0.2], "keep": "outside"},
     )
     kept = document.exported_count
     labels = exported(document).extras["label"].tolist()
@@ -242,7 +240,7 @@ def test_opacities_are_set_and_scaled(document):
 def test_grades_do_what_their_names_say():
     grey, orange = np.full(3, 0.4), np.array([0.9, 0.5, 0.1])
 
-    def graded(colour: np.ndarray, **fields: float) -> np.ndarray:
+    def graded(colour: np.ndarray, **fields: Any) -> np.ndarray:
         matrix = Grade(**fields).matrix
         return matrix[:, :3] @ colour + matrix[:, 3]
 
@@ -257,71 +255,6 @@ def test_grades_do_what_their_names_say():
     assert LUMINANCE @ magenta == pytest.approx(0.4)
     np.testing.assert_allclose(graded(np.full(3, 0.1), black=0.1, white=0.9), 0, atol=1e-15)
     np.testing.assert_allclose(graded(np.full(3, 0.9), black=0.1, white=0.9), 1)
-
-
-def test_duplicates_lie_upon_their_originals_and_are_selected(document, edit_helpers):
-    select(document, (3, 4))
-    do(document, "transform", translation=[1, 0, 0])
-    do(document, "duplicate")
-    assert having(document, SELECTED) == [30, 31, 32, 33]
-    baked = exported(document)
-    assert baked.means[30:].tobytes() == baked.means[3:7].tobytes()
-    assert baked.extras["label"][30:].tolist() == [3, 4, 5, 6]
-    do(document, "delete")
-    assert len(exported(document)) == 30
-
-
-def test_merging_adds_a_file(edit_helpers, scene, scene_file):
-    path = scene_file("other.ply", count=7, degree=3)
-    document = Document(scene, folder=path.parent)
-    change = do(document, "merge", path="other.ply")
-    assert change.title == "Merge 7 splats of other.ply"
-    assert len(document.gaussians) == 37
-    assert document.gaussians.sh_degree == 3
-    assert having(document, SELECTED) == list(range(30, 37))
-    document.undo()
-    assert edit_helpers.scene_bytes(document.gaussians) == edit_helpers.scene_bytes(scene)
-    with pytest.raises(InputError, match=r"nowhere\.ply"):
-        do(document, "merge", path="nowhere.ply")
-
-
-def test_merging_keeps_one_scene_in_memory(scene, scene_file):
-    path = scene_file("other.ply", count=7, degree=1)
-    document = Document(scene, folder=path.parent)
-    do(document, "merge", path="other.ply")
-    whole = document.gaussians
-    document.undo()
-    assert np.shares_memory(document.gaussians.sh, whole.sh)
-
-
-def test_splitting_writes_the_part_once(scene, tmp_path, edit_helpers):
-    from splatview.scene.files import load_scene
-
-    document = Document(scene, folder=tmp_path)
-    select(document, (2, 5))
-    do(document, "transform", translation=[1, 0, 0])
-    operation = operation_from_json({"op": "split", "path": "part.ply"})
-    planned = document.plan(operation)
-    assert list(tmp_path.iterdir()) == []
-    document.apply(planned)
-    part = load_scene(tmp_path / "part.ply")
-    np.testing.assert_allclose(part.means, scene.means[2:7] + np.float32([1, 0, 0]), atol=1e-6)
-    assert part.comments == scene.comments
-    assert len(exported(document)) == 25
-    document.undo()
-    (tmp_path / "part.ply").unlink()
-    document.redo()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_part_that_cannot_be_saved_leaves_the_selection(scene, tmp_path, edit_helpers):
-    document = Document(scene, folder=tmp_path / "nowhere")
-    select(document, (2, 5))
-    before = edit_helpers.everything(document)
-    with pytest.raises(InputError, match="does not exist"):
-        do(document, "split", path="part.ply")
-    assert edit_helpers.everything(document) == before
-    assert document.history.position == 1
 
 
 def test_growing_and_shrinking(document, scene):
@@ -353,54 +286,6 @@ def test_decimating_keeps_the_splats_that_matter(scene):
     assert having(document, DELETED) == list(range(2, 12))
     with pytest.raises(InputError, match="cannot be deleted"):
         do(document, "decimate", keep=1)
-
-
-def ill_scene(scene: Gaussians) -> Gaussians:
-    scales, quats, means = scene.log_scales.copy(), scene.quats.copy(), scene.means.copy()
-    logits, sh = scene.opacity_logits.copy(), scene.sh.copy()
-    scales[0] = (0, -9, -9)
-    scales[1] = (-2, -2, -12)
-    scales[2] = (np.nan, 100, -3)
-    scales[3] = (-25, -3, -3)
-    scales[4] = (9, 9, 9)
-    quats[5], quats[6] = 0, np.inf
-    means[7, 0] = np.nan
-    logits[8], logits[9], logits[10] = np.nan, np.inf, -20
-    sh[11, 1], sh[12, 2] = np.inf, 30
-    for values in (scales, quats, means, logits, sh):
-        values[14] = values[13]
-    return Gaussians(means=means, quats=quats, log_scales=scales, opacity_logits=logits, sh=sh)
-
-
-@pytest.mark.parametrize("finding", REPAIRS)
-def test_repaired_splats_are_found_no_more(scene, edit_helpers, finding):
-    document = Document(ill_scene(scene))
-    before = edit_helpers.everything(document)
-    change = do(document, "repair", finding=finding)
-    assert change.count > 0
-    found = {each.name: each for each in check(exported(document))}
-    if finding == "quaternion lengths":
-        lengths = np.linalg.norm(document.gaussians.quats, axis=1)
-        assert (np.abs(lengths - 1) < 1e-6).sum() == 28
-        np.testing.assert_allclose(
-            rotation_matrices(document.gaussians.quats[:5].astype(np.float64)),
-            rotation_matrices(ill_scene(scene).quats[:5].astype(np.float64)),
-            atol=1e-6,
-        )
-    else:
-        assert found[finding].count == 0
-    document.undo()
-    assert edit_helpers.everything(document) == before
-
-
-def test_repairs_leave_everybody_else(scene):
-    ill = ill_scene(scene)
-    document = Document(ill)
-    do(document, "repair", finding="non-finite scales")
-    others = np.arange(30) != 2
-    assert document.gaussians.log_scales[others].tobytes() == ill.log_scales[others].tobytes()
-    assert document.gaussians.sh is ill.sh
-    assert document.gaussians.log_scales[2].tolist() == [-3, 20, -3]
 
 
 def test_highlights_are_no_edits(document, edit_helpers):
@@ -446,65 +331,6 @@ def test_numbers_out_of_range_are_refused_with_what_came_before(document):
             do(document, "transform", scope="scene", scale=1e9, translation=[1e15, 0, 0])
     assert len(document.history.steps) > 10
     assert all(np.isfinite(entry.translation).all() for entry in document.palette)
-
-
-WRONG = [
-    ({"op": "transform", "scale": 0}, "scale must be above 0"),
-    ({"op": "transform", "scale": float("nan")}, "scale must be a finite number"),
-    ({"op": "transform", "scale": "2"}, 'scale must be a number, not "2"'),
-    ({"op": "transform", "scale": True}, "scale must be a number"),
-    ({"op": "transform", "scale": 10**400}, "scale must be a finite number"),
-    ({"op": "transform", "rotation": [0, 0, 0, 0]}, "rotation must be a quaternion"),
-    ({"op": "transform", "translation": [1, 2]}, "translation must be a list of 3, not of 2"),
-    ({"op": "transform", "translation": [1, 2, None]}, r"translation\[2\] must be a number"),
-    ({"op": "transform", "pivot": [1e300, 0, 0]}, "pivot must be three numbers of at most"),
-    ({"op": "transform", "scope": "all"}, "scope must be one of selection, scene"),
-    ({"op": "transform", "speed": 1}, 'unknown key "speed"; known here: scope'),
-    ({"op": "explode"}, 'unknown operation "explode"'),
-    ({"op": ["delete"]}, "unknown operation"),
-    ({}, "unknown operation null"),
-    ([], "a step must be an object"),
-    ({"op": "select"}, "by is missing"),
-    ({"op": "select", "by": {}}, "by must be an object with a kind"),
-    ({"op": "select", "by": {"kind": "cone"}}, 'by: unknown kind "cone"'),
-    ({"op": "select", "by": {"kind": "sphere", "radius": 1}}, "by: centre is missing"),
-    (
-        {"op": "select", "by": {"kind": "sphere", "centre": [0, 0, 0], "radius": -1}},
-        "by: radius must be above 0",
-    ),
-    ({"op": "select", "by": {"kind": "all"}, "mode": "xor"}, "mode must be one of"),
-    ({"op": "select", "by": {"kind": "rectangle", "camera": {"width": 1}}}, "by: camera: height is missing"),
-    ({"op": "add_crop", "crop": {"half_extents": [1, 0, 1]}}, "crop: half_extents must be above 0"),
-    ({"op": "add_crop", "crop": {"shape": "cone"}}, "crop: shape must be one of box, sphere"),
-    ({"op": "add_crop", "crop": 3}, "crop: must be an object"),
-    ({"op": "change_crop", "index": -1, "crop": {}}, "index must be at least 0"),
-    ({"op": "change_crop", "index": 0.5, "crop": {}}, "index must be a whole number"),
-    ({"op": "remove_crop", "index": 3}, "index 3: there are 0 crops"),
-    ({"op": "enable_crop", "index": 0, "enabled": 1}, "enabled must be true or false"),
-    ({"op": "opacity", "value": 1.5, "how": "set"}, "value must be in 0 to 1 to set"),
-    ({"op": "size", "value": 0}, "value must be in 1e-9 to 1e9"),
-    ({"op": "grade", "grade": {"contrast": -1}}, "grade: contrast must be in 0 to 10"),
-    ({"op": "grade", "grade": {"black": 0.5, "white": 0.5}}, "grade: white must be at least"),
-    ({"op": "orient", "up": [0, 0, 0]}, "up must not be 0, 0, 0"),
-    ({"op": "ground", "points": [[0, 0, 0], [1, 1, 1], [2, 2, 2]]}, "points must not lie on one line"),
-    ({"op": "grow"}, "give either distance or neighbours"),
-    ({"op": "grow", "distance": 0}, "distance must be above 0"),
-    ({"op": "prune", "by": {"kind": "needles"}}, "threshold is missing"),
-    ({"op": "prune", "by": {"kind": "rectangle"}, "threshold": 1}, 'by: unknown kind "rectangle"'),
-    ({"op": "decimate", "keep": 0}, "keep must be at least 1"),
-    ({"op": "repair", "finding": "ugly"}, "finding must be one of"),
-    ({"op": "merge", "path": ""}, "path must name a file"),
-    ({"op": "split", "path": 7}, "path must be a text"),
-]
-
-
-@pytest.mark.parametrize(("step", "message"), WRONG, ids=lambda value: str(value)[:40])
-def test_wrong_steps_are_refused_in_one_line(document, edit_helpers, step, message):
-    before = edit_helpers.everything(document)
-    with pytest.raises(InputError, match=message) as error:
-        document.apply(operation_from_json(step))
-    assert "\n" not in str(error.value)
-    assert edit_helpers.everything(document) == before
 
 
 def test_every_operation_says_what_it_is():

@@ -50,7 +50,8 @@ def splatview(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, st
 
     def run(*argv: object) -> tuple[int, str, str]:
         code = main([str(argument) for argument in argv])
-        return code, *capsys.readouterr()
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
 
     return run
 
