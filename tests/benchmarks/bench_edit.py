@@ -129,12 +129,9 @@ def main() -> None:
             figures = measure(scene, before, step, args.repeats)
             results.setdefault(name, {})[str(count)] = figures
             over = "  over a frame" if figures["do"] > FRAME_MS else ""
-            print(
-                f"{count:>9,} {name:24}"
-                + "".join(f"{key} {figures[key]:8.2f}  " for key in ("do", "undo", "redo", "state"))
-                + f"stored {figures['stored_bytes'] / 1e6:5.2f} MB, peak {figures['peak_bytes'] / 1e6:6.1f} MB"
-                + over
-            )
+            stored, peak = figures["stored_bytes"] / 1e6, figures["peak_bytes"] / 1e6
+            times = "".join(f"{key} {figures[key]:8.2f}  " for key in ("do", "undo", "redo", "state"))
+            print(f"{count:>9,} {name:24}{times}stored {stored:5.2f} MB, peak {peak:6.1f} MB{over}")
     columns = ["operation"]
     for count in args.counts:
         millions = f"{count / 1e6:g} M"
