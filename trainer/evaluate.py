@@ -50,7 +50,8 @@ def evaluate(
     exposures_differ: bool = False,
     on_picture: Callable[[Shot, np.ndarray], None] | None = None,
 ) -> Evaluation:
-    """Draws every photo's view and measures it; pixels that a mask leaves out count as equal.
+    """Draws every photo's view and measures it. PSNR is over the pixels that the mask leaves; for SSIM, whose
+    windows reach over its edge, the others are grey in picture and photo.
 
     `exposures_differ`: measure each half of a picture at the exposure that fits the other half, see
     `exposure`; else pictures are measured as they are.
@@ -65,9 +66,12 @@ def evaluate(
         if on_picture is not None:
             on_picture(shot, picture)
         truth = shot.pixels.astype(np.float32) / 255
-        if shot.mask is not None:
-            picture = np.where(shot.mask[..., None], picture, truth)
-        scores.append(Score(shot.camera.name, psnr(picture, truth), ssim(picture, truth)))
+        if shot.mask is None:
+            scores.append(Score(shot.camera.name, psnr(picture, truth), ssim(picture, truth)))
+            continue
+        decibels = psnr(picture[shot.mask][None], truth[shot.mask][None]) if shot.mask.any() else np.nan
+        masked = [np.where(shot.mask[..., None], pixels, np.float32(0.5)) for pixels in (picture, truth)]
+        scores.append(Score(shot.camera.name, decibels, ssim(*masked)))
     return Evaluation(tuple(scores))
 
 

@@ -41,8 +41,8 @@ def photo_loss(
 ) -> PhotoLoss:
     """Compares a picture (H, W, 4), float32 or float64, to a photo (H, W, 3) uint8.
 
-    mask (H, W) bool: pixels that are false count as equal. Values are not clipped, so that a picture too
-    bright is pulled back. Equal for any number of threads (None: all cores).
+    mask (H, W) bool: pixels that are false count as equal, whatever they show. Values are not clipped,
+    so that a picture too bright is pulled back. Equal for any number of threads (None: all cores).
 
     Raises:
         ValueError: an array has the wrong shape or dtype, or SSIM is asked of pictures smaller than its

@@ -46,12 +46,13 @@ def along_row(row, i, w0, w1, w2, w3, w4, w5):
 
 @inline
 def read_rows(image, photo, mask, y, x_row, y_row):
-    """Row y of both pictures, colours interleaved; pixels that the mask leaves out are made equal."""
+    """Row y of both pictures, colours interleaved; pixels that the mask leaves out are grey in both, so that
+    what is there cannot matter, not even to windows that reach over the edge of the mask."""
     number = image.dtype.type
     for x in range(image.shape[1]):
         use = mask.size == 0 or mask[y, x]
         for channel in range(3):
-            truth = number(photo[y, x, channel]) / number(255)
+            truth = number(photo[y, x, channel]) / number(255) if use else number(0.5)
             x_row[3 * x + channel] = image[y, x, channel] if use else truth
             y_row[3 * x + channel] = truth
 

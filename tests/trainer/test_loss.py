@@ -80,17 +80,25 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
         np.testing.assert_array_equal(result.d_image, results[0].d_image)
 
 
-def test_masked_pixels_count_as_equal() -> None:
+def test_masked_pixels_do_not_matter() -> None:
     image, photo = pair(30, 30)
     mask = np.ones((30, 30), np.bool_)
     mask[5:15, 8:20] = False
     result = photo_loss(image, photo, Workspace(), mask=mask)
-    painted = image.copy()
-    painted[~mask, :3] = photo[~mask] / 255.0
-    expected = photo_loss(painted, photo, Workspace())
-    assert result.loss == pytest.approx(expected.loss, rel=1e-12)
+    grey, grey_photo = image.copy(), photo.astype(np.float64)
+    grey[~mask, :3], grey_photo[~mask] = 0.5, 127.5
+    x = torch.from_numpy(grey).requires_grad_()
+    expected = plain_loss(x, grey_photo, 0.2)
+    expected.backward()
+    assert x.grad is not None
+    assert result.loss == pytest.approx(expected.item(), rel=1e-12)
     assert (result.d_image[~mask] == 0).all()
-    np.testing.assert_allclose(result.d_image[mask], expected.d_image[mask], atol=1e-15)
+    np.testing.assert_allclose(result.d_image[mask], x.grad.numpy()[mask], atol=1e-15)
+    other_photo = photo.copy()
+    other_photo[~mask] = 255 - photo[~mask]
+    other = photo_loss(image, other_photo, Workspace(), mask=mask)
+    assert other.loss == result.loss
+    np.testing.assert_array_equal(other.d_image, result.d_image)
     wild = image.copy()
     wild[~mask] = np.nan
     assert photo_loss(wild, photo, Workspace(), mask=mask).loss == pytest.approx(result.loss, rel=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -135,6 +136,29 @@ def test_minutes_end_a_run(capture_folder: Path, tmp_path: Path) -> None:
     assert train(capture_folder, tmp_path / "toy.ply", "--minutes", "0.001", "--metrics", str(metrics)) == 0
     # Starting up takes longer than this budget: one step shows that it is over.
     assert metrics_of(metrics)[-1]["iteration"] <= 1 or len(metrics_of(metrics)) <= 2
+
+
+def test_what_a_mask_covers_does_not_influence_the_scene(capture_folder: Path, tmp_path: Path) -> None:
+    mask = np.full((40, 48), 255, np.uint8)
+    mask[8:22, 10:30] = 0
+
+    def trained(name: str, paint: int | None, *, masked: bool) -> bytes:
+        folder = tmp_path / name
+        shutil.copytree(capture_folder, folder)
+        for file in sorted((folder / "images").iterdir()):
+            pixels = np.array(Image.open(file))
+            if paint is not None:
+                pixels[mask == 0] = paint
+            Image.fromarray(pixels).save(file)
+            if masked:
+                (folder / "masks").mkdir(exist_ok=True)
+                Image.fromarray(mask).save(folder / "masks" / f"{file.name}.png")
+        assert train(folder, tmp_path / f"{name}.ply", "--iterations", "60") == 0
+        return (tmp_path / f"{name}.ply").read_bytes()
+
+    clean = trained("clean", None, masked=True)
+    assert trained("painted", 255, masked=True) == clean
+    assert trained("unmasked", 255, masked=False) != clean
 
 
 def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path, tmp_path: Path) -> None:

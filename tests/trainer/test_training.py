@@ -270,3 +270,19 @@ def test_rates_settle_and_pulls_fade() -> None:
     assert settings.pull_at(0.5, 2.0).opacity == pytest.approx(0.01)
     assert settings.pull_at(0, 2.0).scale == pytest.approx(settings.scale_pull / 2)
     assert replace(settings, strategy="classic").pull_at(0.5, 2.0) == (0, 0)
+
+
+def test_masked_photos_are_measured_by_what_is_left(make_trainer, shots: list[Shot]) -> None:
+    trainer = make_trainer()
+    left = np.zeros((40, 48), np.bool_)
+    left[:, :20] = True
+    half = replace(shots[0], mask=left)
+    painted = half.pixels.copy()
+    painted[~left] = 255
+    scores = [
+        evaluate(trainer.splats.parameters, [shot], trainer.render_settings).scores[0]
+        for shot in (half, replace(half, pixels=painted), replace(shots[0], pixels=painted))
+    ]
+    assert scores[0] == scores[1] and scores[2].psnr < scores[0].psnr - 3
+    nothing = replace(half, mask=np.zeros((40, 48), np.bool_))
+    assert np.isnan(evaluate(trainer.splats.parameters, [nothing], trainer.render_settings).psnr)
