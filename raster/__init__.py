@@ -8,8 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.edits import SceneEdits
 from ..scene.gaussians import SH_COEFFICIENTS
 from .compiling import will_compile
+from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import Frame, draw
 from .gradients import Gradients, differentiate
@@ -41,11 +43,14 @@ def render(
     camera: Camera,
     settings: RenderSettings | None = None,
     *,
+    edits: SceneEdits | None = None,
     threads: int | None = None,
     stages: dict[str, float] | None = None,
     on_compile: Callable[[], None] | None = None,
 ) -> np.ndarray:
     """The picture, float32 (H, W, 4): RGB over the background, alpha = 1 - T.
+
+    `edits` are seen as `scene.edits.bake` would make them, without the copy; the selection is not tinted.
 
     `threads`: how many to use, this one included; None: all cores. `stages`, if given, receives the
     milliseconds of "project", "sort", "bin" and "forward". `on_compile` is called before the work
@@ -59,7 +64,12 @@ def render(
     if not hasattr(_workspaces, "of_thread"):
         _workspaces.of_thread = Workspace()
     frame = draw_frame(
-        parameters_of(gaussians), camera, settings or RenderSettings(), _workspaces.of_thread, threads=threads
+        parameters_of(gaussians),
+        camera,
+        settings or RenderSettings(),
+        _workspaces.of_thread,
+        edits=edits,
+        threads=threads,
     )
     if stages is not None:
         stages.update(frame.milliseconds)
@@ -72,6 +82,7 @@ def draw_frame(
     settings: RenderSettings,
     workspace: Workspace,
     *,
+    edits: SceneEdits | None = None,
     background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
     early_stop: float | None = None,
@@ -79,8 +90,8 @@ def draw_frame(
 ) -> Frame:
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
-    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel
-    ends; None: that of the settings, or EARLY_STOP.
+    `edits` are seen in the picture, which then has no gradients. `background` (3,) stands for that of the
+    settings. `early_stop`: the light below which a pixel ends.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -106,5 +117,6 @@ def draw_frame(
         workspace,
         sh_degree=stored if settings.sh_degree is None else min(stored, settings.sh_degree),
         early_stop=early_stop,
+        edits=edit_arrays(edits, len(splats.means)),
         threads=threads or available_threads(),
     )

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
+from .edited import EditArrays
 from .forward import TILE_PIXELS, Rounds, draw_tiles, make_rounds
 from .parameters import Parameters
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
@@ -91,6 +92,8 @@ class Frame:
     rounds: Rounds
     sh_degree: int
     threads: int
+    edited: bool
+    """Drawn with edits in force: not what `differentiate` can take."""
     image: np.ndarray
     """(H, W, 4), the caller's to keep."""
     lights: np.ndarray
@@ -124,6 +127,7 @@ def draw(
     sh_degree: int,
     early_stop: float,
     threads: int,
+    edits: EditArrays | None = None,
 ) -> Frame:
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid."""
     clock = StageClock()
@@ -131,7 +135,7 @@ def draw(
     with clock.stage("project"):
         pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
         records, depths, visible, runs, bounds = _project(
-            splats, pieces, view, dtype, workspace, sh_degree, threads
+            splats, pieces, view, dtype, workspace, sh_degree, threads, edits
         )
     with clock.stage("sort"):
         order = _sort(runs, bounds, visible, depths, workspace, threads)
@@ -174,6 +178,7 @@ def draw(
         rounds=rounds,
         sh_degree=sh_degree,
         threads=threads,
+        edited=edits is not None,
         image=image,
         lights=lights,
         met_of=met_of,
@@ -197,6 +202,7 @@ def _project(
     workspace: Workspace,
     sh_degree: int,
     threads: int,
+    edits: EditArrays | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
     count = len(splats.means)
     records = workspace.take("records", (count, RECORD), dtype)
@@ -206,9 +212,11 @@ def _project(
     found = run(
         project,
         [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
-        (*splats, sh_degree, view, records, depths, visible),
+        (*splats, sh_degree, view, records, depths, visible, edits),
         threads,
     )
+    if min(found) < 0:
+        raise ValueError("edits.marks names an adjustment that is not in edits.palette")
     runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
     return records, depths, visible, runs, (float(bounds[:, 0].min()), float(bounds[:, 1].max()))
 

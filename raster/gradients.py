@@ -44,13 +44,16 @@ def differentiate(
     large.
 
     Raises:
-        ValueError: d_image has the wrong shape or dtype, or the image model's max_alpha is not below 1.
+        ValueError: d_image has the wrong shape or dtype, the image model's max_alpha is not below 1,
+            or the picture was drawn with edits in force.
     """
     dtype = frame.image.dtype
     if not isinstance(d_image, np.ndarray) or d_image.shape != frame.image.shape or d_image.dtype != dtype:
         raise ValueError(f"d_image must be {dtype} {frame.image.shape}, got {describe(d_image)}")
     if not frame.view.max_alpha < 1:
         raise ValueError("gradients need an image model with max_alpha below 1")
+    if frame.edited:
+        raise ValueError("a picture drawn with edits in force has no gradients: bake the edits first")
     d_image = np.ascontiguousarray(d_image)
     clock = StageClock()
     splat_sums, background = _splat_sums(frame, d_image, clock)

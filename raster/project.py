@@ -25,6 +25,19 @@ from ..scene.image_model import MIN_QUAT_COMPONENT
 from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 from .compiling import inline, kernel
+from .edited import (
+    FADES,
+    LOG_FACTOR,
+    MOVES,
+    RECOLOURS,
+    faded,
+    is_shown,
+    moved,
+    palette_row,
+    recoloured,
+    turned,
+    turned_back,
+)
 from .exp import exp_lanes, log2_lanes
 from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
 
@@ -186,6 +199,35 @@ def load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes):
 
 
 @inline
+def edit_splat(i, lane, edits, view, lanes):
+    """Changes the parameters that `load_splat` has put in a lane by the edits of splat i: its offset back
+    to a mean in between, as edits speak of the world. What is not shown gets a quaternion of zeros, which is
+    culled. Returns whether the palette has what the splat's mark names."""
+    entry = palette_row(edits, i)
+    if entry >= edits.palette.shape[0]:
+        return False
+    row = edits.palette[entry]
+    at, eye = OFFSET * LANES + lane, view.eye
+    x, y, z = lanes[at] + eye[0], lanes[at + LANES] + eye[1], lanes[at + 2 * LANES] + eye[2]
+    quat = QUAT * LANES + lane
+    if row[MOVES] > 0:
+        x, y, z = moved(row, x, y, z)
+        lanes[at], lanes[at + LANES], lanes[at + 2 * LANES] = x - eye[0], y - eye[1], z - eye[2]
+        w, p, q, r = turned(
+            row, lanes[quat], lanes[quat + LANES], lanes[quat + 2 * LANES], lanes[quat + 3 * LANES]
+        )
+        lanes[quat], lanes[quat + LANES], lanes[quat + 2 * LANES], lanes[quat + 3 * LANES] = w, p, q, r
+    for axis in range(3):
+        lanes[(LOG_SCALE + axis) * LANES + lane] += row[LOG_FACTOR]
+    if row[FADES] > 0:
+        lanes[LOGIT * LANES + lane] = faded(row, lanes[LOGIT * LANES + lane])
+    if not is_shown(edits, i, x, y, z):
+        for component in range(4):
+            lanes[(QUAT + component) * LANES + lane] = 0.0
+    return True
+
+
+@inline
 def column(lanes, index):
     return load(lanes, index * LANES)
 
@@ -284,14 +326,28 @@ def project_group(view, lanes):
 
 @kernel
 def project(
-    start, stop, bounds, means, quats, log_scales, opacity_logits, sh, degree, view, records, depths, visible
+    start,
+    stop,
+    bounds,
+    means,
+    quats,
+    log_scales,
+    opacity_logits,
+    sh,
+    degree,
+    view,
+    records,
+    depths,
+    visible,
+    edits,
 ):
     """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
-    `visible` from `start` on.
+    `visible` from `start` on. Or -1, if one's mark names what is not in the palette of the edits.
 
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written
-    for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written.
+    for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written;
+    edits an `EditArrays` or None.
     """
     basis = np.empty(16, np.float64)
     coefficients = (degree + 1) * (degree + 1)
@@ -303,16 +359,25 @@ def project(
         for lane in range(LANES):  # beyond the end the last again
             splat = min(first + lane, stop - 1)
             load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
+            if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
+                return -1
         project_group(view, lanes)
         for lane in range(min(LANES, stop - first)):
             if not lanes[DRAWN * LANES + lane] > 0:
                 continue
             i = first + lane
             towards = TOWARDS * LANES + lane
-            sh_basis(lanes[towards], lanes[towards + LANES], lanes[towards + 2 * LANES], degree, basis)
+            dx, dy, dz = lanes[towards], lanes[towards + LANES], lanes[towards + 2 * LANES]
+            if edits is not None:
+                dx, dy, dz = turned_back(edits.palette[palette_row(edits, i)], dx, dy, dz)
+            sh_basis(dx, dy, dz, degree, basis)
             red, green, blue = sh_sum(sh, i, basis, coefficients)
             if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
                 continue
+            if edits is not None:
+                row = edits.palette[palette_row(edits, i)]
+                if row[RECOLOURS] > 0:
+                    red, green, blue = recoloured(row, red, green, blue)
             red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
             if not (is_finite(red) and is_finite(green) and is_finite(blue)):
                 continue
