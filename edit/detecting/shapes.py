@@ -13,6 +13,7 @@ from ...scene.edits import SceneEdits, shown
 from ...scene.framing import robust_bounds
 from ..loops.places import positions_of
 from ..selecting.adjusted import log_scales
+from ..selecting.attributes import attribute_values
 from ..selecting.checks import choice
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
@@ -58,9 +59,8 @@ class Needles(Detector):
     ) -> np.ndarray:
         watch.step(0.0)
         # Growing or shrinking a splat leaves the ratio as it is.
-        ordered = np.sort(gaussians.log_scales, axis=1)
-        with np.errstate(over="ignore", invalid="ignore"):
-            ratios = np.exp(ordered[:, 2] - ordered[:, 0 if self.discs else 1])
+        name = "anisotropy" if self.discs else "elongation"
+        ratios = attribute_values(name, gaussians, edits, tools)
         return _hide(ratios, gaussians, edits)
 
     def meaning(self, threshold: float) -> str:

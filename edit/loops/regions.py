@@ -17,7 +17,7 @@ CELLS_ACROSS = 256
 """The bounds are cut into at most so many cells a side. All points of a cell that no border crosses get
 one answer, found once."""
 
-CELLS_PER_RADIUS = 3
+CELLS_PER_RADIUS = 8
 
 OUTSIDE, INSIDE, CROSSED = 0, 1, 2
 """What is known of a cell."""

@@ -7,8 +7,8 @@ import numpy as np
 from ...scene import Gaussians
 from ...scene.adjustment import IDENTITY_COLOUR, adjustment_rows
 from ...scene.edits import PALETTE_SHIFT, SceneEdits
-from ...scene.projection import sigmoid
-from ...scene.sh import SH_C0
+from ..loops import looks
+from ..loops.pieces import in_pieces
 
 
 def _entries(edits: SceneEdits) -> np.ndarray:
@@ -25,11 +25,14 @@ def log_scales(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
 
 def opacities(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
     """(N,) float32 in [0, 1]; NaN where the logit is."""
-    values = sigmoid(gaussians.opacity_logits).astype(np.float32)
-    if not edits.adjusts:
-        return values
-    rows = adjustment_rows(edits.palette)[:, 28:32].astype(np.float32)[_entries(edits)]
-    return np.clip(rows[:, 0] * values + rows[:, 1], rows[:, 2], rows[:, 3])
+    values = np.empty(len(gaussians), np.float32)
+    maps = adjustment_rows(edits.palette)[:, 28:32].astype(np.float32)
+
+    def work(start: int, stop: int) -> None:
+        looks.opacities(start, stop, gaussians.opacity_logits, edits.marks, maps, values)
+
+    in_pieces(len(values), work)
+    return values
 
 
 def _coloured(edits: SceneEdits) -> bool:
@@ -43,14 +46,13 @@ def _colour_maps(edits: SceneEdits) -> np.ndarray:
 
 def base_colours(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
     """(N, 3) float32 RGB of the constant band, 0.5 + C0·sh0: the mean of what it shows to all sides."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        rgb = gaussians.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
-        if _coloured(edits):
-            maps, entries = _colour_maps(edits), _entries(edits)
-            for entry in np.flatnonzero(np.bincount(entries, minlength=len(maps))):
-                if entry > 0:
-                    chosen = entries == entry
-                    rgb[chosen] = rgb[chosen] @ maps[entry, :, :3].T + maps[entry, :, 3]
+    rgb = np.empty((len(gaussians), 3), np.float32)
+    maps = _colour_maps(edits)
+
+    def work(start: int, stop: int) -> None:
+        looks.base_colours(start, stop, gaussians.sh, edits.marks, maps, rgb)
+
+    in_pieces(len(rgb), work)
     return rgb
 
 
