@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..scene.crop import Crop, crop_rows
 from ..scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED, SceneEdits
 from ..scene.files import load_scene, save_scene
 from .changes import Change
+from .detecting import Detector, contributions, sample_cameras
 from .fingerprint import fingerprint
 from .history import History, Step
 from .json_form import to_json
@@ -27,9 +28,6 @@ from .runs import SplatSet
 from .state import State
 from .tools import NoTools, Tools
 from .watch import UNWATCHED, Watch
-
-if TYPE_CHECKING:
-    from .detecting import Detector
 
 MAX_SPLATS = 2**31 - 1
 """Runs are counted in 32 bits."""
@@ -107,7 +105,7 @@ class Document:
         self.history = History(self.state)
         self._preview: Step | None = None
         self._lit = 0
-        self._scores: tuple[tuple[int, type, str], np.ndarray] | None = None
+        self._measurement: tuple[Hashable, np.ndarray] | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
         self._exported: tuple[tuple[int, ...], int] | None = None
@@ -228,11 +226,26 @@ class Document:
             InputError: it wants a renderer that there is not.
             Cancelled: the watch says so.
         """
-        key = (self.state.revision, type(detector), json.dumps(to_json([detector, *cameras])))
-        if self._scores is None or self._scores[0] != key:
-            scores = detector.scores(self.gaussians, self.edits, self.tools, cameras, watch=watch)
-            self._scores = (key, scores)
-        return self._scores[1]
+        return self._measured(
+            (type(detector), json.dumps(to_json([detector, *cameras]))),
+            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, watch=watch),
+        )
+
+    def contributions(self, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED) -> np.ndarray:
+        """What each splat contributes to the views, (N,) float64; kept and raised as by `scores`. Without
+        `cameras` the views are `sample_cameras`."""
+
+        def measure() -> np.ndarray:
+            views = cameras or sample_cameras(self.gaussians, self.edits)
+            return contributions(self.gaussians, self.edits, self.tools, views, watch=watch)
+
+        return self._measured((contributions, json.dumps(to_json(cameras))), measure)
+
+    def _measured(self, what: Hashable, measure: Callable[[], np.ndarray]) -> np.ndarray:
+        key = (self.state.revision, what)
+        if self._measurement is None or self._measurement[0] != key:
+            self._measurement = (key, measure())
+        return self._measurement[1]
 
     def highlight(self, mask: np.ndarray | None) -> int:
         """Lights up the splats of `mask` (N,) bool that could be selected, and no others; None: none.

@@ -65,8 +65,16 @@ class Decimate(Operation):
             raise ValueError(f"keep must be at least 1, got {self.keep}")
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        scores = document.scores(detecting.UnseenSplats(), self.cameras, watch=watch)
-        at = np.flatnonzero(editable(document))
+        return deleting(document, self.doomed(document, watch), f"Decimate to {splats_in_words(self.keep)}")
+
+    def doomed(self, document: Document, watch: Watch = UNWATCHED) -> np.ndarray:
+        """Which splats it would delete, (N,) bool: of equal contributions the later ones.
+
+        Raises:
+            InputError: too many cannot be deleted, or there is no renderer.
+            Cancelled: the watch says so.
+        """
+        at = np.flatnonzero(editable(document))[::-1]
         excess = document.counts.kept - self.keep
         if excess > len(at):
             raise InputError(
@@ -75,9 +83,9 @@ class Decimate(Operation):
             )
         doomed = np.zeros(len(document.marks), bool)
         if excess > 0:
-            # Ties by index, so that a recipe does the same everywhere.
-            doomed[at[np.argsort(-scores[at], kind="stable")[:excess]]] = True
-        return deleting(document, doomed, f"Decimate to {splats_in_words(self.keep)}")
+            worth = document.contributions(self.cameras, watch=watch)[at]
+            doomed[at[np.argsort(worth, kind="stable")[:excess]]] = True
+        return doomed
 
 
 def editable(document: Document) -> np.ndarray:

@@ -10,7 +10,7 @@ from imgui_bundle import ImVec4, imgui
 
 from .....edit.detecting import DETECTORS
 from .....edit.operations.pruning import Decimate, Prune, editable
-from .....edit.price import NO_LOSS, decimate, price, unchanging, with_deleted
+from .....edit.price import NO_LOSS, price, unchanging, with_deleted
 from .....edit.sample_views import sample_cameras
 from .....edit.watch import Watch
 from .....scene import Camera
@@ -207,7 +207,7 @@ def _price_decimation(core: Core) -> None:
 
     def work(watch: Watch) -> Any:
         part = watch.part(0.0, 0.4)
-        mask = decimate(document.gaussians, before, document.tools, cameras, key[0], watch=part)
+        mask = Decimate(keep=key[0], cameras=cameras).doomed(document, part)
         after = with_deleted(before, mask)
         return price(document.gaussians, before, after, document.tools, cameras, watch=watch.part(0.4, 1.0))
 
