@@ -8,7 +8,7 @@ import numpy as np
 
 from ... import raster
 from ...scene import Camera, Gaussians
-from ...scene.edits import SceneEdits, bake
+from ...scene.edits import SceneEdits
 from ...scene.effects import settings_for
 
 
@@ -22,4 +22,4 @@ class RasterTools:
         return raster.contributions(gaussians, cameras, settings_for(gaussians), edits=edits)
 
     def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        return raster.render(bake(gaussians, edits), camera, settings_for(gaussians))
+        return raster.render(gaussians, camera, settings_for(gaussians), edits=edits)
