@@ -12,7 +12,7 @@ import numpy as np
 
 from ... import raster
 from ...scene import Camera, Gaussians, RenderSettings
-from ...scene.edits import SceneEdits, bake
+from ...scene.edits import SceneEdits
 from . import FrameStats
 from .moving import (
     MOVING_MS,
@@ -153,7 +153,8 @@ class CpuTexture:
         if self._gaussians is None:
             return np.zeros((camera.height, camera.width, 4), np.float32)
         shown = shown_edits(edits, overlay, None)
-        return raster.render(edited(self._gaussians, shown), camera, settings, threads=self.threads)
+        drawn = shown.drawn if shown else None
+        return raster.render(self._gaussians, camera, settings, edits=drawn, threads=self.threads)
 
     @property
     def busy(self) -> bool:
@@ -235,8 +236,14 @@ class CpuTexture:
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
-        splats = raster.parameters_of(edited(gaussians, wish.edits))
-        frame = raster.draw_frame(splats, camera, wish.settings, workspace, threads=self.threads)
+        frame = raster.draw_frame(
+            raster.parameters_of(gaussians),
+            camera,
+            wish.settings,
+            workspace,
+            edits=wish.edits.drawn if wish.edits else None,
+            threads=self.threads,
+        )
         self.status = ""
         visible, _ = work_of(frame)
         with self._change:
@@ -305,8 +312,3 @@ class CpuTexture:
         with self._change:
             if plan is not None and not stop():
                 self._plan = plan
-
-
-def edited(gaussians: Gaussians, shown: ShownEdits | None) -> Gaussians:
-    """What the rasteriser draws."""
-    return gaussians if shown is None else bake(gaussians, shown.drawn)

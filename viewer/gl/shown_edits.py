@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ...scene.edits import SceneEdits
-from .overlay import Overlay, tinted
+from .overlay import Overlay
+from .tinting import tinted
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,10 @@ from splatview.scene.adjustment import IDENTITY, Adjustment
 from splatview.scene.crop import Crop
 from splatview.scene.edits import DELETED, LOCKED, PALETTE_SHIFT, PREVIEW, SELECTED, SceneEdits, bake
 from splatview.viewer.gl.cpu_texture import CpuTexture
-from splatview.viewer.gl.overlay import Overlay, tinted
+from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.quads import QuadsRenderer
 from splatview.viewer.gl.shown_edits import shown_edits
+from splatview.viewer.gl.tinting import tinted
 
 Make = Callable[..., Gaussians]
 
