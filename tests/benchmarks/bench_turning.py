@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from splatview.measure.tables import FOLDER, write_results
+from splatview.raster.compiling import _cache_root
 from splatview.viewer.window.core import Core
 
 WAYS = {
@@ -153,6 +154,8 @@ def measure(scene: Path, way: str, size: tuple[int, int], seconds: float) -> dic
             environment = dict(
                 os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
             )
+            # What was left unsaved elsewhere must not be offered here; compiled kernels are welcome.
+            environment |= {"SPLATVIEW_CACHE_DIR": folder, "NUMBA_CACHE_DIR": str(_cache_root())}
             environment.pop("WAYLAND_DISPLAY", None)
             command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
             command += ["--seconds", str(seconds), "--way", way, "-o", str(report)]

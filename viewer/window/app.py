@@ -102,7 +102,7 @@ class Window:
         if core.picture is None:
             params.app_shall_exit = True
             return
-        if self._is_software and not (core.loading or core.dialog):
+        if self._is_software and core.loading is None:
             core.picture.wait(PICTURE_SECONDS)
             glfw.poll_events()  # what the mouse did meanwhile
         opening.continue_loading(core)
@@ -252,6 +252,8 @@ class _Driven:
         test.test_func = self._run
         io = imgui.test_engine.get_io(engine)
         io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
+        # A busy machine is no failure.
+        io.config_watchdog_warning = io.config_watchdog_kill_test = 600.0
         # Only what goes wrong, with the steps that led to it.
         io.config_log_to_tty = True
         io.config_verbose_level = imgui.test_engine.TestVerboseLevel.error
