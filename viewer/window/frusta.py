@@ -16,6 +16,9 @@ from .core import Core
 SIZE = 0.06
 """Depth of a pyramid in scene radii."""
 
+PHOTO_SIZE = 0.03
+"""The same of photos in training, which are mostly many and near."""
+
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 """Between the eye (0) and the picture's corners (1 to 4, going round)."""
 
@@ -41,7 +44,8 @@ def show(core: Core, corner: ImVec2) -> None:
     radius = core.scene.radius if core.scene else core.view.distance
     step = -(-len(core.cameras) // MOST)
     training = core.training if core.training and core.cameras is core.training.cameras else None
-    drawn = pyramids(core.cameras[::step], core.camera, SIZE * radius)
+    size = radius * (SIZE if training is None else PHOTO_SIZE)
+    drawn = pyramids(core.cameras[::step], core.camera, size)
     lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
     mouse = imgui.get_mouse_pos()
     under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point() else None

@@ -67,14 +67,16 @@ def test_a_failing_trainer_is_told_and_its_scene_stays(drive, capture, tmp_path)
     assert len(load_scene(tmp_path / "toy.ply")) > 0
 
 
-def test_closing_in_the_middle_saves(drive, capture, tmp_path):
-    found = drive("closes", capture, script=SCRIPT)
+@pytest.mark.parametrize("by_signal", [False, True])
+def test_closing_in_the_middle_saves(drive, capture, tmp_path, by_signal):
+    found = drive("closes", capture, script=SCRIPT, signal=by_signal)
     assert found["state"] == "training"
     reached = load_checkpoint(tmp_path / "toy.checkpoint.safetensors").counters.iteration
     assert reached >= found["iteration"] > 5
     assert len(load_scene(tmp_path / "toy.ply")) > 0
     assert f"stopped at step {reached:,}" in found["output"]
     assert "--resume" in found["output"]
+    assert "Traceback" not in found["output"]
 
 
 def test_other_scenes_can_be_opened_meanwhile_and_the_run_ends(drive, capture, tmp_path, random_gaussians):

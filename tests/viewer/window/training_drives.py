@@ -9,6 +9,8 @@ OPTIONS names under "train".
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -24,7 +26,7 @@ from splatview.scene import InputError
 from splatview.viewer.commands import train, train_window
 from splatview.viewer.window import file_dialogs
 from splatview.viewer.window.core import Core
-from splatview.viewer.window.frusta import SIZE, pyramids
+from splatview.viewer.window.frusta import PHOTO_SIZE, pyramids
 from splatview.viewer.window.training.watching import Training
 
 
@@ -164,10 +166,13 @@ def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
 
 
 def closes(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
-    """The window is closed in the middle of training."""
+    """The window is closed in the middle of training, by Ctrl-C if `signal` is asked for."""
     seen(hand, 5)
     found["state"] = training_of(core).status.state
     found["iteration"] = training_of(core).status.iteration
+    if options.get("signal"):
+        os.kill(os.getpid(), signal.SIGINT)
+        hand.wait(lambda: core.quitting, "the window to heed it")
 
 
 def elsewhere(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
@@ -208,7 +213,7 @@ def click_frustum(core: Core, hand: Hand, index: int) -> list[int]:
     core.post(lambda core: core.steer(replace(view, distance=6 * view.distance)))
     hand.frames(3)
     assert core.scene is not None
-    drawn = dict(pyramids(training.cameras, core.camera, SIZE * core.scene.radius))
+    drawn = dict(pyramids(training.cameras, core.camera, PHOTO_SIZE * core.scene.radius))
     corner = hand.ctx.window_info("//View").rect_full.min
     x, y = drawn[index][0][0]  # where its eye is
     hand.ctx.mouse_teleport_to_pos(ImVec2(corner.x + float(x), corner.y + float(y)))

@@ -41,11 +41,17 @@ def show(core: Core) -> None:
     count(training, over, size)
 
 
-def begin(title: str, over: str, size: tuple[float, float], *, logarithmic: bool = False) -> bool:
-    """Opens a plot that follows its data; true where it is to be filled."""
+def begin(
+    title: str, over: str, size: tuple[float, float], points: int, *, logarithmic: bool = False
+) -> bool:
+    """Opens a plot that follows its data, empty up to two points; true where it is to be filled."""
     flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_box_select
     if not implot.begin_plot(title, size, flags):
         return False
+    if points < 2:
+        bare = implot.AxisFlags_.no_decorations
+        implot.setup_axes("", "", bare, bare)
+        return True
     fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_label
     implot.setup_axes(over, "", fit, fit)
     if logarithmic:
@@ -57,8 +63,8 @@ def loss(training: Training, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "loss")
     good = np.isfinite(values) & (values > 0)
     x, values = x[good], values[good]
-    if begin("Loss", over, size, logarithmic=True):
-        if len(x):
+    if begin("Loss", over, size, len(x), logarithmic=True):
+        if len(x) > 1:
             faint = implot.Spec(line_color=ImVec4(LOSS.x, LOSS.y, LOSS.z, 0.3))
             implot.plot_line("loss", x, values, faint)
             implot.plot_line("smoothed", x, smoothed(values), implot.Spec(line_color=LOSS, line_weight=2.0))
@@ -70,8 +76,8 @@ def score(training: Training, over: str, size: tuple[float, float]) -> None:
     good = np.isfinite(values)
     x, values = x[good], values[good]
     title = f"Held-out PSNR, dB{f': {values[-1]:.2f}' if len(values) else ''}###psnr"
-    if begin(title, over, size):
-        if len(x):
+    if begin(title, over, size, len(x)):
+        if len(x) > 1:
             marked = implot.Spec(
                 line_color=SCORE,
                 line_weight=2.0,
@@ -86,8 +92,8 @@ def score(training: Training, over: str, size: tuple[float, float]) -> None:
 
 def count(training: Training, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "gaussians")
-    if begin("Splats", over, size):
-        if len(x):
+    if begin("Splats", over, size, len(x)):
+        if len(x) > 1:
             implot.plot_line("splats", x, values, implot.Spec(line_color=COUNT, line_weight=2.0))
         implot.end_plot()
 

@@ -55,6 +55,9 @@ IDLE_FPS: dict[TrainingUpdates, float] = {"off": 1.0, "low": 2.0, "live": 5.0}
 
 MINIMISED_FPS = 0.5
 
+MOST_FOR_BOUNDS = 20_000
+"""Splats that tell where the scene is: enough for that, and done within a millisecond or two."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WatchedPhoto:
@@ -143,7 +146,6 @@ class Training:
         self.thread.on_change = on_change
         core.settings = replace(self.settings, blend=core.preferences.blend)
         core.cameras = self.cameras
-        self.advance(core)
         self.thread.begin()
 
     def stop(self) -> None:
@@ -205,7 +207,7 @@ class Training:
         if core.loading is not None or not self.followed_by(core):
             self._drop_arriving()
             return
-        if core.picture is None:
+        if core.picture is None or core.picture_size == (1, 1):  # nothing has been laid out yet
             return
         if self._arriving is None:
             if self.minimised or (core.picture.busy and self.shown is not None and not self._starved(core)):
@@ -241,7 +243,8 @@ class Training:
             # Its edits are of other splats.
             core.desk.close()
             core.desk = None
-        centre, radius = robust_bounds(snapshot.gaussians.means)
+        means = snapshot.gaussians.means
+        centre, radius = robust_bounds(means[:: -(-len(means) // MOST_FOR_BOUNDS)])
         self._scene = core.scene = LoadedScene(
             gaussians=snapshot.gaussians,
             paths=(self.thread.outputs.scene,),
