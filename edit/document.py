@@ -214,7 +214,7 @@ class Document:
 
     def path(self, text: str) -> Path:
         """The file that an operation names."""
-        return Path(self.folder or os.curdir, Path(text).expanduser())
+        return Path(self.folder or os.curdir, text)
 
     def scores(
         self, detector: Detector, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED

@@ -137,8 +137,11 @@ def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
                 if not _lock(file):
                     continue
                 lines = file.read().split(b"\n")
-            found.append(_read(path, lines))
-    found = [journal for journal in found if journal.recipe.steps]
+            journal = _read(path, lines)
+            if journal.recipe.steps:
+                found.append(journal)
+            else:
+                journal.discard()  # all was undone: there is nothing to restore
     return sorted(found, key=lambda journal: journal.time, reverse=True)
 
 

@@ -121,6 +121,10 @@ def _value(hint: Any, data: Any, name: str) -> Any:
         raise InputError(f"{name} must be true or false, not {quoted(data)}")
     elif hint is str:
         if isinstance(data, str):
+            try:
+                data.encode()
+            except UnicodeEncodeError:
+                raise InputError(f"{name} has characters that are none: {quoted(data)}") from None
             return data
     elif hint is float:
         return _number(data, name)

@@ -64,13 +64,16 @@ def check_format(path: Path) -> None:
 def check_saving(path: Path) -> None:
     """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
     check_format(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file in it")
-    folder = path.resolve().parent
-    if not folder.is_dir():
-        raise InputError(f"{path}: the folder {folder} does not exist; make it first")
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{path}: the folder {folder} cannot be written to")
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; name a file in it")
+        folder = path.resolve().parent
+        if not folder.is_dir():
+            raise InputError(f"{path}: the folder {folder} does not exist; make it first")
+        if not os.access(folder, os.W_OK):
+            raise InputError(f"{path}: the folder {folder} cannot be written to")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def load_cameras(

@@ -121,6 +121,15 @@ def test_what_was_undone_and_done_otherwise(document, tmp_path):
     assert steps_left(tmp_path) == ["select_all", "delete"]
 
 
+def test_nothing_in_force_is_nothing_to_restore(document, tmp_path):
+    journal = Journal(document, tmp_path)
+    document.apply(operation_from_json(SELECT))
+    document.undo()
+    forget(journal)
+    assert find_abandoned_journals(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("cut", range(1, 60, 7))
 def test_a_line_cut_short_costs_only_itself(document, tmp_path, cut):
     journal = Journal(document, tmp_path)

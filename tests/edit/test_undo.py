@@ -255,6 +255,37 @@ def test_json_there_and_back(op, data):
             assert json.loads(text)[key] == value
 
 
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5)),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_damaged_steps_are_refused_or_done_and_nothing_else(make_document, edit_helpers, data):
+    step = data.draw(OPERATION_STEPS[data.draw(st.sampled_from(sorted(OPERATIONS)))])
+    place = step
+    while True:
+        key = data.draw(st.sampled_from(sorted(place)))
+        if isinstance(place[key], dict) and place[key] and data.draw(st.booleans()):
+            place = place[key]
+            continue
+        break
+    place[key] = data.draw(json_values)
+    document = make_document()
+    document.apply(operation_from_json({"op": "select_all"}))
+    before = edit_helpers.everything(document)
+    try:
+        document.apply(operation_from_json(step))
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert edit_helpers.everything(document) == before
+    else:
+        invariants(document)
+
+
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_previews_leave_no_trace(make_document, edit_helpers, data):

@@ -55,6 +55,8 @@ WRONG = [
     ({"op": "repair", "finding": "ugly"}, "finding must be one of"),
     ({"op": "merge", "path": ""}, "path must name a file"),
     ({"op": "split", "path": 7}, "path must be a text"),
+    ({"op": "split", "path": "\ud800.ply"}, "path has characters that are none"),
+    ({"op": "merge", "path": "~nobody/" + 300 * "x"}, "cannot be read|no such file"),
 ]
 
 
