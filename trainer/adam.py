@@ -42,6 +42,9 @@ class Pull(NamedTuple):
 
     opacity: float = 0.0
     scale: float = 0.0
+    least_scale: float = 0.0
+    """Scales below this, world units, are not pulled: no photo tells them from 0, so that nothing else moves
+    them, and Adam would take them down at full speed for ever."""
 
 
 def adam_step(
@@ -62,7 +65,8 @@ def adam_step(
     factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
     epsilon = np.float32(EPSILON * correction)
     pull = pull or Pull()
-    pulls = np.array([pull.opacity, pull.scale / 3], np.float64) / max(len(splats), 1)
+    count = max(len(splats), 1)
+    pulls = np.array([pull.opacity / count, pull.scale / 3 / count, pull.least_scale])
     run(
         move,
         [(indices,) for indices in seen if len(indices)],
@@ -130,7 +134,7 @@ def move(
     epsilon,
     pulls,
 ):
-    """Adam over the splats at `indices`; factors (6,), pulls (2,) and every parameter float32."""
+    """Adam over the splats at `indices`; factors (6,), pulls (3,) and every parameter float32."""
     one = np.float32(1)
     numbers = sh.shape[1] * 3
     whole = numbers // LANES * LANES
@@ -140,7 +144,8 @@ def move(
     for i in indices:
         for k in range(3):
             means[i, k] = moved(means[i, k], d_means[i, k], means1[i], means2[i], k, factors[0], epsilon)
-            d_scale = d_log_scales[i, k] + pulls[1] * np.exp(log_scales[i, k])
+            scale = np.exp(log_scales[i, k])
+            d_scale = d_log_scales[i, k] + (pulls[1] * scale if scale > pulls[2] else np.float32(0))
             log_scales[i, k] = moved(
                 log_scales[i, k], d_scale, log_scales1[i], log_scales2[i], k, factors[2], epsilon
             )

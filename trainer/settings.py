@@ -50,6 +50,10 @@ def automatic_pull(photos: int) -> float:
     return min(max(1.3 / max(photos, 1), LEAST_PULL), MOST_PULL)
 
 
+LEAST_PULLED = 0.1
+"""Pixels, seen from as far as the extent: thinner splats are not pulled to be thinner still."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
     """The recipe. Equal settings, photos, points and threads train equal scenes.
@@ -154,12 +158,14 @@ class TrainSettings:
             sh_others=factor * self.sh_rate / 20,
         )
 
-    def pull_at(self, progress: float, extent: float) -> Pull:
-        """The pulls on opacity and scale at a share of the run."""
+    def pull_at(self, progress: float, extent: float, focal: float) -> Pull:
+        """The pulls on opacity and scale at a share of the run, for photos of this focal length in px."""
         if self.strategy != "mcmc":
             return Pull()
         factor = self.pull_end**progress
-        return Pull(factor * self.opacity_pull, factor * self.scale_pull / extent)
+        return Pull(
+            factor * self.opacity_pull, factor * self.scale_pull / extent, LEAST_PULLED * extent / focal
+        )
 
     def sh_degree_at(self, progress: float) -> int:
         """The highest SH degree in training at a share of the run."""

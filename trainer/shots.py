@@ -64,6 +64,8 @@ class Shots:
     def __init__(self, shots: Sequence[Shot], seed: int) -> None:
         if not shots:
             raise InputError("the capture has no photo to train on")
+        self.focal = float(np.median([shot.camera.fx for shot in shots]))
+        """Median focal length in full size, px."""
         self._sizes: dict[int, list[Shot]] = {1: list(shots)}
         self._seed = seed
         self._epoch = -1

@@ -200,7 +200,7 @@ class Trainer:
         rates = settings.rates(progress, self.extent)
         with self.clock.stage("adam"):
             moved = seen if settings.seen_only else _everything(len(splats), len(seen))
-            pull = settings.pull_at(progress, self.extent)
+            pull = settings.pull_at(progress, self.extent, self.shots.focal)
             adam_step(splats, gradients, moved, rates, counters.iteration, pull=pull, threads=self.threads)
         if self.exposures.is_on:
             self.exposures.step(progress, settings.batch)

@@ -90,3 +90,10 @@ def test_pulls_are_gradients_of_mean_opacity_and_scale() -> None:
     np.testing.assert_allclose(splats.first.log_scales, 0.1 * 0.6 / 30 * np.exp(start.log_scales), rtol=1e-5)
     assert (splats.parameters.opacity_logits < start.opacity_logits).all()
     np.testing.assert_array_equal(splats.parameters.means, start.means)
+    # Thin axes are left alone.
+    thin = fresh(copied(start))
+    least = float(np.exp(np.median(start.log_scales)))
+    adam_step(thin, zeros, pieces(10), RATES, 1, pull=Pull(scale=0.6, least_scale=least), threads=1)
+    pulled = thin.parameters.log_scales != start.log_scales
+    np.testing.assert_array_equal(pulled, np.exp(start.log_scales) > least)
+    assert pulled.any() and not pulled.all()

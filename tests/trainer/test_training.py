@@ -267,9 +267,10 @@ def test_rates_settle_and_pulls_fade() -> None:
     a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
     assert a[1:] == b[1:]
     np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
-    assert settings.pull_at(0.5, 2.0).opacity == pytest.approx(0.01)
-    assert settings.pull_at(0, 2.0).scale == pytest.approx(settings.scale_pull / 2)
-    assert replace(settings, strategy="classic").pull_at(0.5, 2.0) == (0, 0)
+    assert settings.pull_at(0.5, 2.0, 400).opacity == pytest.approx(0.01)
+    assert settings.pull_at(0, 2.0, 400).scale == pytest.approx(settings.scale_pull / 2)
+    assert settings.pull_at(0, 2.0, 400).least_scale == pytest.approx(0.1 * 2 / 400)
+    assert replace(settings, strategy="classic").pull_at(0.5, 2.0, 400) == (0, 0, 0)
 
 
 def test_masked_photos_are_measured_by_what_is_left(make_trainer, shots: list[Shot]) -> None:
