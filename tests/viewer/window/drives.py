@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import ctypes
 import json
+import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -93,6 +95,20 @@ class Hand:
         assert core.picture is not None
         picture = core.picture
         return self.on_gl_thread(lambda: picture.read(core.camera, core.settings, core.mode))
+
+    def picture_of_edits(self) -> np.ndarray:
+        """The same with the edits in force."""
+        core = self.core
+        assert core.picture is not None and core.desk is not None
+        picture, document = core.picture, core.desk.document
+        return self.on_gl_thread(
+            lambda: picture.read(core.camera, core.settings, core.mode, edits=document.edits)
+        )
+
+    def shoot(self, path: str | None) -> None:
+        """The whole window into a file, where one is asked for."""
+        if path is not None and shutil.which("import"):
+            subprocess.run(["import", "-window", "root", path], check=False)
 
     @property
     def said(self) -> list[str]:
@@ -360,7 +376,8 @@ def turn(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any])
     found["drawn_idle"] = idle_draws(core, hand)
 
 
-def main() -> int:
+def main(drives: dict[str, Any]) -> int:
+    """`drives`: name -> function, those of the script that was run."""
     name, result, options, *paths = sys.argv[1:]
     found: dict[str, Any] = {}
     given = json.loads(options)
@@ -368,7 +385,7 @@ def main() -> int:
     def act(core: Core, ctx: Any) -> None:
         hand = Hand(core, ctx)
         try:
-            globals()[name](core, hand, given, found)
+            drives[name](core, hand, given, found)
         finally:
             found["messages"] = hand.said
 
@@ -383,4 +400,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(globals()))
