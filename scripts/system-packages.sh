@@ -33,6 +33,7 @@ for pair in X11.so.6:libx11-6 Xcursor:libxcursor1 Xi.so:libxi6 Xinerama:libxiner
 done
 if [ "$what" = test ]; then
     command -v Xvfb >/dev/null; need $? xvfb "the tests that open a window"
+    command -v glslangValidator >/dev/null; need $? glslang-tools "the test of shaders by a second compiler"
 fi
 [ -z "$missing" ] && exit 0
 
