@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from splatview.measure.tables import FOLDER, write_results
-from splatview.raster.compiling import _cache_root
 from splatview.viewer.window.core import Core
 
 WAYS = {
@@ -71,6 +70,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
     if way == "clock":
         cpu_texture.CpuTexture.wait = lambda self, seconds: None
         app.MAX_FPS = app.SOFTWARE_FPS = CLOCK_FPS
+    app.look_for_abandoned = lambda core: None  # no dialog over the picture
     real_upload, real_draw = cpu_texture.CpuTexture._upload, viewport.draw_picture
 
     def act(core: Core) -> None:
@@ -154,8 +154,6 @@ def measure(scene: Path, way: str, size: tuple[int, int], seconds: float) -> dic
             environment = dict(
                 os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
             )
-            # What was left unsaved elsewhere must not be offered here; compiled kernels are welcome.
-            environment |= {"SPLATVIEW_CACHE_DIR": folder, "NUMBA_CACHE_DIR": str(_cache_root())}
             environment.pop("WAYLAND_DISPLAY", None)
             command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
             command += ["--seconds", str(seconds), "--way", way, "-o", str(report)]
