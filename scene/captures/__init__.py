@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError
 from ..files.progress import LoadCancelled, Watch
 from .assemble import capture_name, capture_of
@@ -40,11 +42,13 @@ def load_capture(
     if not (downscale >= 1 and downscale == int(downscale)):
         raise InputError(f"photos can be downscaled by a whole number of at least 1, not {downscale}")
     path = Path(path)
-    folder, posed = _read_poses(path)
     watch = Watch(progress=progress, cancelled=cancelled)
-    return capture_of(
-        posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch
-    )
+    # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        folder, posed = _read_poses(path)
+        return capture_of(
+            posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch
+        )
 
 
 def _read_poses(path: Path) -> tuple[Path, PosedPhotos]:

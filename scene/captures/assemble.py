@@ -27,6 +27,9 @@ KEEP_BYTES = 2 << 30
 MAX_READERS = 8
 """Threads that decode; each holds a full photo."""
 
+LEAST_RADIUS, LARGEST_RADIUS = 1e-9, 1e12
+"""Of scenes, in their own units: float32 holds sizes and their squares with room to spare."""
+
 NAMES_SHOWN = 5
 
 LOSS_TO_MENTION = 0.05
@@ -83,16 +86,17 @@ def capture_of(
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
     warnings += _lens_notes(shots)
-    finite = np.isfinite(posed.points.sum(axis=1))
-    points, colours = posed.points[finite], posed.point_colours[finite]
-    if not finite.all():
-        warnings.append(f"{(~finite).sum()} of {len(finite)} points are not finite and are left out")
+    usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
+    points, colours = posed.points[usable], posed.point_colours[usable]
+    lost = len(usable) - np.count_nonzero(usable)
+    if lost:
+        warnings.append(f"{lost} of {len(usable)} points are not finite, or out of all bounds, and left out")
     if len(points) < MIN_POINTS:
         points, colours = random_points([photo.camera for photo in photos if not photo.held_out])
         warnings.append(
             f"the capture has no points on the surfaces; training starts from {len(points)} random ones"
         )
-    return Capture(
+    capture = Capture(
         name=name,
         photos=tuple(photos),
         points=np.ascontiguousarray(points, dtype=np.float64),
@@ -100,6 +104,12 @@ def capture_of(
         background=background if transparent else None,
         warnings=tuple(warnings),
     )
+    if not LEAST_RADIUS <= capture.scene_radius <= LARGEST_RADIUS:
+        raise InputError(
+            f"{posed.source}: its cameras and points are spread over {capture.scene_radius:.3g} units, which"
+            " cannot be a scene; look for a pose that is far from the others"
+        )
+    return capture
 
 
 def _unique(shots: Sequence[Shot]) -> tuple[list[Shot], list[str]]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from splatview.trainer.checkpoint import load_checkpoint
+from splatview.trainer.warm_up import warm_up
 from splatview.viewer.cli import main
 
 OFTEN = """
@@ -22,6 +23,12 @@ session.CHECKPOINT_SECONDS = 0.02
 sys.exit(main(sys.argv[1:]))
 """
 """The command, writing a checkpoint after every other step or so: most kills hit a write."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels() -> None:
+    """Compiled before processes need them: each would compile them for itself."""
+    warm_up()
 
 
 @pytest.mark.parametrize("kills", [3, pytest.param(40, marks=pytest.mark.slow)])

@@ -216,7 +216,7 @@ def test_what_is_left_out_is_named_and_the_rest_trained(
     printed = capsys.readouterr().err
     assert "1 of 20 photos are not in" in printed and "view_3.png" in printed
     assert "1 photos are left out, for their masks hide all of them: view_5.png" in printed
-    assert "1 of 61 points are not finite and are left out" in printed
+    assert "1 of 61 points are not finite, or out of all bounds, and left out" in printed
     assert len(load_scene(tmp_path / "toy.ply")) == 60
 
 

@@ -92,9 +92,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
                 raise InputError(f"--{name.replace('_', '-')} is the checkpoint's; leave it out to resume")
     batch = checkpoint.settings.batch if checkpoint else options.batch or group.size
     if not batch >= group.size:
-        raise InputError(
-            f"a batch of {batch} gives {group.size} processes nothing to do; use --batch {group.size}"
-        )
+        raise InputError(f"{group.size} processes cannot share a batch of {batch}; start at most {batch}")
     downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:

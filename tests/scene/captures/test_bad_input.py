@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -256,3 +257,82 @@ def test_damaged_models_load_or_are_refused(tmp_path, colmap_capture, file, at, 
         assert "\n" not in str(error)
     finally:
         path.write_bytes(whole)
+
+
+ODD = [
+    None,
+    True,
+    -1,
+    0,
+    2.5,
+    1e300,
+    10**400,
+    float("nan"),
+    float("inf"),
+    "",
+    "x",
+    "\0",
+    "../..",
+    [],
+    [[]],
+    {},
+]
+"""What has no business in most places of a capture's JSON."""
+
+
+def places(value, at=()) -> list[tuple]:
+    """The paths to every value in a tree of JSON, the root left out."""
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [found for key, child in inside for found in ((*at, key), *places(child, (*at, key)))]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), value=st.sampled_from(ODD))
+@pytest.mark.parametrize("name", ["transforms.json", "cameras.json"])
+def test_odd_values_in_json_load_or_are_refused(tmp_path, good, name, data, value):
+    good |= {"h": 30, "cx": 20.0, "cy": 15.0, "k1": 0.01, "p1": 0.001, "camera_model": "OPENCV"}
+    good |= {"ply_file_path": "points.ply", "test_filenames": ["0.png"]}
+    content = good
+    if name == "cameras.json":
+        content = [
+            {
+                "id": i,
+                "img_name": f"{i}.png",
+                "width": 40,
+                "height": 30,
+                "position": [0.0, 0.0, float(i)],
+                "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                "fx": 36.0,
+                "fy": 36.0,
+            }
+            for i in range(3)
+        ]
+    content = json.loads(json.dumps(content))
+    *way, key = data.draw(st.sampled_from(places(content)))
+    owner = content
+    for step in way:
+        owner = owner[step]
+    owner[key] = value
+    (tmp_path / name).write_text(json.dumps(content))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            capture = load_capture(tmp_path / name)
+    except InputError as error:
+        assert "\n" not in str(error) and str(tmp_path) in str(error)
+    else:
+        assert len(capture.photos) >= 2
+        assert np.isfinite(capture.points).all() and 0 < capture.scene_radius < np.inf
+
+
+@pytest.mark.parametrize("far", [1e20, 1e300])
+def test_a_camera_out_of_the_world(tmp_path, good, far):
+    good["frames"][1]["transform_matrix"][0][3] = far
+    (tmp_path / "transforms.json").write_text(json.dumps(good))
+    assert "look for a pose that is far from the others" in refused(tmp_path)
+
+
+def test_everything_in_one_place(tmp_path, colmap_capture, cameras_of):
+    camera = cameras_of(1)[0]
+    colmap_capture(tmp_path, cameras=[camera] * 3, points=np.tile(camera.eye, (5, 1)))
+    assert "spread over" in refused(tmp_path)

@@ -142,7 +142,7 @@ def test_points_that_are_not_finite_are_left_out(tmp_path, colmap_capture):
     colmap_capture(tmp_path, points=points)
     capture = load_capture(tmp_path)
     assert capture.points.shape == (7, 3)
-    assert capture.warnings == ("2 of 9 points are not finite and are left out",)
+    assert capture.warnings == ("2 of 9 points are not finite, or out of all bounds, and left out",)
 
 
 def test_large_captures_are_read_again(tmp_path, colmap_capture, pixels_of, monkeypatch):
