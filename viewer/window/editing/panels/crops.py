@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from .....edit.operations import Select
 from .....edit.operations.cropping import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
 from .....edit.operations.operation import Operation
+from .....edit.selecting import Box, Sphere
 from .....scene import Camera
 from .....scene.adjustment import Adjustment
 from .....scene.crop import Crop
@@ -20,6 +22,7 @@ from ...drawing import point_on_picture
 from ...panels import widgets
 from .. import gizmos
 from ..desk import Desk
+from ..strokes import mode_of
 from ..turning import angles_of, quat_from_matrix, quat_of
 
 if TYPE_CHECKING:
@@ -120,9 +123,27 @@ def numbers(core: Core, desk: Desk, index: int) -> None:
     if handle is not None:
         desk.forms.crop_handles = KINDS.index(handle)
     change(core, desk, index, new, settled=settled)
+    by = volume(crop)
+    imgui.begin_disabled(by is None)
+    if imgui.button("Select inside") and by is not None:
+        io = imgui.get_io()
+        _post(core, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
+    widgets.tooltip(
+        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
+    )
+    imgui.end_disabled()
+    imgui.same_line()
     if imgui.button("Remove"):
         _post(core, RemoveCrop(index=index))
     widgets.tooltip("Removes this crop; what it cut away is back.")
+
+
+def volume(crop: Crop) -> Box | Sphere | None:
+    """What selects the inside of a crop; None for a sphere that was drawn out to an egg."""
+    if crop.shape == "box":
+        return Box(centre=crop.centre, half_extents=crop.half_extents, rotation=crop.rotation)
+    low, high = min(crop.half_extents), max(crop.half_extents)
+    return Sphere(centre=crop.centre, radius=high) if high - low <= 1e-6 * high else None
 
 
 def change(core: Core, desk: Desk, index: int, new: Crop, *, settled: bool) -> None:
