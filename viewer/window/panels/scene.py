@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from imgui_bundle import ImVec4, imgui
 
+from ....edit.operations import Select
+from ....edit.operations.repairing import REPAIRS, Repair
+from ....edit.selecting import IllSplats
 from .. import theme
 from ..core import Core
+from ..editing.commands import apply
 from ..loading import Examination
 from . import widgets
 
@@ -38,15 +44,15 @@ def show(core: Core) -> None:
     widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
 
     if core.examination is not None:
-        examination(core.examination)
+        examination(core, core.examination)
     if gaussians.comments:
         widgets.section("Comments in the file")
         for comment in gaussians.comments:
             widgets.note(comment)
 
 
-def examination(found: Examination) -> None:
-    """Effects with their evidence, and splats that are ill."""
+def examination(core: Core, found: Examination) -> None:
+    """Effects with their evidence, and splats that are ill: a click selects them."""
     if not found.done:
         widgets.section("Effects")
         widgets.note("Looking at the splats...")
@@ -66,5 +72,12 @@ def examination(found: Examination) -> None:
     for finding in ill:
         imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
         imgui.same_line(imgui.get_font_size() * 5)
-        imgui.text(finding.name)
-        widgets.tooltip(finding.what)
+        clicked, _ = imgui.selectable(finding.name, False, 0, (imgui.get_font_size() * 9, 0))
+        widgets.tooltip(f"{finding.what} Click to select them.")
+        if clicked:
+            core.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
+        if finding.name in REPAIRS:
+            imgui.same_line()
+            if imgui.small_button(f"Repair##{finding.name}"):
+                core.post(partial(apply, operation=Repair(finding=finding.name)))
+            widgets.tooltip(f"As a step that can be undone: {REPAIRS[finding.name]}.")
