@@ -170,6 +170,7 @@ def main() -> None:
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "turning.json")
     options = parser.parse_args()
@@ -199,8 +200,8 @@ def main() -> None:
                 ],
                 "rows": [row(WAYS[way], found) for way, found in rounds.items()],
                 "note": f"{options.scene.name} at {width}x{height} in a window that Mesa's llvmpipe draws, "
-                f"dragged for {options.seconds:g} s; medians of {options.rounds} windows each, in turn, with "
-                "precedence over what else ran.",
+                f"dragged for {options.seconds:g} s; medians of {options.rounds} window(s) each, in turn. "
+                f"{options.remark}".strip(),
             },
         },
     )
