@@ -31,6 +31,8 @@ STEPS: tuple[dict[str, Any], ...] = (
     {"op": "transform", "scale": 2},
     {"op": "transform", "scope": "scene", "scale": 2},
     {"op": "select_all"},
+    {"op": "hide"},
+    {"op": "show"},
     {"op": "add_crop", "crop": {"half_extents": [2, 2, 2]}},
     {"op": "select_all"},
     {"op": "delete"},
