@@ -56,6 +56,10 @@ class RecordingPicture:
         image[..., 0] = np.linspace(-0.5, 1.5, camera.width)
         return image
 
+    note = ""
+
+    def wait(self, seconds: float) -> None: ...
+
     def take_problem(self) -> str | None:
         return None
 
