@@ -65,7 +65,7 @@ def test_a_recorded_recipe_gives_the_bytes_of_the_export(scene, splatview, tmp_p
     document = Document(load_scene(scene), name=scene.name, tools=RasterTools())
     for step in (
         {"op": "select", "by": {"kind": "rectangle", **REGION, "depth": "front"}},
-        {"op": "grow", "distance": 0.05},
+        {"op": "grow", "distance": 0.2},
         {"op": "delete"},
         {"op": "transform", "scope": "scene", "rotation": [0.9, 0.1, 0.2, 0], "scale": 1.3},
         {"op": "decimate", "keep": 150},
