@@ -10,7 +10,8 @@ from __future__ import annotations
 import hashlib
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
@@ -130,8 +131,9 @@ def gist(error: Exception) -> str:
     return str(error).partition("\n")[0].partition(". ")[0].rpartition("] ")[2].rstrip(".")
 
 
-def stop_between_steps(group: Group) -> None:
-    """From now on SIGINT and SIGTERM end the run after a step, in all processes after the same one.
+@contextmanager
+def stopping_between_steps(group: Group) -> Iterator[None]:
+    """Within, SIGINT and SIGTERM end the run after a step, in all processes after the same one.
 
     In the middle of a step they would leave a scene half moved, or other processes waiting. A run of one
     process obeys the second SIGINT at once. One of several does not: torchrun passes on what it gets
@@ -143,8 +145,12 @@ def stop_between_steps(group: Group) -> None:
             raise KeyboardInterrupt
         group.stopping = True
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def is_launched() -> bool:

@@ -18,7 +18,7 @@ from PIL import Image
 
 from splatview.scene.files import load_scene
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.trainer.distributed import Alone, BatchSum, gist
+from splatview.trainer.distributed import Alone, BatchSum, gist, stopping_between_steps
 from splatview.trainer.warm_up import warm_up
 from splatview.viewer.cli import main
 
@@ -159,6 +159,7 @@ def test_captures_that_differ_are_told_once(capture_folder: Path, tmp_path: Path
     assert other_lines == []
 
 
+@pytest.mark.slow
 def test_a_mistake_of_one_process_is_told_once(capture_folder: Path, tmp_path: Path) -> None:
     (code, lines), (other_code, other_lines) = Pair(
         [str(capture_folder), "-o", str(tmp_path / "x.ply")], [str(tmp_path / "none")]
@@ -166,6 +167,18 @@ def test_a_mistake_of_one_process_is_told_once(capture_folder: Path, tmp_path: P
     assert (code, other_code) == (2, 2)
     assert lines == [f"splatview: process 1: {tmp_path / 'none'}: no such folder"]
     assert other_lines == []
+
+
+def test_signals_stop_between_steps_and_are_the_callers_again_afterwards() -> None:
+    group, before = Alone(), signal.getsignal(signal.SIGINT)
+    with stopping_between_steps(group):
+        assert group.agreed(3.0) == 3.0
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            group.agreed(4.0)
+        with pytest.raises(KeyboardInterrupt):  # at once, the second time
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_batches_average_gradients(make_trainer) -> None:

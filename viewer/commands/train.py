@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ...scene import InputError
-from ...trainer.distributed import Alone, Group, PeerLost, Processes, is_launched, stop_between_steps
+from ...trainer.distributed import Alone, Group, PeerLost, Processes, is_launched, stopping_between_steps
 from ...trainer.session import Outputs, Progress, Session
 from ...trainer.settings import PAPER_ITERATIONS
 from ...trainer.training import Trainer
@@ -129,7 +129,6 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
         return EXIT_BAD_INPUT
     console.print(_opening(ready), highlight=False, soft_wrap=True)
     started += ready.uncounted + ready_kernels(console)
-    stop_between_steps(group)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 
@@ -166,7 +165,8 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
         )
         try:
-            completed = session.run()
+            with stopping_between_steps(trainer.group):
+                completed = session.run()
         except PeerLost as error:
             raise InputError(f"{error}; {_as_far(outputs)}") from None
     if not completed:
@@ -188,8 +188,9 @@ def _as_far(outputs: Outputs) -> str:
 def _follow(trainer: Trainer) -> int:
     """The run of every other process."""
     try:
-        while not trainer.done:
-            trainer.step(0.0)
+        with stopping_between_steps(trainer.group):
+            while not trainer.done:
+                trainer.step(0.0)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     return 0
