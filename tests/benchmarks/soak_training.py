@@ -51,6 +51,9 @@ class Soak:
         """Seconds between frames, by kind."""
         self.rates: list[tuple[str, float]] = []
         """Steps a second of each block, in order."""
+        self.work: dict[str, list[float]] = defaultdict(list)
+        """Processor milliseconds of the whole program a step, by kind: what other programs on the machine
+        take does not count there."""
         self.memory: list[tuple[float, float, int, float]] = []
         """(seconds, MiB, splats, MiB of a snapshot) after each round."""
         self.shown: list[int] = []
@@ -125,9 +128,12 @@ class Soak:
             core.post(self.fly, direction)
         time.sleep(0.1)
         self.kind = kind
-        begun, step = time.perf_counter(), training.status.iteration
+        begun, step, busy = time.perf_counter(), training.status.iteration, time.process_time()
         time.sleep(BLOCK_SECONDS)
-        rate = (training.status.iteration - step) / (time.perf_counter() - begun)
+        steps = training.status.iteration - step
+        rate = steps / (time.perf_counter() - begun)
+        if steps > 0:
+            self.work[kind].append(1000 * (time.process_time() - busy) / steps)
         self.kind = None
         self.rates.append((kind, rate))
         if kind == "flown, training paused":
@@ -176,7 +182,8 @@ def report(soak: Soak) -> dict[str, Any]:
         if len(frames) > 2 and kind != "no viewer"
     }
     bare = [rate for kind, rate in soak.rates if kind == "no viewer"]
-    rows = [["no viewer", f"{statistics.median(bare):.1f}", "1.00", "", ""]]
+    work = {kind: statistics.median(values) for kind, values in soak.work.items()}
+    rows = [["no viewer", f"{statistics.median(bare):.1f}", "1.00", f"{work['no viewer']:.0f}", "", ""]]
     for kind in KINDS[1:]:
         rate = statistics.median(value for name, value in soak.rates if name == kind)
         share = f"{statistics.median(speed[kind]):.2f}" if speed.get(kind) else ""
@@ -187,6 +194,7 @@ def report(soak: Soak) -> dict[str, Any]:
                 kind,
                 f"{rate:.1f}",
                 share,
+                f"{work[kind]:.0f}" if kind in work else "",
                 "as asked for" if paced else str(frame["median_ms"]),
                 "" if paced else str(frame["p95_ms"]),
             ]
@@ -207,6 +215,7 @@ def report(soak: Soak) -> dict[str, Any]:
         **soak.window,
         "problems": soak.problems,
         "speed_beside_no_viewer": speed,
+        "processor_ms_a_step": {kind: round(value, 2) for kind, value in work.items()},
         "frames": times,
         "blocks": [{"kind": kind, "steps_a_second": round(rate, 2)} for kind, rate in soak.rates],
         "memory": [
@@ -215,7 +224,14 @@ def report(soak: Soak) -> dict[str, Any]:
         ],
         "shown": len(soak.shown),
         "table": {
-            "columns": ["window", "steps a second", "of those without", "frame, median ms", "95 % within ms"],
+            "columns": [
+                "window",
+                "steps a second",
+                "of those without",
+                "processor ms a step",
+                "frame, median ms",
+                "95 % within ms",
+            ],
             "rows": rows,
             "note": note,
         },

@@ -168,14 +168,14 @@ def test_the_viewer_has_the_rest(share, cores, threads):
 
 
 def test_dear_pictures_are_made_less_often(core, training):
-    """On a processor that draws, live pictures take a tenth of the machine at most."""
+    """On a processor that draws, live pictures take a twentieth of the machine at most."""
     core.picture.name = "cpu"
     core.picture.threads = 2
     core.stats = FrameStats(splats=1, visible=1, ms={"forward": 900.0}, projected=1, sorted=1, drawn=1)
     training.start(core)
     core.prefer(training_share=0.5)
     training.advance(core)
-    assert training.thread.snapshot_seconds == pytest.approx(0.9 * 2 / (0.1 * 4))
+    assert training.thread.snapshot_seconds == pytest.approx(0.9 * 2 / (0.05 * 4))
     core.prefer(training_updates="low")
     training.advance(core)
     assert training.thread.snapshot_seconds == pytest.approx(0.9 * 2 / (0.02 * 4))
@@ -185,7 +185,7 @@ def test_dear_pictures_are_made_less_often(core, training):
     core.picture.name = "recording"
     core.prefer(training_updates="live")
     training.advance(core)
-    assert training.thread.snapshot_seconds == 0.2, "a GPU is not counted"
+    assert training.thread.snapshot_seconds == 0.1, "a GPU is not counted"
 
 
 def test_a_scene_that_does_not_fit_is_told_once_and_training_goes_on(core, training):

@@ -169,12 +169,17 @@ def shares(core: Core, training: Training) -> None:
         "Show progress",
         preferences.training_updates,
         tuple(UPDATES),
-        "How often the growing scene is shown. Live: up to five times a second, but drawing takes no more "
-        "than a tenth of the machine. Low: every two seconds at most. Off: when training pauses.",
+        "How often the growing scene is shown. Live: up to ten times a second; where the processor "
+        "draws, with a twentieth of the machine at most. Low: every two seconds at most. Off: when training "
+        "pauses.",
         tuple(UPDATES.values()),
     )
     if updates is not None:
         core.prefer(training_updates=updates)
+    if preferences.training_updates == "off":
+        widgets.button(
+            "Show it now", "The scene as it is after this step.", partial(core.post, actions.show_now)
+        )
     pace = pace_of(training.thread.share, cores)
     now = f"{pace.threads} of {cores} cores" + ("" if pace.duty > 0.999 else f", {pace.duty:.0%} of the time")
     widgets.fact("Training takes", now, "At this moment.")

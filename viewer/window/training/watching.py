@@ -5,6 +5,7 @@ Nothing here imports ImGui, so all of it is tested without a display.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
@@ -36,22 +37,24 @@ class UpdateRate:
     """Between snapshots at least."""
     share: float
     """Of all cores, that drawing them may take where the processor draws."""
+    fps: float
+    """Frames of the window itself a second, while nobody touches it."""
 
 
-RATES: dict[TrainingUpdates, UpdateRate | None] = {
-    "off": None,
-    "low": UpdateRate(2.0, 0.02),
-    "live": UpdateRate(0.2, 0.1),
+RATES: dict[TrainingUpdates, UpdateRate] = {
+    "off": UpdateRate(math.inf, 0.0, 1.0),
+    "low": UpdateRate(2.0, 0.02, 2.0),
+    "live": UpdateRate(0.1, 0.05, 10.0),
 }
+
+SOFTWARE_FPS = 3.0
+"""At most so many frames where the processor draws those, too: one takes 20 ms of a core."""
 
 TOUCHED_SECONDS = 1.5
 """After the view was last moved: so long the viewer keeps the cores that the slider leaves it."""
 
 STARVED_SECONDS = 1.0
 """While the view is moved, a snapshot waits so long for a moment in which nothing is being drawn."""
-
-IDLE_FPS: dict[TrainingUpdates, float] = {"off": 1.0, "low": 2.0, "live": 5.0}
-"""Window frames a second when nobody touches it: numbers and curves are enough as often as this."""
 
 MINIMISED_FPS = 0.5
 
@@ -127,7 +130,9 @@ class Training:
         """Frames a second for a window that nobody touches."""
         if self.minimised:
             return MINIMISED_FPS
-        return IDLE_FPS[core.preferences.training_updates if self.status.state == "training" else "low"]
+        runs = self.status.state == "training"
+        fps = RATES[core.preferences.training_updates if runs else "low"].fps
+        return min(fps, SOFTWARE_FPS) if core.picture is not None and core.picture.name == "cpu" else fps
 
     def followed_by(self, core: Core) -> bool:
         """Whether the window shows this training, and not something that was opened since."""
@@ -198,9 +203,12 @@ class Training:
         self.thread.share = wanted if moved or not core.preferences.training_takes_idle_cores else 1.0
         if core.picture is not None:
             core.picture.threads = viewer_threads(wanted, cores)
-        rate = None if self.minimised else RATES[core.preferences.training_updates]
-        pause = None if rate is None else max(rate.seconds, redraw_seconds(core) / (rate.share * cores))
-        self.thread.snapshot_seconds = pause
+        rate = RATES["off" if self.minimised else core.preferences.training_updates]
+        if rate.share > 0:
+            cost = redraw_seconds(core) / (rate.share * cores)
+            self.thread.snapshot_seconds = max(rate.seconds, cost)
+        else:
+            self.thread.snapshot_seconds = None
 
     def _follow(self, core: Core) -> None:
         """Takes the latest snapshot over, for a few milliseconds of uploading."""
