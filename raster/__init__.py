@@ -9,15 +9,15 @@ import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
 from ..scene.edits import SceneEdits
-from ..scene.gaussians import SH_COEFFICIENTS
 from .compiling import will_compile
 from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import Frame, draw
 from .gradients import Gradients, differentiate
-from .parameters import Parameters, check_parameters, parameters_of
+from .parameters import Parameters, check_parameters, parameters_of, used_degree
 from .pool import available_threads
 from .view import make_view
+from .weights import Weights, contributions, front, weigh
 from .workspace import Workspace
 
 __all__ = [
@@ -25,13 +25,17 @@ __all__ = [
     "Frame",
     "Gradients",
     "Parameters",
+    "Weights",
     "Workspace",
     "available_threads",
     "check_parameters",
+    "contributions",
     "differentiate",
     "draw_frame",
+    "front",
     "parameters_of",
     "render",
+    "weigh",
     "will_compile",
 ]
 
@@ -102,9 +106,6 @@ def draw_frame(
         early_stop = EARLY_STOP if settings.early_stop is None else settings.early_stop
     if not 0 <= early_stop < 1:
         raise ValueError(f"early_stop must be in [0, 1), got {early_stop}")
-    if settings.sh_degree is not None and not settings.sh_degree >= 0:
-        raise ValueError(f"sh_degree must be at least 0, got {settings.sh_degree}")
-    stored = SH_COEFFICIENTS.index(splats.sh.shape[1])
     if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
         raise ValueError(f"dtype must be float32 or float64, got {np.dtype(dtype)}")
     behind = np.array(settings.background if background is None else background, dtype)
@@ -115,7 +116,7 @@ def draw_frame(
         make_view(camera, settings, np.dtype(dtype)),
         behind,
         workspace,
-        sh_degree=stored if settings.sh_degree is None else min(stored, settings.sh_degree),
+        sh_degree=used_degree(splats, settings),
         early_stop=early_stop,
         edits=edit_arrays(edits, len(splats.means)),
         threads=threads or available_threads(),

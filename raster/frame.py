@@ -83,6 +83,17 @@ class Bins:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Arrangement:
+    """Projected, sorted and binned; fields as in `Frame`."""
+
+    records: np.ndarray
+    pieces: Runs
+    runs: Runs
+    visible: np.ndarray
+    bins: Bins
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
     """What drawing leaves behind. All but the image lives in the workspace until its next picture."""
 
@@ -132,15 +143,17 @@ def draw(
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid."""
     clock = StageClock()
     dtype = background.dtype
-    with clock.stage("project"):
-        pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
-        records, depths, visible, runs, bounds = _project(
-            splats, pieces, view, dtype, workspace, sh_degree, threads, edits
-        )
-    with clock.stage("sort"):
-        order = _sort(runs, bounds, visible, depths, workspace, threads)
-    with clock.stage("bin"):
-        bins = _bin(order, runs, visible, records, view, workspace, threads)
+    arranged = arrange(
+        splats,
+        view,
+        dtype,
+        workspace,
+        sh_degree=sh_degree,
+        threads=threads,
+        edits=edits,
+        clock=clock,
+    )
+    records, bins = arranged.records, arranged.bins
     image = np.empty((view.height, view.width, 4), dtype)
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
     lights = workspace.take("lights", (pixels,), dtype)
@@ -183,15 +196,39 @@ def draw(
         lights=lights,
         met_of=met_of,
         records=records,
-        pieces=pieces,
-        runs=runs,
-        visible=visible,
+        pieces=arranged.pieces,
+        runs=arranged.runs,
+        visible=arranged.visible,
         bins=bins,
         lists=lists,
         pixel_splats=blocks * LANES,
         workspace=workspace,
         milliseconds=clock.milliseconds,
     )
+
+
+def arrange(
+    splats: Parameters,
+    view: View,
+    dtype: np.dtype,
+    workspace: Workspace,
+    *,
+    sh_degree: int,
+    threads: int,
+    edits: EditArrays | None,
+    clock: StageClock,
+) -> Arrangement:
+    """All that comes before pixels: project, sort, bin."""
+    with clock.stage("project"):
+        pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+        records, depths, visible, runs, bounds = _project(
+            splats, pieces, view, dtype, workspace, sh_degree, threads, edits
+        )
+    with clock.stage("sort"):
+        order = _sort(runs, bounds, visible, depths, workspace, threads)
+    with clock.stage("bin"):
+        bins = _bin(order, runs, visible, records, view, workspace, threads)
+    return Arrangement(records=records, pieces=pieces, runs=runs, visible=visible, bins=bins)
 
 
 def _project(

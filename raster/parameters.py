@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..scene import Gaussians
+from ..scene import Gaussians, RenderSettings
 from ..scene.gaussians import SH_COEFFICIENTS
 
 MAX_SPLATS = 2**31 - 1
@@ -57,6 +57,18 @@ def parameters_of(gaussians: Gaussians) -> Parameters:
     """The arrays of a scene, which has checked them itself."""
     g = gaussians
     return check_parameters(g.means, g.quats, g.log_scales, g.opacity_logits, g.sh)
+
+
+def used_degree(splats: Parameters, settings: RenderSettings) -> int:
+    """The SH degree that is evaluated.
+
+    Raises:
+        ValueError: that of the settings is negative.
+    """
+    if settings.sh_degree is not None and not settings.sh_degree >= 0:
+        raise ValueError(f"sh_degree must be at least 0, got {settings.sh_degree}")
+    stored = SH_COEFFICIENTS.index(splats.sh.shape[1])
+    return stored if settings.sh_degree is None else min(stored, settings.sh_degree)
 
 
 def describe(value: Any) -> str:
