@@ -1,6 +1,6 @@
 """Makes the README's pictures with the program itself: `make pictures` (needs Xvfb for the window).
 
-python scripts/readme_pictures.py [NAME ...]      names: landscape, modes, window
+python scripts/readme_pictures.py [NAME ...]      names: landscape, modes, window, editing, training
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont, ImageGrab
@@ -19,6 +21,9 @@ SPLATVIEW = Path(sys.executable).with_name("splatview")
 WINDOW_SIZE = (1280, 800)
 SECONDS_TO_SETTLE = 25
 """The demo is made, loaded, and its picture has come to rest; generous for a machine without a GPU."""
+SECONDS_TO_EDIT = 180
+SECONDS_TO_TRAIN = 75
+"""The photos are made, and there is something to see on the curves."""
 
 
 def render(*options: str | Path) -> None:
@@ -55,8 +60,9 @@ def modes(folder: Path) -> None:
     sheet.save(folder / "modes.png", optimize=True)
 
 
-def window(folder: Path) -> None:
-    """The window on the demo, under a virtual display."""
+@contextmanager
+def on_a_display() -> Iterator[dict[str, str]]:
+    """A virtual display: the environment of programs that are to be seen on it."""
     ready, write_end = os.pipe()
     screen = "x".join(map(str, (*WINDOW_SIZE, 24)))
     server = subprocess.Popen(
@@ -65,20 +71,54 @@ def window(folder: Path) -> None:
     os.close(write_end)
     with os.fdopen(ready) as pipe:
         display = f":{pipe.readline().strip()}"
-    with tempfile.TemporaryDirectory() as settings:
-        environment = os.environ | {"DISPLAY": display, "SPLATVIEW_CONFIG_DIR": settings}
-        viewer = subprocess.Popen([SPLATVIEW], env=environment)
-        time.sleep(SECONDS_TO_SETTLE)
-        ImageGrab.grab(xdisplay=display).save(folder / "window.png", optimize=True)
+    try:
+        with tempfile.TemporaryDirectory() as settings:
+            yield os.environ | {"DISPLAY": display, "SPLATVIEW_CONFIG_DIR": settings}
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def grab(command: Sequence[str | Path], path: Path, seconds: float, *, until: str | None = None) -> None:
+    """Runs `command` on a display of its own and takes a picture of it after so many seconds, or as soon as
+    it has made the file `until` in its settings."""
+    with on_a_display() as environment, tempfile.TemporaryDirectory() as work:
+        viewer = subprocess.Popen(command, env=environment, cwd=work)
+        limit = time.monotonic() + seconds
+        ready = Path(environment["SPLATVIEW_CONFIG_DIR"], until or "never")
+        while time.monotonic() < limit and not ready.exists():
+            time.sleep(0.2)
+        ImageGrab.grab(xdisplay=environment["DISPLAY"]).save(path, optimize=True)
         viewer.terminate()
         viewer.wait()
-    server.terminate()
-    server.wait()
+
+
+def window(folder: Path) -> None:
+    """The window on the demo."""
+    grab([SPLATVIEW], folder / "window.png", SECONDS_TO_SETTLE)
+
+
+def editing(folder: Path) -> None:
+    """The window on the demo while it is cleaned up."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "editing"], folder / "editing.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
+def training(folder: Path) -> None:
+    """The window while the demo's photos are trained on."""
+    command = [SPLATVIEW, "train", "--demo", "-o", "demo.ply", "--minutes", "3"]
+    grab(command, folder / "training.png", SECONDS_TO_TRAIN)
 
 
 if __name__ == "__main__":
     FOLDER.mkdir(parents=True, exist_ok=True)
-    makers = {"landscape": landscape, "modes": modes, "window": window}
+    makers = {
+        "landscape": landscape,
+        "modes": modes,
+        "window": window,
+        "editing": editing,
+        "training": training,
+    }
     for chosen in sys.argv[1:] or makers:
         makers[chosen](FOLDER)
         print(f"{FOLDER / chosen}.png")

@@ -29,7 +29,8 @@ def show(core: Core) -> None:
     widgets.action_button(core, "Redo", "redo")
     imgui.end_disabled()
     imgui.same_line()
-    imgui.text_colored(theme.QUIET, f"{len(history.steps):,} steps, {memory(history.nbytes)}")
+    number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
+    imgui.text_colored(theme.QUIET, f"{number}, {memory(history.nbytes)}")
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
     for number, (name, action) in enumerate(
         (("Export...", "export"), ("Save recipe...", "save_recipe"), ("Replay recipe...", "replay_recipe"))
