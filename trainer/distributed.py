@@ -82,6 +82,8 @@ class Processes:
             raise InputError(
                 "several processes talk by torch, which is not installed: pip install torch"
             ) from None
+        # Its own threads would wait in loops on the cores that the kernels work on.
+        torch.set_num_threads(1)
         self._torch, self._distributed = torch, torch.distributed
         try:
             torch.distributed.init_process_group("gloo")

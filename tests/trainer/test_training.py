@@ -17,7 +17,7 @@ from splatview.scene import InputError
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.dropping import some_dropped
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.settings import TrainSettings, automatic_limit, automatic_pull
+from splatview.trainer.settings import TrainSettings, automatic_drop, automatic_limit, automatic_pull
 from splatview.trainer.shots import Shot, Shots
 from splatview.trainer.training import Trainer
 
@@ -227,10 +227,11 @@ def test_settings_that_make_no_sense_are_named() -> None:
             make_settings(**options)
 
 
-def test_few_photos_pull_harder() -> None:
+def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_pull(1) == automatic_pull(13) == 0.1
     assert automatic_pull(1000) == 0.01
     assert 0.01 < automatic_pull(84) < 0.1
+    assert automatic_drop(1) == automatic_drop(13) == 0.2 > automatic_drop(30) > automatic_drop(80) == 0
 
 
 def test_the_automatic_limit_follows_pixels_and_minutes() -> None:

@@ -19,7 +19,13 @@ from ...trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from ...trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
 from ...trainer.initialise import initial_parameters
 from ...trainer.session import Outputs
-from ...trainer.settings import PAPER_ITERATIONS, TrainSettings, automatic_limit, automatic_pull
+from ...trainer.settings import (
+    PAPER_ITERATIONS,
+    TrainSettings,
+    automatic_drop,
+    automatic_limit,
+    automatic_pull,
+)
 from ...trainer.shots import Shot, Shots, shots_of
 from ...trainer.training import Trainer
 from ...trainer.warm_up import warm_up
@@ -192,6 +198,7 @@ def _new_trainer(
         batch=batch,
         opacity_pull=pull,
         scale_pull=pull,
+        drop=automatic_drop(len(shots)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
