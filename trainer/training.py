@@ -170,6 +170,21 @@ class Trainer:
         self.control.keep(kept)
         return int(len(kept) - kept.sum())
 
+    def remove(self, ids: np.ndarray) -> int:
+        """Takes the splats of these numbers (see `Splats.ids`) out, between two steps; returns how many of
+        them still lived.
+
+        Raises:
+            ValueError: nothing would be left to train.
+        """
+        kept = ~np.isin(self.splats.ids, ids)
+        if not kept.any():
+            raise ValueError("that would leave no splat to train")
+        if not kept.all():
+            self.splats = self.splats.take(kept)
+            self.control.begin(len(self.splats))
+        return int((~kept).sum())
+
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, which later steps leave alone."""
         return self.splats.snapshot(comments=("Trained by splatview",))

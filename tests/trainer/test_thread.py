@@ -183,25 +183,27 @@ def test_commands_run_between_steps_and_their_failures_are_told(begin) -> None:
     wait(lambda: thread.status.iteration > at + 2, "training to go on")
 
 
-def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin) -> None:
-    thread = begin()
+@pytest.mark.parametrize("strategy", ["mcmc", "classic"])
+def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin, strategy) -> None:
+    thread = begin(strategy=strategy, refine_from=0.0, refine_until=1.0)
+    wait(lambda: thread.status.iteration > 2, "steps")
     thread.pause()
     settled(thread)
     before = thread.take_snapshot()
     assert before is not None
     gone = before.ids[::2]
-
-    def forget(session: Session) -> None:
-        splats = session.trainer.splats
-        session.trainer.splats = splats.take(~np.isin(splats.ids, gone))
-
-    thread.post(forget, changes=True).result(60)
+    assert thread.post(lambda session: session.trainer.remove(gone), changes=True).result(60) == len(gone)
     after = thread.take_snapshot()
     assert after is not None and after.iteration == before.iteration
-    assert not np.isin(after.ids, gone).any() and len(after.ids) == len(before.ids) - len(gone)
+    np.testing.assert_array_equal(after.ids, before.ids[1::2])
+    np.testing.assert_array_equal(after.gaussians.means, before.gaussians.means[1::2])
     assert thread.status.gaussians == len(after.ids)
     thread.step_once()
     wait(lambda: thread.status.iteration == before.iteration + 1, "a step with fewer splats")
+
+    assert thread.post(lambda session: session.trainer.remove(gone)).result(60) == 0, "they are gone"
+    with pytest.raises(ValueError, match="no splat"):
+        thread.post(lambda session: session.trainer.remove(session.trainer.splats.ids)).result(60)
 
 
 def test_settings_change_between_steps(begin) -> None:

@@ -19,7 +19,7 @@ from .open_window import no_window
 from .train_report import print_summary
 from .train_setup import Run, prepare, ready_kernels
 
-EVAL_SECONDS = 10.0
+EVAL_SECONDS = 4.0
 """Between evaluations, if they cost little: a curve that somebody watches needs more points."""
 
 

@@ -182,6 +182,8 @@ def shares(core: Core, training: Training) -> None:
         )
     pace = pace_of(training.thread.share, cores)
     now = f"{pace.threads} of {cores} cores" + ("" if pace.duty > 0.999 else f", {pace.duty:.0%} of the time")
+    if training.status.state != "training":
+        now = "nothing"
     widgets.fact("Training takes", now, "At this moment.")
 
 
