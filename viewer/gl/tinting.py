@@ -17,7 +17,8 @@ SHIFT, FLAG_SETS = PALETTE_SHIFT, TINT_COUNT
 
 
 def tinted(edits: SceneEdits, overlay: Overlay) -> SceneEdits:
-    """The edits, and what `overlay` lights up; their flags stay. Marks are an array of their own."""
+    """The edits, and what `overlay` lights up; their flags stay. Marks are an array of their own, unless
+    nothing is lit up."""
     table = overlay.table
     used = np.zeros(len(edits.palette) * FLAG_SETS, bool)
     note_pairs(edits.marks, used)
@@ -33,6 +34,8 @@ def tinted(edits: SceneEdits, overlay: Overlay) -> SceneEdits:
                 made[key] = len(palette)
                 palette.append(lit_up(edits.palette[entry], key[1]))
             entries[pair] = made[key]
+    if not made:
+        return edits
     marks = np.empty_like(edits.marks)
     rename(edits.marks, entries, marks)
     return replace(edits, marks=marks, palette=tuple(palette), changes=())

@@ -69,8 +69,9 @@ def test_tinting_leaves_the_edits_alone():
     assert (result.marks[~plain] >> PALETTE_SHIFT >= 2).all()
     assert len(result.palette) == 6  # two tints of two adjustments
     assert result.palette[:2] == edits.palette
-    nothing = tinted(SceneEdits(marks=np.zeros(0, np.uint32)), Overlay())
-    assert len(nothing.palette) == 1
+    for marks in (np.zeros(0, np.uint32), np.full(5, DELETED, np.uint32)):
+        nothing = SceneEdits(marks=marks, flags=31)
+        assert tinted(nothing, Overlay()) is nothing
 
 
 def test_what_shows_is_one_object_until_it_changes():
