@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from splatview.scene.captures.demo import demo_capture
 from splatview.scene.captures.write import save_capture
 from splatview.scene.files import load_scene, save_scene
 from splatview.trainer.checkpoint import load_checkpoint
+from splatview.viewer.cli import main
 
 SCRIPT = "training_drives.py"
 
@@ -96,3 +98,26 @@ def test_other_scenes_can_be_opened_meanwhile_and_the_run_ends(drive, capture, t
     assert found["shown_is_trained"]
     assert "view_000.png" in found["output"], "the table of held-out photos"
     assert list((tmp_path / "toy-held-out").glob("*.png"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
+def test_without_a_display_it_is_one_line(capture, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(["train", str(capture)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "no display" in line and "--headless" in line
+
+
+def test_several_processes_have_no_window(capture, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name, value in {
+        "RANK": "0",
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": "1",
+    }.items():
+        monkeypatch.setenv(name, value)
+    assert main(["train", str(capture)]) == 2
+    assert "several processes" in capsys.readouterr().err
