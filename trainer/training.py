@@ -216,7 +216,16 @@ class Trainer:
         with self.clock.stage("adam"):
             moved = seen if settings.seen_only else _everything(len(splats), len(seen))
             pull = settings.pull_at(progress, self.extent, self.shots.focal)
-            adam_step(splats, gradients, moved, rates, counters.iteration, pull=pull, threads=self.threads)
+            adam_step(
+                splats,
+                gradients,
+                moved,
+                rates,
+                counters.iteration,
+                pull=pull,
+                elongation=settings.elongation,
+                threads=self.threads,
+            )
         if self.exposures.is_on:
             self.exposures.step(progress, settings.batch)
         with self.clock.stage("density"):

@@ -97,3 +97,19 @@ def test_pulls_are_gradients_of_mean_opacity_and_scale() -> None:
     pulled = thin.parameters.log_scales != start.log_scales
     np.testing.assert_array_equal(pulled, np.exp(start.log_scales) > least)
     assert pulled.any() and not pulled.all()
+
+
+def test_no_splat_is_longer_than_it_may_be() -> None:
+    start = random_parameters(60, 1, 1.5, 0)
+    zeros = Parameters(*(np.zeros_like(array) for array in start))
+    free, cut = fresh(copied(start)), fresh(copied(start))
+    adam_step(free, zeros, pieces(60), RATES, 1, threads=1)
+    adam_step(cut, zeros, pieces(60)[:2], RATES, 1, elongation=3.0, threads=1)
+    np.testing.assert_array_equal(free.parameters.log_scales, start.log_scales)
+    before, after = np.sort(start.log_scales, axis=1), np.sort(cut.parameters.log_scales, axis=1)
+    long = before[:40, 2] > before[:40, 1] + np.log(3)
+    assert long.any() and not long.all()
+    np.testing.assert_array_equal(after[:40, :2], before[:40, :2])
+    expected = np.minimum(before[:40, 2], before[:40, 1] + np.float32(np.log(3)))
+    np.testing.assert_allclose(after[:40, 2], expected, rtol=1e-6)
+    np.testing.assert_array_equal(after[40:], before[40:])

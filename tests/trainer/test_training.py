@@ -17,7 +17,13 @@ from splatview.scene import InputError
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.dropping import some_dropped
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.settings import TrainSettings, automatic_drop, automatic_limit, automatic_pull
+from splatview.trainer.settings import (
+    TrainSettings,
+    automatic_drop,
+    automatic_elongation,
+    automatic_limit,
+    automatic_pull,
+)
 from splatview.trainer.shots import Shot, Shots
 from splatview.trainer.training import Trainer
 
@@ -222,6 +228,8 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"minutes": float("nan")}, "minutes"),
         ({"sh_degree": 4}, "sh_degree"),
         ({"seed": -1}, "seed"),
+        ({"elongation": 0.5}, "elongation"),
+        ({"drop": 1.0}, "drop"),
     ):
         with pytest.raises(ValueError, match=name):
             make_settings(**options)
@@ -232,6 +240,7 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_pull(1000) == 0.01
     assert 0.01 < automatic_pull(84) < 0.1
     assert automatic_drop(1) == automatic_drop(13) == 0.2 > automatic_drop(30) > automatic_drop(80) == 0
+    assert 1 < automatic_elongation(13) < automatic_elongation(84)
 
 
 def test_the_automatic_limit_follows_pixels_and_minutes() -> None:

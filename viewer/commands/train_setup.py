@@ -23,6 +23,7 @@ from ...trainer.settings import (
     PAPER_ITERATIONS,
     TrainSettings,
     automatic_drop,
+    automatic_elongation,
     automatic_limit,
     automatic_pull,
 )
@@ -199,6 +200,7 @@ def _new_trainer(
         opacity_pull=pull,
         scale_pull=pull,
         drop=automatic_drop(len(shots)),
+        elongation=automatic_elongation(len(shots)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
