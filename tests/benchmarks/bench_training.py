@@ -1,9 +1,10 @@
 """Training against the clock: held-out PSNR after so many minutes, and where the time of a step goes.
 
-    python tests/benchmarks/bench_training.py CAPTURES [--minutes 1 3 10]
+    python tests/benchmarks/bench_training.py CAPTURES [--minutes 1 3 10] [--only banana]
 
 CAPTURES is a folder with the captures `banana` and `miku`. Every figure is a run of the command of its own,
-timed from the start of its process; run it with nothing else on the machine. The peer's figures are those
+timed from the start of its process; run it with nothing else on the machine. Figures of runs that are not
+made anew stay as they are. The peer's figures are those
 of OpenSplat 1.1.5's CPU path with its depth order repaired, on the same photos, 2 cores.
 """
 
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -42,39 +44,56 @@ def train(capture: Path, downscale: int, minutes: float, folder: Path) -> dict[s
     return {**last, "process_seconds": time.perf_counter() - begun}
 
 
+def known_runs(path: Path) -> list[dict[str, Any]]:
+    """Those of an earlier call."""
+    return json.loads(path.read_text(encoding="utf8"))["runs"] if path.exists() else []
+
+
+def row(run: dict[str, Any]) -> list[str]:
+    """A run's line in the table."""
+    stages = run["stages"]
+    share = sum(stages[stage] for stage in RASTER_STAGES) / sum(stages.values())
+    key = run["capture"], run["downscale"]
+    peer = PEER[key].get(run["minutes"])
+    return [
+        f"{key[0]} --downscale {key[1]}, {run['minutes']:g} min",
+        f"{run['psnr']:.2f}",
+        f"{run['ssim']:.3f}",
+        "-" if peer is None else f"{peer:.1f}",
+        f"{run['iteration']:,}",
+        f"{run['gaussians']:,}",
+        f"{share:.0%}",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("captures", type=Path)
     parser.add_argument("--minutes", type=float, nargs="+", default=[1, 3, 10])
+    names = [name for name, _ in PEER]
+    parser.add_argument("--only", choices=names, nargs="+", default=names, help="captures to train on")
     options = parser.parse_args()
-    runs, rows = [], []
+    path = FOLDER / "training.json"
+    runs = {(run["capture"], run["minutes"]): run for run in known_runs(path)}
     with tempfile.TemporaryDirectory() as folder:
-        for (name, downscale), marks in PEER.items():
-            for minutes in options.minutes:
-                result = train(options.captures / name, downscale, minutes, Path(folder))
-                stages = result["stages"]
-                share = sum(stages[stage] for stage in RASTER_STAGES) / sum(stages.values())
-                runs.append({"capture": name, "downscale": downscale, "minutes": minutes, **result})
-                peer = marks.get(minutes)
-                rows.append(
-                    [
-                        f"{name} --downscale {downscale}, {minutes:g} min",
-                        f"{result['psnr']:.2f}",
-                        f"{result['ssim']:.3f}",
-                        "-" if peer is None else f"{peer:.1f}",
-                        f"{result['iteration']:,}",
-                        f"{result['gaussians']:,}",
-                        f"{share:.0%}",
-                    ]
-                )
-                print(*rows[-1], sep="  ", flush=True)
+        for (name, downscale), minutes in product(PEER, options.minutes):
+            if name not in options.only:
+                continue
+            result = train(options.captures / name, downscale, minutes, Path(folder))
+            runs[name, minutes] = {"capture": name, "downscale": downscale, "minutes": minutes, **result}
+            print(*row(runs[name, minutes]), sep="  ", flush=True)
+            write(path, [runs[key] for key in sorted(runs)])
+
+
+def write(path: Path, runs: list[dict[str, Any]]) -> None:
+    """After every run: half an hour of them is not lost to the last."""
     write_results(
-        FOLDER / "training.json",
+        path,
         {
             "runs": runs,
             "table": {
                 "columns": ["run", "PSNR dB", "SSIM", "peer dB", "steps", "splats", "time in raster"],
-                "rows": rows,
+                "rows": [row(run) for run in runs],
                 "note": "Held-out photos; wall clock from process start. Peer: OpenSplat 1.1.5, CPU.",
             },
         },
