@@ -19,7 +19,7 @@ def splats(means, *, log_scale=-4.0, logit=0.0, sh=None) -> Gaussians:
     colours = np.zeros((count, 1, 3), np.float32) if sh is None else np.asarray(sh, np.float32)
     return Gaussians(
         means=means,
-        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         log_scales=np.full((count, 3), log_scale, np.float32),
         opacity_logits=np.full(count, logit, np.float32),
         sh=colours,

@@ -19,8 +19,8 @@ from . import keys, layout, opening, theme
 from .core import Core
 from .display import best_gl_version
 from .dropping import install_drop_handler
-from .editing.taking_up import continue_editing, put_away
 from .editing.files import continue_restoring, look_for_abandoned
+from .editing.taking_up import continue_editing, put_away
 from .file_dialogs import FileDialogs
 from .picture import choose_picture
 from .preferences import Preferences, load_preferences, save_preferences

@@ -28,7 +28,8 @@ def save_picture(core: Core, camera: Camera, path: Path) -> None:
     if core.picture is None:
         return
     try:
-        image = core.picture.read(camera, core.settings, core.mode, edits=core.desk.document.edits if core.desk else None)
+        edits = core.desk.document.edits if core.desk else None
+        image = core.picture.read(camera, core.settings, core.mode, edits=edits)
         write_png(path, image)
     except InputError as error:
         core.complain(str(error))

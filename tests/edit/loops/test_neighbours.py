@@ -65,7 +65,7 @@ def test_clusters_are_those_of_a_breadth_first_search(points, distance):
             while waiting:
                 for other in np.flatnonzero(linked[waiting.pop()] & (expected < 0)):
                     expected[other] = start
-                    waiting.append(other)
+                    waiting.append(int(other))
     labels = components(points, distance)
     assert len(set(zip(labels.tolist(), expected.tolist(), strict=True))) == len(set(expected.tolist()))
     assert sorted(set(labels.tolist())) == list(range(len(set(expected.tolist()))))

@@ -29,7 +29,7 @@ def tied_pairs() -> tuple[Gaussians, Camera]:
     sh[0::2, 0], sh[1::2, 0] = (1.7, -1.7, -1.7), (-1.7, 1.7, -1.7)
     scene = Gaussians(
         means=means.astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         log_scales=np.full((count, 3), np.log(0.05), np.float32),
         opacity_logits=np.full(count, 2.0, np.float32),
         sh=sh,

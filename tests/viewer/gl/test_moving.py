@@ -122,10 +122,14 @@ def test_a_machine_that_got_slower_is_followed_and_one_that_trembles_is_not(scen
         pace.learn(first, first.ms * (1 + 0.15 * (-1) ** step))
         assert pace.shortcut is first, "noise changes nothing"
     for _ in range(20):
-        pace.learn(pace.shortcut, 2 * SLACK * pace.shortcut.ms)
+        now = pace.shortcut
+        assert now is not None
+        pace.learn(now, 2 * SLACK * now.ms)
     assert pace.shortcut is not first
     for _ in range(40):
-        pace.learn(pace.shortcut, 0.7 * pace.shortcut.ms)
+        now = pace.shortcut
+        assert now is not None
+        pace.learn(now, 0.7 * now.ms)
     assert pace.shortcut is first, "and when it has become quick again, the finer one returns"
 
 
