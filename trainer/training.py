@@ -38,6 +38,9 @@ from .splats import Splats, fresh
 KEPT = ("seed", "strategy", "background", "model", "exposure")
 """Settings that a run keeps from its first step to its last."""
 
+CUT_STEPS = 10
+"""Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
+
 
 class DensityControl(Protocol):
     """What decides where splats are born and die."""
@@ -156,6 +159,15 @@ class Trainer:
         """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
         return self._keep(cropped_in(tuple(crops), self.splats.parameters.means))
 
+    def add_cut(self, crops: Sequence[Crop]) -> int:
+        """As `crop`, and from now on what comes to where they cut is soon taken out too.
+
+        The recipe's `cut` holds these rules, and `change` takes one out.
+        """
+        gone = self.crop(crops)
+        self.change(cut=(*self.settings.cut, tuple(crops)))
+        return gone
+
     def add_region(self, region: Crop) -> None:
         """From now on nothing grows inside the region; what is there is trained on, and may die or move away.
 
@@ -166,24 +178,10 @@ class Trainer:
     def _keep(self, kept: np.ndarray) -> int:
         if not kept.any():
             raise InputError("no splat would be left to train; choose fewer")
-        self.splats = self.splats.take(kept)
-        self.control.keep(kept)
-        return int(len(kept) - kept.sum())
-
-    def remove(self, ids: np.ndarray) -> int:
-        """Takes the splats of these numbers (see `Splats.ids`) out, between two steps; returns how many of
-        them still lived.
-
-        Raises:
-            ValueError: nothing would be left to train.
-        """
-        kept = ~np.isin(self.splats.ids, ids)
-        if not kept.any():
-            raise ValueError("that would leave no splat to train")
         if not kept.all():
             self.splats = self.splats.take(kept)
-            self.control.begin(len(self.splats))
-        return int((~kept).sum())
+            self.control.keep(kept)
+        return int(len(kept) - kept.sum())
 
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, which later steps leave alone."""
@@ -227,13 +225,17 @@ class Trainer:
                 threads=self.threads,
             )
         if self.exposures.is_on:
-            self.exposures.step(progress, settings.batch)
+            with self.clock.stage("exposure"):
+                self.exposures.step(progress, settings.batch)
         with self.clock.stage("density"):
             self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
             if progress < settings.refine_until and self._refinement_is_due(progress):
                 rng = np.random.default_rng([settings.seed, counters.iteration, 1])
                 self.splats = self.control.refine(splats, progress, rng)
                 counters.refined_at, counters.refined_progress = counters.iteration, progress
+            if counters.iteration % CUT_STEPS == 0 or counters.refined_at == counters.iteration:
+                for crops in settings.cut:
+                    self.crop(crops)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(self.splats), self.progress)
@@ -272,8 +274,9 @@ class Trainer:
         have been looked at before."""
         parameters, share = self.splats.parameters, self.settings.drop * self.progress
         if share > 0:
-            rng = np.random.default_rng([self.settings.seed, place, 2])
-            parameters = some_dropped(parameters, share, rng)
+            with self.clock.stage("drop"):
+                rng = np.random.default_rng([self.settings.seed, place, 2])
+                parameters = some_dropped(parameters, share, rng)
         frame = draw_frame(
             parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
         )
