@@ -137,6 +137,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     settings = dict(run["settings"])
     settings["model"] = ImageModel(**settings["model"])
     settings["no_growth"] = tuple(_crop(region) for region in settings["no_growth"])
+    settings["cut"] = tuple(tuple(_crop(crop) for crop in crops) for crops in settings["cut"])
     settings["background"] = tuple(settings["background"])
     settings["coarse"] = tuple((float(until), int(factor)) for until, factor in settings["coarse"])
     groups = [

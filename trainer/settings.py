@@ -142,6 +142,9 @@ class TrainSettings:
     no_growth: tuple[Crop, ...] = ()
     """Where density control multiplies none: inside these shapes, those switched off aside. What they keep
     does not matter; halves of a large neighbour may still reach in."""
+    cut: tuple[tuple[Crop, ...], ...] = ()
+    """What is cut away for good: a splat stays as long as each of these sets of crops leaves it, see
+    `scene.crop.cropped_in`."""
     grow_for: float = 12_000 / PAPER_ITERATIONS
     """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
     noise: float = 5e5

@@ -13,7 +13,7 @@ from splatview.scene.crop import Crop
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.density import ClassicControl
 from splatview.trainer.regions import inside_any
-from splatview.trainer.training import Trainer
+from splatview.trainer.training import CUT_STEPS, Trainer
 
 LEFT = Crop(shape="box", centre=(-5.0, 0.0, 0.0), half_extents=(5.0, 10.0, 10.0))
 """x below 0."""
@@ -85,9 +85,29 @@ def test_regions_that_are_off_do_not_count() -> None:
 
 
 @pytest.mark.parametrize("strategy", ["mcmc", "classic"])
+def test_what_is_cut_away_stays_away(make_trainer, strategy: str) -> None:
+    outside = replace(LEFT, centre=(-6.0, 0.0, 0.0), keep="outside")
+    trainer = make_trainer(iterations=80, strategy=strategy, **GROWING)
+    x = trainer.splats.parameters.means[:, 0]
+    assert trainer.add_cut([LEFT]) == (x > 0).sum() > 0
+    trainer.add_cut([outside])
+    assert trainer.settings.cut == ((LEFT,), (outside,))
+    while not trainer.done:
+        trainer.step()
+        if trainer.counters.iteration % CUT_STEPS == 0:
+            x = trainer.splats.parameters.means[:, 0]
+            assert len(x) and (x <= 0).all() and (x > -1).all()
+    grown = trainer.splats
+    with pytest.raises(InputError, match="no splat would be left"):
+        trainer.add_cut([replace(LEFT, centre=(50.0, 0.0, 0.0))])
+    assert len(trainer.settings.cut) == 2 and trainer.splats is grown, "nothing has happened"
+
+
+@pytest.mark.parametrize("strategy", ["mcmc", "classic"])
 def test_an_edited_run_resumes_bit_for_bit(make_trainer, tmp_path: Path, strategy: str) -> None:
     trainer = make_trainer(iterations=80, strategy=strategy, **GROWING)
     trainer.add_region(replace(LEFT, shape="sphere"))
+    trainer.add_cut([LEFT, replace(LEFT, centre=(4.7, 0.0, 0.0))])
     for _ in range(30):
         trainer.step()
     trainer.delete(trainer.splats.ids[3:9])

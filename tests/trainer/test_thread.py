@@ -192,7 +192,7 @@ def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin,
     before = thread.take_snapshot()
     assert before is not None
     gone = before.ids[::2]
-    assert thread.post(lambda session: session.trainer.remove(gone), changes=True).result(60) == len(gone)
+    assert thread.post(lambda session: session.trainer.delete(gone), changes=True).result(60) == len(gone)
     after = thread.take_snapshot()
     assert after is not None and after.iteration == before.iteration
     np.testing.assert_array_equal(after.ids, before.ids[1::2])
@@ -201,9 +201,9 @@ def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin,
     thread.step_once()
     wait(lambda: thread.status.iteration == before.iteration + 1, "a step with fewer splats")
 
-    assert thread.post(lambda session: session.trainer.remove(gone)).result(60) == 0, "they are gone"
-    with pytest.raises(ValueError, match="no splat"):
-        thread.post(lambda session: session.trainer.remove(session.trainer.splats.ids)).result(60)
+    assert thread.post(lambda session: session.trainer.delete(gone)).result(60) == 0, "they are gone"
+    with pytest.raises(InputError, match="no splat"):
+        thread.post(lambda session: session.trainer.delete(session.trainer.splats.ids)).result(60)
 
 
 def test_settings_change_between_steps(begin) -> None:
