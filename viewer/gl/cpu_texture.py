@@ -29,6 +29,9 @@ from .moving import (
 from .overlay import Overlay
 from .shown_edits import ShownEdits, shown_edits
 
+FRAME_SECONDS = 0.02
+"""Of a core, that a frame of the window takes where this renderer is chosen: OpenGL is software there."""
+
 REST_SECONDS = 0.25
 """A camera that has not changed for so long rests: the next picture may take its time."""
 
@@ -72,6 +75,9 @@ class CpuTexture:
         self._ctx = ctx
         self.threads = threads
         """Cores to draw with; None: all. May be changed at any time."""
+        self.cores: float | None = None
+        """How many it may keep busy on average, the window's frames included; None: as many as it likes.
+        May be changed at any time."""
         self._on_ready = on_ready
         self._change = threading.Condition()
         # Guarded by _change:
@@ -202,6 +208,7 @@ class CpuTexture:
                 sharp = coarse is wish or self._resting
             if plan is not self._pace.plan:
                 self._pace.follow(plan)
+            begun = time.perf_counter()
             try:
                 self._render(wish, None if sharp else self._shortcut(wish), workspace)
             except Exception as error:
@@ -211,6 +218,15 @@ class CpuTexture:
                     self._finished = wish
             coarse = wish
             self._on_ready()
+            self._rest(time.perf_counter() - begun)
+
+    def _rest(self, took: float) -> None:
+        """Leaves the cores to others after a picture that took so many seconds, as long as is due."""
+        if self.cores is None:
+            return
+        busy = took * (self.threads or raster.available_threads()) + FRAME_SECONDS
+        with self._change:
+            self._change.wait_for(lambda: self._ended, max(busy / self.cores - took, 0.0))
 
     def _due(self, coarse: _Wish | None) -> bool:
         """Whether something is to be drawn now: a new wish, or the sharp picture of one that rests."""

@@ -32,6 +32,14 @@ class Picture(Protocol):
     @threads.setter
     def threads(self, threads: int | None) -> None: ...
 
+    @property
+    def cores(self) -> float | None:
+        """How many it may keep busy on average, the window included; None: as many as it likes. Likewise."""
+        ...
+
+    @cores.setter
+    def cores(self, cores: float | None) -> None: ...
+
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
 
@@ -103,6 +111,7 @@ class GpuPicture:
 
     modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
     threads: int | None = None
+    cores: float | None = None
 
     def __init__(self, ctx: moderngl.Context):
         self._renderer = make_renderer(ctx)
@@ -192,6 +201,14 @@ class CpuPicture:
     @threads.setter
     def threads(self, threads: int | None) -> None:
         self._cpu.threads = threads
+
+    @property
+    def cores(self) -> float | None:
+        return self._cpu.cores
+
+    @cores.setter
+    def cores(self, cores: float | None) -> None:
+        self._cpu.cores = cores
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         yield 0.0

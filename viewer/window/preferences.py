@@ -39,7 +39,7 @@ class Preferences:
     """Whether loaded cameras are drawn into the view."""
     show_photos: bool = True
     """The same of the cameras of the photos in training."""
-    training_share: float = 0.75
+    training_share: float = 0.5
     """Of the cores, for training, while the view is moved."""
     training_takes_idle_cores: bool = True
     """Whether training takes all cores while the view is not moved."""

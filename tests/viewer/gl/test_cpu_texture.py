@@ -239,3 +239,27 @@ def test_what_fails_while_pricing_is_told_and_pictures_go_on(texture, random_gau
 
     until(told)
     assert "no room for levels" in texture.problem
+
+
+def test_pictures_keep_to_their_share_of_the_cores(texture, random_gaussians, monkeypatch):
+    """After each picture the worker rests until its processor time is within what it may take."""
+    rests = []
+    wait_for = threading.Condition.wait_for
+
+    def noted(self, predicate, timeout=None):
+        if threading.current_thread().name == "splatview-cpu":
+            rests.append(timeout)
+            return wait_for(self, predicate, 0.0)
+        return wait_for(self, predicate, timeout)
+
+    monkeypatch.setattr(threading.Condition, "wait_for", noted)
+    texture.load(random_gaussians(200))
+    rest(texture, camera())
+    assert rests == [], "where nothing is asked for, it never rests"
+    texture.cores = 0.5
+    began = time.perf_counter()
+    rest(texture, camera(0.1))
+    took = time.perf_counter() - began
+    until(lambda: len(rests) > 0)
+    # Twice the picture's time and a frame's, of which the picture's is over; one thread draws.
+    assert 2 * cpu_texture.FRAME_SECONDS <= rests[0] <= 2 * cpu_texture.FRAME_SECONDS + took

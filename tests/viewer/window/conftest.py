@@ -36,6 +36,7 @@ class RecordingPicture:
     texture: Any = None
     stats: Any = None
     threads: int | None = None
+    cores: float | None = None
 
     def __init__(self) -> None:
         self.loaded: list[Gaussians] = []

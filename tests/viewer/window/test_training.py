@@ -148,6 +148,7 @@ def test_shares_follow_the_users_hand(core, training):
     training.advance(core)
     assert training.thread.share == 0.5, "the view has just been set"
     assert core.picture.threads == 2, "of four cores"
+    assert core.picture.cores == 2
     now[0] += 10
     training.advance(core)
     assert training.thread.share == 1.0, "nobody moves the view"
@@ -158,6 +159,12 @@ def test_shares_follow_the_users_hand(core, training):
     core.prefer(training_takes_idle_cores=False)
     training.advance(core)
     assert training.thread.share == 0.5
+    core.prefer(training_share=1.0)
+    training.advance(core)
+    assert core.picture.cores == pytest.approx(0.4), "the view can always be turned"
+    training.thread.pause()
+    until(core, lambda: core.picture.cores is None, "all cores for the viewer")
+    assert core.picture.threads is None
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,9 @@ STARVED_SECONDS = 1.0
 
 MINIMISED_FPS = 0.5
 
+LEAST_FOR_VIEWER = 0.1
+"""Of the cores, even where training has been given all: a view that can be turned, if slowly."""
+
 MOST_FOR_BOUNDS = 20_000
 """Splats that tell where the scene is: enough for that, and done within a millisecond or two."""
 
@@ -202,7 +205,9 @@ class Training:
         wanted, cores = core.preferences.training_share, self.thread.cores
         self.thread.share = wanted if moved or not core.preferences.training_takes_idle_cores else 1.0
         if core.picture is not None:
-            core.picture.threads = viewer_threads(wanted, cores)
+            runs = self.status.state == "training"
+            core.picture.threads = viewer_threads(wanted, cores) if runs else None
+            core.picture.cores = max(1 - wanted, LEAST_FOR_VIEWER) * cores if runs else None
         rate = RATES["off" if self.minimised else core.preferences.training_updates]
         if rate.share > 0:
             cost = redraw_seconds(core) / (rate.share * cores)
