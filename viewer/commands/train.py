@@ -31,6 +31,7 @@ def make_parser() -> Parser:
     parser = Parser(
         "train",
         "Trains a scene on the photos of CAPTURE: a folder with a COLMAP model or a transforms.json.\n\n"
+        "A window shows the scene as it grows; closing it saves what was trained.\n\n"
         "Every 8th photo is held out and measured by. Beside the scene are written a checkpoint, from\n"
         "which --resume goes on, and held-out photos side by side with what the scene shows.\n\n"
         "Several processes, on one machine or more, share each batch of photos:\n"

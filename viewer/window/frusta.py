@@ -48,7 +48,7 @@ def show(core: Core, corner: ImVec2) -> None:
     drawn = pyramids(core.cameras[::step], core.camera, size)
     lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
     mouse = imgui.get_mouse_pos()
-    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point() else None
+    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point(core) else None
     draw = imgui.get_window_draw_list()
     for place, (index, _) in enumerate(drawn):
         index *= step
@@ -71,8 +71,10 @@ def show(core: Core, corner: ImVec2) -> None:
         core.post(go_to_camera, index)
 
 
-def may_point() -> bool:
-    """Whether the mouse is over the picture itself and turns nothing."""
+def may_point(core: Core) -> bool:
+    """Whether the mouse is over the picture itself, turns nothing and holds no tool."""
+    if core.desk is not None and core.desk.tool != "none":
+        return False
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     return imgui.is_window_hovered() and not (dragged.x or dragged.y)
 
