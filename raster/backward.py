@@ -102,11 +102,14 @@ def start_pixels(pixels, left, top, first_pixel, background, lights, d_image):
 
 
 @inline
-def most_met(first_pixel, met_of):
-    """The most splats that a pixel of a tile met."""
-    most = load(met_of, first_pixel)
+def most_met(first_pixel, met_of, below):
+    """The most splats, fewer than `below`, that a pixel of a tile met."""
+    limit = met_of.dtype.type(below)
+    met = load(met_of, first_pixel)
+    most = keep_if_below(met, met, spread(limit))
     for at in range(first_pixel + LANES, first_pixel + TILE_PIXELS, LANES):
-        most = maximum(most, load(met_of, at))
+        met = load(met_of, at)
+        most = maximum(most, keep_if_below(met, met, spread(limit)))
     return np.int64(greatest_lane(most))
 
 
@@ -235,7 +238,6 @@ def differentiate_tiles(
     records,
     view,
     background,
-    rounds,
     lights,
     met_of,
     d_image,
@@ -247,7 +249,7 @@ def differentiate_tiles(
     tile's gradient by the background, d_background (tiles, 3) float64.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
-    rounds, lights and met_of as in `forward`; records (N, RECORD), background (3,), lights, met_of,
+    lights and met_of as in `forward`; records (N, RECORD), background (3,), lights, met_of,
     d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
@@ -261,32 +263,40 @@ def differentiate_tiles(
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = BLOCKS, -1
         first, end = offsets[tile] - base, offsets[tile + 1] - base
-        walked[tile] = min(most_met(first_pixel, met_of), end - first)
-        end = first + walked[tile]
-        for position in range(first + (walked[tile] - 1) // CHUNK * CHUNK, first - 1, -CHUNK):
-            # All of the chunk: what its rounds are must come out as it did in `forward`.
-            count = min(offsets[tile + 1] - base - position, CHUNK)
-            next_start = max(position - CHUNK, first)
-            fall = gather(lists, position, count, next_start, position, records, left, top, gathered)
-            touched_blocks(gathered, count, view.log2_cut, rows)
-            step = CHUNK if fall >= rounds.most_fall else rounds.short
-            until = min(end - position, count)
-            while until > 0:
-                revive(pixels, first_pixel, position + until - first, lights, met_of, alive)
-                begin = (until - 1) // step * step
+        until = min(most_met(first_pixel, met_of, np.inf), end - first)
+        walked[tile] = until
+        while until > 0:
+            begin = (until - 1) // CHUNK * CHUNK
+            next_start = first + max(begin - CHUNK, 0)
+            gather(
+                lists,
+                first + begin,
+                until - begin,
+                next_start,
+                first + begin,
+                records,
+                left,
+                top,
+                -np.inf,
+                gathered,
+            )
+            touched_blocks(gathered, until - begin, view.log2_cut, rows)
+            while until > begin:
+                revive(pixels, first_pixel, until, lights, met_of, alive)
+                before = max(most_met(first_pixel, met_of, until), begin)
                 differentiate(
                     gathered,
-                    begin,
-                    until,
+                    before - begin,
+                    until - begin,
                     rows,
                     alive,
                     view.log2_cut,
                     view.max_alpha,
                     pixels,
-                    position,
+                    first + begin,
                     sums,
                 )
-                until = begin
+                until = before
         add_background(pixels, first_pixel, lights, d_background[tile])
 
 
@@ -310,7 +320,9 @@ def gather_pairs(
     """Adds up the sums of each splat of order[start:stop] over tiles [first_tile, end_tile), in the order
     of the tiles, into splat_sums (N·SUMS,); `again` says that rows hold sums of earlier tiles.
 
-    The pairs are found as they were written: positions (tiles,) int64 says where, and is used up.
+    The pairs are found as they were written: positions (tiles,) int64 says where, and is used up. Asking
+    ahead for every row of a splat, not only for its first, made this 0 to 10 % faster (times 1.11, 0.99 and
+    1.05 on a sphere of 100,000 splats, skull and playbot): half as much bookkeeping again for nothing.
     """
     nothing = spread(sums.dtype.type(0))
     for k in range(start, stop):

@@ -113,7 +113,7 @@ def forward_rate(frame: Frame) -> float:
         frame.records,
         frame.view,
         frame.background,
-        frame.rounds,
+        frame.retirement,
         image,
         np.empty_like(frame.lights),
         np.empty_like(frame.met_of),

@@ -5,11 +5,11 @@ tile's list is taken in chunks: the records of a chunk are gathered into columns
 the tile, the rows that each ellipse can touch in each strip are computed 16 splats at a time, and then
 only the blocks of these rows are blended.
 
-After a round of splats, a chunk mostly, pixels that let less light through than the early stop are retired:
-their light is put aside together with the number of splats that they have met, and counts as 0 from there
-on. A round is so short that light cannot fall from the early stop to 0 within it, and so `backward` can
-follow each pixel's light from its end to its beginning. Blocks without light drop out at both ends of a
-strip; a tile ends when no block is left.
+After each chunk, pixels that let less light through than the early stop are retired: their light is put
+aside together with the number of splats that they have met, and counts as 0 from there on. A chunk is cut
+short where its splats are so opaque that light could fall from the early stop to 0 within it, and so
+`backward` can follow each pixel's light from its end to its beginning. Blocks without light drop out at
+both ends of a strip; a tile ends when no block is left.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from .bins import MARGIN
 from .compiling import inline, kernel
 from .exp import exp2
-from .project import BLUE, FALL, GREEN, LOG2_OPACITY, MOST_ALPHA, RED, X_REST, Y_REST, A, B, C, X, Y
+from .project import BLUE, FALL, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
@@ -76,17 +76,24 @@ brightest colour behind."""
 
 
 @inline
-def gather(lists, start, count, next_start, next_stop, records, left, top, gathered):
+def gather(lists, start, count, next_start, next_stop, records, left, top, most_fall, gathered):
     """Copies the records of lists[start:start + count] to `gathered` (GATHERED·CHUNK,), means relative to
     the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
-    lists[next_start:next_stop], which will be gathered next, meanwhile. Returns by how many powers of two
-    these splats can make light fall at most."""
+    lists[next_start:next_stop], which will be gathered next, meanwhile.
+
+    Returns how many it took: fewer than `count` where light, by these splats' opacities, could fall by more
+    than `most_fall` powers of two, a negative number.
+    """
     number = gathered.dtype.type
-    fall = number(0)
     for k in range(next_start, next_stop):
         prefetch(records, lists[k])
-    for j in range((count + LANES - 1) // LANES * LANES):
-        record = records[lists[start + min(j, count - 1)]]
+    fall = number(0)
+    for j in range(count):
+        record = records[lists[start + j]]
+        fall += record[FALL]
+        if fall < most_fall and j > 0:
+            count = j
+            break
         # The corner is subtracted first: exact near the tile, and only then is there room for the rest.
         gathered[G_X * CHUNK + j] = (record[X] - number(left)) + record[X_REST]
         gathered[G_Y * CHUNK + j] = (record[Y] - number(top)) + record[Y_REST]
@@ -97,8 +104,10 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, gathe
         gathered[G_RED * CHUNK + j] = record[RED]
         gathered[G_GREEN * CHUNK + j] = record[GREEN]
         gathered[G_BLUE * CHUNK + j] = record[BLUE]
-        fall += record[FALL]
-    return fall
+    for j in range(count, (count + LANES - 1) // LANES * LANES):
+        for column in range(GATHERED):
+            gathered[column * CHUNK + j] = gathered[column * CHUNK + count - 1]
+    return count
 
 
 @inline
@@ -145,23 +154,19 @@ def touched_blocks(gathered, count, log2_cut, rows):
             store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, zero) * per_row)
 
 
-class Rounds(NamedTuple):
+class Retirement(NamedTuple):
     """When pixels retire."""
 
     stop_below: float
     """The light below which they do."""
     most_fall: float
-    """Light may fall by so many powers of two, a negative number, in a round, and stays a normal number."""
-    short: int
-    """Splats that cannot do more than that, even if all have the largest alpha there is."""
+    """By how many powers of two light may fall in a chunk and stay a normal number; negative."""
 
 
-def make_rounds(early_stop: float, max_alpha: float, dtype: np.dtype) -> Rounds:
+def make_retirement(early_stop: float, dtype: np.dtype) -> Retirement:
     smallest = float(np.finfo(dtype).smallest_normal)
     stop_below = max(early_stop, smallest * LEAST_LIGHT)
-    most_fall = math.log2(smallest / stop_below)
-    short = int(most_fall / math.log2(1 - min(max_alpha, MOST_ALPHA)))
-    return Rounds(stop_below, most_fall, min(max(short, 1), CHUNK))
+    return Retirement(stop_below, math.log2(smallest / stop_below))
 
 
 @inline
@@ -217,12 +222,11 @@ def put_aside(retired, at, met, lights, met_of):
 
 
 @inline
-def blend(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels):
-    """Blends gathered splats [start, stop) over the pixels of a tile, in their order. Returns the number of
-    blocks."""
+def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
+    """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
     number = gathered.dtype.type
     blocks = 0
-    for j in range(max(start, 0), stop):  # max tells the compiler that no index is negative
+    for j in range(count):
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
         red = spread(gathered[G_RED * CHUNK + j])
@@ -271,14 +275,16 @@ def write_pixels(pixels, left, top, first_pixel, background, lights, image):
 
 
 @kernel
-def draw_tiles(start, stop, offsets, base, lists, records, view, background, rounds, image, lights, met_of):
+def draw_tiles(
+    start, stop, offsets, base, lists, records, view, background, retirement, image, lights, met_of
+):
     """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks that
     were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    rounds is a `Rounds`. lights and met_of (tiles·TILE_PIXELS,) receive the light that got through each pixel
-    and how many splats of its tile's list it met, a vector a block, strip by strip; both are 0 beyond the
-    image. records (N, RECORD), background (3,), image, lights and met_of share one dtype.
+    retirement is a `Retirement`. lights and met_of (tiles·TILE_PIXELS,) receive the light that got through
+    each pixel and how many splats of its tile's list it met, a vector a block, strip by strip; both are 0
+    beyond the image. records (N, RECORD), background (3,), image, lights and met_of share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
@@ -298,17 +304,22 @@ def draw_tiles(start, stop, offsets, base, lists, records, view, background, rou
         while position < end and some:
             count = min(end - position, CHUNK)
             next_stop = min(position + 2 * CHUNK, end)
-            fall = gather(lists, position, count, position + count, next_stop, records, left, top, gathered)
+            count = gather(
+                lists,
+                position,
+                count,
+                position + count,
+                next_stop,
+                records,
+                left,
+                top,
+                retirement.most_fall,
+                gathered,
+            )
             touched_blocks(gathered, count, view.log2_cut, rows)
-            step = CHUNK if fall >= rounds.most_fall else rounds.short
-            done = 0
-            while done < count and some:
-                until = min(done + step, count)
-                blocks += blend(gathered, done, until, rows, alive, view.log2_cut, view.max_alpha, pixels)
-                done = until
-                met = position + done - first
-                some = retire(pixels, first_pixel, rounds.stop_below, met, lights, met_of, alive)
-            position += done
+            blocks += blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
+            position += count
+            some = retire(pixels, first_pixel, retirement.stop_below, position - first, lights, met_of, alive)
         retire(pixels, first_pixel, np.inf, position - first, lights, met_of, alive)
         write_pixels(pixels, left, top, first_pixel, background, lights, image)
     return blocks

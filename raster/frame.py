@@ -12,7 +12,7 @@ import numpy as np
 
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from .edited import EditArrays
-from .forward import TILE_PIXELS, Rounds, draw_tiles, make_rounds
+from .forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
 from .parameters import Parameters
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from .project import RECORD, project
@@ -100,7 +100,7 @@ class Frame:
     view: View
     background: np.ndarray
     """(3,) in the picture's dtype."""
-    rounds: Rounds
+    retirement: Retirement
     sh_degree: int
     threads: int
     edited: bool
@@ -158,7 +158,7 @@ def draw(
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
     lights = workspace.take("lights", (pixels,), dtype)
     met_of = workspace.take("met_of", (pixels,), dtype)
-    rounds = make_rounds(early_stop, view.max_alpha, dtype)
+    retirement = make_retirement(early_stop, dtype)
     lists = np.empty(0, np.int32)
     blocks = 0
     for band in bins.bands:
@@ -177,7 +177,7 @@ def draw(
                         records,
                         view,
                         background,
-                        rounds,
+                        retirement,
                         image,
                         lights,
                         met_of,
@@ -188,7 +188,7 @@ def draw(
     return Frame(
         view=view,
         background=background,
-        rounds=rounds,
+        retirement=retirement,
         sh_degree=sh_degree,
         threads=threads,
         edited=edits is not None,

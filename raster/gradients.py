@@ -97,7 +97,6 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
                     frame.records,
                     frame.view,
                     frame.background,
-                    frame.rounds,
                     frame.lights,
                     frame.met_of,
                     d_image,

@@ -34,7 +34,7 @@ from .forward import (
     TILE_PIXELS,
     block_in_image,
     gather,
-    make_rounds,
+    make_retirement,
     retire,
     start_pixels,
     touched_blocks,
@@ -164,7 +164,7 @@ def _weigh(
         clock=StageClock(),
     )
     bins, front_of = arranged.bins, np.empty((camera.height, camera.width), np.int32)
-    rounds = make_rounds(EARLY_STOP, view.max_alpha, dtype)
+    retirement = make_retirement(EARLY_STOP, dtype)
     cursors = workspace.take("cursors_of_weights", bins.positions.shape, np.int64)
     cursors[:] = bins.positions
     for band in bins.bands:
@@ -174,7 +174,7 @@ def _weigh(
         run(
             weigh_tiles,
             tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-            (bins.offsets, base, lists, arranged.records, view, rounds, least_coverage, pairs, front_of),
+            (bins.offsets, base, lists, arranged.records, view, retirement, least_coverage, pairs, front_of),
             threads,
         )
         run(
@@ -187,13 +187,13 @@ def _weigh(
 
 
 @inline
-def weigh_splats(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels, place, first_row, pairs):
-    """Walks gathered splats [start, stop): the sum and the largest weight of the j-th go to
+def weigh_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels, place, first_row, pairs):
+    """Walks gathered splats: the sum and the largest weight of the j-th go to
     pairs[first_row + j]; in `pixels` the largest weight so far takes the place of red, and that of green its
     splat's place in the tile's list, the first gathered one being at `place`."""
     number = gathered.dtype.type
     scratch = aligned(LANES, pairs.dtype)
-    for j in range(max(start, 0), stop):
+    for j in range(count):
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
         cut, cap, step = fill(b, log2_cut), fill(b, max_alpha), fill(b, BLOCK_HEIGHT)
@@ -224,7 +224,9 @@ def weigh_splats(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels
 
 
 @kernel
-def weigh_tiles(start, stop, offsets, base, lists, records, view, rounds, least_coverage, pairs, front_of):
+def weigh_tiles(
+    start, stop, offsets, base, lists, records, view, retirement, least_coverage, pairs, front_of
+):
     """Writes the sums and largest weights of the pairs of tiles [start, stop) to pairs (P, 2), whose first
     row is place `base`, and their parts of front_of (H, W) int32. The other arguments as in `forward`."""
     gathered = aligned(GATHERED * CHUNK, records.dtype)
@@ -245,29 +247,33 @@ def weigh_tiles(start, stop, offsets, base, lists, records, view, rounds, least_
         while position < end and some:
             count = min(end - position, CHUNK)
             next_stop = min(position + 2 * CHUNK, end)
-            fall = gather(lists, position, count, position + count, next_stop, records, left, top, gathered)
+            count = gather(
+                lists,
+                position,
+                count,
+                position + count,
+                next_stop,
+                records,
+                left,
+                top,
+                retirement.most_fall,
+                gathered,
+            )
             touched_blocks(gathered, count, view.log2_cut, rows)
-            step = CHUNK if fall >= rounds.most_fall else rounds.short
-            done = 0
-            while done < count and some:
-                until = min(done + step, count)
-                weigh_splats(
-                    gathered,
-                    done,
-                    until,
-                    rows,
-                    alive,
-                    view.log2_cut,
-                    view.max_alpha,
-                    pixels,
-                    position - first,
-                    position,
-                    pairs,
-                )
-                done = until
-                met = position + done - first
-                some = retire(pixels, 0, rounds.stop_below, met, lights, met_of, alive)
-            position += done
+            weigh_chunk(
+                gathered,
+                count,
+                rows,
+                alive,
+                view.log2_cut,
+                view.max_alpha,
+                pixels,
+                position - first,
+                position,
+                pairs,
+            )
+            position += count
+            some = retire(pixels, 0, retirement.stop_below, position - first, lights, met_of, alive)
         pairs[position:end] = 0
         retire(pixels, 0, np.inf, position - first, lights, met_of, alive)
         for block in range(STRIPS * BLOCKS):
