@@ -1,5 +1,6 @@
 // The quad that one splat covers on screen, and what its fragments need. Row 0 of the target is the
 // picture's top row. Flag: POINTS (discs of one size).
+#include "common/falloff.glsl"
 
 uniform vec2 u_size;
 
@@ -7,7 +8,6 @@ flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the ex
 flat out float v_c;
 flat out vec4 v_colour;   // rgb, opacity
 
-const float ROOT_HALF_LOG2_E = 0.84932180028801904;  // exp(-q/2) = exp2(-(0.849 sqrt q)²)
 const float POINT_RADIUS = 1.6;                      // px
 const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
 

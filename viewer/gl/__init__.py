@@ -14,13 +14,19 @@ if TYPE_CHECKING:
 __all__ = ["FrameStats", "VisualMode", "make_renderer"]
 
 
-def make_renderer(ctx: moderngl.Context) -> Renderer:
-    """The `quads` renderer for `ctx`: in compute shaders from GL 4.3 on, else its GL 3.3 twin.
+def make_renderer(ctx: moderngl.Context, name: str = "quads") -> Renderer:
+    """The renderer called `name`, "quads" or "tiles", for `ctx`.
+
+    `quads` work in compute shaders from GL 4.3 on, else as their GL 3.3 twin.
 
     Raises:
-        InputError: the context is older than GL 3.3.
+        InputError: the context is older than GL 3.3 or, for `tiles`, GL 4.3.
     """
-    # Imported late: both import this package, and only one of them is needed.
+    # Imported late: all import this package, and only one of them is needed.
+    if name == "tiles":
+        from .tiles import TilesRenderer
+
+        return TilesRenderer(ctx)
     if ctx.version_code >= 430:
         from .quads import QuadsRenderer
 

@@ -26,11 +26,11 @@ EARLY_STOP = 1.2e-4
 class QuadsRenderer(Renderer):
     """The `Renderer` for GL 4.3."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, *, gathering: Gathering | None = None) -> None:
         super().__init__(ctx)
         self._projector = Projector(ctx)
         self._scene: SceneBuffers | None = None
-        self._gathering = Gathering(ctx)
+        self._gathering = gathering or Gathering(ctx)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
         self._drawn_key: object = None

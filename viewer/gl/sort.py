@@ -91,13 +91,23 @@ class RadixSort:
         self._scratch = (ctx.buffer(reserve=4 * room), ctx.buffer(reserve=4 * room))
 
     def sort(
-        self, keys: moderngl.Buffer, values: moderngl.Buffer, count: moderngl.Buffer, count_offset: int = 0
-    ) -> None:
-        """Sorts `keys` (uint32) ascending in place and moves `values` (uint32) along; ties keep their order.
+        self,
+        keys: moderngl.Buffer,
+        values: moderngl.Buffer,
+        count: moderngl.Buffer,
+        count_offset: int = 0,
+        *,
+        key_bits: int = KEY_BITS,
+    ) -> tuple[moderngl.Buffer, moderngl.Buffer]:
+        """Sorts `keys` (uint32) ascending and moves `values` (uint32) along; ties keep their order.
 
         The number of keys is the uint32 in `count` at byte `count_offset`, as it is when the GPU gets
         there; above `capacity` it counts as `capacity`. What lies behind the keys is left alone.
         Storage buffer bindings 0 to 6 are changed.
+
+        Returns sorted keys and values: the buffers given, of which 32 bits are sorted in place. With fewer
+        `key_bits` that are ever set it may take an odd number of passes; these end in the scratch memory,
+        which holds them until the next sort.
 
         Raises:
             ValueError: `keys` or `values` hold fewer than `capacity`, or `count_offset` is no multiple
@@ -116,9 +126,8 @@ class RadixSort:
         self._ctx.memory_barrier()
         self._make_plan.run()
 
-        # An even number of passes: the result ends up where the keys came from.
         source, target = (keys, values), self._scratch
-        for shift in range(0, KEY_BITS, self.tuning.digit_bits):
+        for shift in range(0, key_bits, self.tuning.digit_bits):
             for binding, buffer in enumerate((*source, *target), start=3):
                 buffer.bind_to_storage_buffer(binding)
             self._count["shift"] = shift
@@ -131,6 +140,7 @@ class RadixSort:
             self._scatter.run_indirect(self._plan, BLOCK_GROUPS_OFFSET)
             source, target = target, source
         self._ctx.memory_barrier()
+        return source
 
     def release(self) -> None:
         """Gives its buffers and programs back to GL."""

@@ -1,0 +1,133 @@
+// Blends what a tile has into the picture, front to back, a batch at a time; one work group a tile. It starts
+// from what the target holds, so one picture may take several of these, nearer splats first.
+// Flags: REST (tries all splats that found no room among the pairs), WORKGROUP, BATCH, ROUNDS, TINTS, and
+// those of outline.
+#include "tiles/outline.glsl"
+#include "tiles/plan.glsl"
+#include "common/falloff.glsl"
+#include "common/tint.glsl"
+#define PIXELS (TILE * TILE / WORKGROUP)
+
+layout(local_size_x = WORKGROUP) in;
+
+layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
+layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
+layout(rgba32f, binding = 0) uniform image2D u_gathered;                       // rgb, T
+uniform uint u_round;
+uniform float u_max_alpha;
+uniform float u_early_stop;
+
+// One batch, with a, b and c in the unit that makes the exponent one of 2.
+shared vec4 batch_shapes[BATCH];
+shared float batch_cs[BATCH];
+shared vec4 batch_colours[BATCH];
+shared uint borders[2];
+shared uint open_pixels;
+#if REST
+const uint WORDS = uint(BATCH) / 32u;
+shared uint hits[WORDS];
+#endif
+
+// The first pair of `tile` or a later one.
+uint first_pair(uint tile) {
+    uint low = 0u, high = plan.round_pairs[u_round];
+    while (low < high) {
+        uint middle = (low + high) / 2u;
+        if (pair_tiles[middle] < tile) low = middle + 1u;
+        else high = middle;
+    }
+    return low;
+}
+
+void put(uint place, uint splat) {
+    vec4 colour = colours[splat];
+    batch_shapes[place] = vec4(shapes[splat].xy, shapes[splat].zw * ROOT_HALF_LOG2_E);
+    batch_cs[place] = bounds[splat].x * ROOT_HALF_LOG2_E;
+    batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
+}
+
+#if REST
+bool touches(uint splat, ivec2 tile) {
+    Outline o = outline_of(splat);
+    ivec2 rows = rows_of(o);
+    if (tile.y < rows.x || tile.y > rows.y) return false;
+    ivec2 columns = columns_of(o, tile.y);
+    return tile.x >= columns.x && tile.x <= columns.y;
+}
+
+// Keeps what touches the tile, in order.
+uint fill_batch(uint first, uint count, ivec2 tile) {
+    uint me = gl_LocalInvocationID.x;
+    for (uint word = me; word < WORDS; word += uint(WORKGROUP)) hits[word] = 0u;
+    barrier();
+    for (uint i = me; i < count; i += uint(WORKGROUP))
+        if (touches(splats[first + i], tile)) atomicOr(hits[i / 32u], 1u << (i % 32u));
+    barrier();
+    for (uint i = me; i < count; i += uint(WORKGROUP)) {
+        uint word = i / 32u, bit = 1u << (i % 32u);
+        if ((hits[word] & bit) == 0u) continue;
+        uint place = uint(bitCount(hits[word] & (bit - 1u)));
+        for (uint below = 0u; below < word; below++) place += uint(bitCount(hits[below]));
+        put(place, splats[first + i]);
+    }
+    uint kept = 0u;
+    for (uint word = 0u; word < WORDS; word++) kept += uint(bitCount(hits[word]));
+    return kept;
+}
+#else
+uint fill_batch(uint first, uint count, ivec2 tile) {
+    for (uint i = gl_LocalInvocationID.x; i < count; i += uint(WORKGROUP)) put(i, splats[first + i]);
+    return count;
+}
+#endif
+
+ivec2 pixel_of(ivec2 tile, int index) {
+    int at = index * WORKGROUP + int(gl_LocalInvocationID.x);
+    return tile * TILE + ivec2(at % TILE, at / TILE);
+}
+
+void main() {
+    uint me = gl_LocalInvocationID.x;
+    ivec2 tile = ivec2(gl_WorkGroupID.xy);
+#if REST
+    uvec2 range = uvec2(plan.rest_first, plan.rest_end);
+#else
+    if (me < 2u) borders[me] = first_pair(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x + me);
+    barrier();
+    uvec2 range = uvec2(borders[0], borders[1]);
+    if (range.x == range.y) return;
+#endif
+    ivec2 size = imageSize(u_gathered);
+    vec4 sums[PIXELS];  // rgb, T
+    for (int i = 0; i < PIXELS; i++) {
+        ivec2 pixel = pixel_of(tile, i);
+        sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_gathered, pixel) : vec4(0.0);  // beside it: closed
+    }
+    for (uint first = range.x; first < range.y; first += uint(BATCH)) {
+        if (me == 0u) open_pixels = 0u;
+        barrier();
+        bool open = false;
+        for (int i = 0; i < PIXELS; i++) open = open || sums[i].a >= u_early_stop;
+        if (open) atomicOr(open_pixels, 1u);
+        uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
+        barrier();
+        if (open_pixels == 0u) break;
+        for (uint k = 0u; k < count; k++) {
+            vec4 shape = batch_shapes[k], colour = batch_colours[k];
+            float c = batch_cs[k];
+            for (int i = 0; i < PIXELS; i++) {
+                vec2 d = vec2(pixel_of(tile, i)) + 0.5 - shape.xy;
+                vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
+                float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+                alpha = alpha >= u_alpha_cut ? alpha : 0.0;  // NaN too
+                sums[i].rgb += sums[i].a * alpha * colour.rgb;
+                sums[i].a *= 1.0 - alpha;
+            }
+        }
+        barrier();
+    }
+    for (int i = 0; i < PIXELS; i++) {
+        ivec2 pixel = pixel_of(tile, i);
+        if (all(lessThan(pixel, size))) imageStore(u_gathered, pixel, sums[i]);
+    }
+}

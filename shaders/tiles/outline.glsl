@@ -1,0 +1,70 @@
+// The ellipse within which one splat's alpha reaches the cut, and the tiles that have a pixel centre in it.
+// Everything is a little wide, never narrow: what a pixel sees is decided by its alpha alone.
+// Flag: TILE (pixels that a tile is wide and high).
+
+layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };    // mean.xy, a, b
+layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };    // c, then axes
+layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };  // rgb, opacity
+uniform ivec2 u_tiles;  // columns, rows
+uniform float u_alpha_cut;
+
+struct Outline {
+    vec2 mean;      // px
+    vec3 conic;     // a, b, c in 1/px: q = (a dx + b dy)² + (c dy)², see common/projection.glsl
+    float reach;    // the ellipse is q = reach²
+    float height;   // px, of its upper half
+    float leaning;  // where it is widest to the right: this share of `height` above the mean
+};
+
+const float EVERYWHERE = 1e18;    // reach without an alpha cut
+const float LEAST_CONIC = 1e-20;  // 1/px; projection culls what is flatter
+const float LEAST_PAD = 0.02;     // px
+const float ROUNDING = 2e-6;      // of the numbers that make up an edge
+
+Outline outline_of(uint splat) {
+    Outline o;
+    o.mean = shapes[splat].xy;
+    o.conic = vec3(shapes[splat].zw, bounds[splat].x);
+    o.reach = EVERYWHERE;
+    // 1e-3 because log() is only good to 1e-4 or so on some drivers.
+    if (u_alpha_cut > 0.0) o.reach = sqrt(max(2.0 * log(colours[splat].a / u_alpha_cut), 0.0) + 1e-3);
+    o.height = o.reach / max(o.conic.z, LEAST_CONIC);
+    float steep = length(o.conic.yz);
+    o.leaning = steep > 0.0 ? o.conic.y / steep : 0.0;
+    return o;
+}
+
+// The first of `count` tiles with a pixel centre at or after `low`. NaN takes all in.
+int first_tile(float low, int count) {
+    float tile = ceil((low + 0.5) / float(TILE)) - 1.0;
+    return tile > 0.0 ? int(min(tile, float(count))) : 0;
+}
+
+// The last of `count` tiles with a pixel centre at or before `high`, -1 for none. NaN takes all in.
+int last_tile(float high, int count) {
+    float tile = floor((high - 0.5) / float(TILE));
+    return tile < float(count - 1) ? int(max(tile, -1.0)) : count - 1;
+}
+
+// First and last row of tiles.
+ivec2 rows_of(Outline o) {
+    float far = o.height + LEAST_PAD + ROUNDING * abs(o.mean.y);
+    return ivec2(first_tile(o.mean.y - far, u_tiles.y), last_tile(o.mean.y + far, u_tiles.y));
+}
+
+// First and last column of tiles in a row that is one of `rows_of`; empty where first > last.
+ivec2 columns_of(Outline o, int row) {
+    float pad = LEAST_PAD + ROUNDING * abs(o.mean.y);
+    float top = float(row * TILE) + 0.5 - o.mean.y;
+    vec2 strip = clamp(vec2(top - pad, top + float(TILE - 1) + pad), vec2(-o.height), vec2(o.height));
+    // The right edge a dx = -b dy + sqrt(reach² - (c dy)²) is concave: farthest out where its slope is 0 or,
+    // where that is beside the strip, at the strip's nearer border. The left edge is its mirror image.
+    vec2 widest = clamp(vec2(o.leaning, -o.leaning) * o.height, strip.xx, strip.yy);
+    vec2 down = o.conic.z * widest;
+    vec2 half_width = sqrt(max(vec2(o.reach * o.reach) - down * down, vec2(0.0)));
+    float a = max(o.conic.x, LEAST_CONIC);
+    vec2 middle = -o.conic.y * widest / a;
+    vec2 edges = o.mean.x + middle + vec2(-1.0, 1.0) * half_width / a;
+    vec2 pads = vec2(LEAST_PAD) + ROUNDING * (abs(o.mean.x) + abs(middle));
+    return ivec2(first_tile(edges.x - pads.x, u_tiles.x), last_tile(edges.y + pads.y, u_tiles.x));
+}

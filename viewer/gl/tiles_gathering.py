@@ -1,0 +1,111 @@
+"""Draws the sorted splats tile by tile, with sums in registers, into the target that gathers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import moderngl
+
+from .context import describe
+from .edit_textures import EditTextures
+from .frame import VisualMode
+from .gathering import Gathering
+from .programs import load_compute
+from .projector import Projector
+from .scene_buffers import SceneBuffers
+from .targets import ColourTarget
+from .tiles_pairs import REST_GROUPS_OFFSET, PairTuning, TilePairs, bind, records
+from .view_uniforms import Uniform, set_uniforms
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileTuning:
+    """How the work is dealt out; every choice gives the same picture."""
+
+    tile: int
+    """Pixels that a tile is wide and high."""
+    workgroup: int
+    """Invocations a tile; each has as many pixels."""
+    batch: int
+    """Splats that a work group keeps in local memory; a multiple of 32."""
+    pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256, run=1))
+
+
+HARDWARE = TileTuning(tile=16, workgroup=256, batch=256)
+"""GPUs: a pixel an invocation; a batch takes 9 KiB of local memory."""
+
+SOFTWARE = TileTuning(tile=16, workgroup=8, batch=64, pairs=PairTuning(workgroup=8, run=32))
+
+
+class TilesGathering(Gathering):
+    """By tiles for the splats; every other mode is drawn as quads."""
+
+    def __init__(self, ctx: moderngl.Context, tuning: TileTuning | None = None) -> None:
+        super().__init__(ctx)
+        self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
+        self.pairs = TilePairs(ctx, tile=self.tuning.tile, tuning=self.tuning.pairs)
+        self._blending: dict[object, moderngl.ComputeShader] = {}
+
+    def start_anew(self) -> None:
+        """Another scene is loaded."""
+        self.pairs.start_anew()
+
+    def draw(
+        self,
+        mode: VisualMode,
+        target: ColourTarget,
+        scene: SceneBuffers,
+        projector: Projector,
+        uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
+        *,
+        early_stop: float,
+    ) -> None:
+        """As `Gathering.draw`; splats need a float32 target."""
+        if mode != "splats":
+            super().draw(mode, target, scene, projector, uniforms, edits, early_stop=early_stop)
+            return
+        target.framebuffer.use()
+        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
+        rounds = self.pairs.count(projector, uniforms, target.size)
+        values = {**uniforms, "u_tiles": self.pairs.tiles, "u_early_stop": early_stop}
+        for index in range(rounds):
+            tiles, splats = self.pairs.make(projector, index)
+            program = self._ready(False, target, edits, {**values, "u_round": index})
+            bind(tiles, splats, *records(projector))
+            self.pairs.plan.bind_to_storage_buffer(6)
+            program.run(*self.pairs.tiles)
+            self._ctx.memory_barrier()
+        program = self._ready(True, target, edits, values)
+        bind(projector.order, projector.order, *records(projector))
+        self.pairs.plan.bind_to_storage_buffer(6)
+        program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
+        self._ctx.memory_barrier()
+
+    def _ready(
+        self, rest: bool, target: ColourTarget, edits: EditTextures, values: dict[str, Uniform]
+    ) -> moderngl.ComputeShader:
+        tuning = self.tuning
+        flags = {
+            "REST": rest,
+            "TILE": tuning.tile,
+            "WORKGROUP": tuning.workgroup,
+            "BATCH": tuning.batch,
+            "ROUNDS": tuning.pairs.most_rounds,
+            **edits.now.flags(projects=False, shows="splats"),
+        }
+        variant = frozenset(flags.items())
+        if variant not in self._blending:
+            self._blending[variant] = load_compute(self._ctx, "tiles/blend.comp.glsl", flags)
+        program = self._blending[variant]
+        edits.use(program)
+        set_uniforms(program, values)
+        target.texture.bind_to_image(0, read=True, write=True)
+        return program
+
+    def release(self) -> None:
+        super().release()
+        self.pairs.release()
+        for program in self._blending.values():
+            program.release()
