@@ -13,8 +13,9 @@ from functools import partial
 from typing import Any
 
 from ..scene import InputError, RenderSettings
+from ..scene.stored import FORMATS, Attributes
 
-GL, CPU, REFERENCE = ("quads",), ("cpu",), ("reference",)
+GL, TILES, CPU, REFERENCE = ("quads",), ("tiles",), ("cpu",), ("reference",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,10 @@ class Plan:
     settings: RenderSettings = field(default_factory=RenderSettings)
     resolution: float = 1.0
     """Share of the sides that is drawn, and then enlarged to the full size."""
+    kept: float = 1.0
+    """Share of the splats that is drawn: those that make most of the scene's pictures."""
+    attributes: Attributes = "float32"
+    """How the renderer stores the scene, by `scene.stored`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +80,12 @@ def _at_most_degree(plan: Plan, degree: int) -> Plan:
     return _with_settings(plan, {"sh_degree": degree if now is None else min(now, degree)})
 
 
-def _at_resolution(plan: Plan, share: float) -> Plan:
-    return replace(plan, resolution=share)
+def _planned(text: str, **changes: Any) -> Value:
+    return Value(text=text, apply=partial(_with_changes, changes=changes))
+
+
+def _with_changes(plan: Plan, changes: Mapping[str, Any]) -> Plan:
+    return replace(plan, **changes)
 
 
 KNOBS: tuple[Knob, ...] = (
@@ -84,7 +93,7 @@ KNOBS: tuple[Knob, ...] = (
         name="sh-degree",
         title="SH degree",
         changes="highest band of view-dependent colour; lower saves reading and summing coefficients",
-        renderers=GL + CPU + REFERENCE,
+        renderers=GL + TILES + CPU + REFERENCE,
         values=tuple(
             Value(text=str(degree), apply=partial(_at_most_degree, degree=degree)) for degree in (3, 2, 1, 0)
         ),
@@ -100,18 +109,32 @@ KNOBS: tuple[Knob, ...] = (
         name="early-stop",
         title="Early stop",
         changes="a pixel ends when less light than this comes through; splats behind it cost nothing",
-        renderers=GL + CPU,
+        renderers=GL + TILES + CPU,
         values=tuple(_setting(text, early_stop=float(text)) for text in ("0", "1e-4", "1e-2")),
     ),
     Knob(
         name="resolution",
         title="Image scale",
         changes="draws fewer pixels and enlarges them; the coarsest shortcut of all",
-        renderers=GL + CPU + REFERENCE,
+        renderers=GL + TILES + CPU + REFERENCE,
         values=tuple(
-            Value(text=text, apply=partial(_at_resolution, share=share))
-            for text, share in (("1", 1.0), ("1/2", 0.5), ("1/4", 0.25))
+            _planned(text, resolution=share) for text, share in (("1", 1.0), ("1/2", 0.5), ("1/4", 0.25))
         ),
+    ),
+    Knob(
+        name="keep",
+        title="Splats kept",
+        changes="% of the splats, by what they contribute to views from all around; the rest is not drawn",
+        renderers=GL + TILES + CPU + REFERENCE,
+        values=tuple(_planned(text, kept=int(text) / 100) for text in ("100", "75", "50", "25")),
+    ),
+    Knob(
+        name="attributes",
+        title="Attribute precision",
+        changes="bits in which the scene is stored: quads stores and reads fewer bytes; cpu draws the same"
+        " rounded values from float32 and saves nothing",
+        renderers=CPU,
+        values=tuple(_planned(text, attributes=text) for text in FORMATS),
     ),
 )
 

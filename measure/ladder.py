@@ -35,6 +35,11 @@ class Artist(Protocol):
 
     name: str
 
+    def prepare(self, camera: Camera, plan: Plan) -> None:
+        """What must be there before `camera` is drawn, such as the scene stored in the plan's way: no part of
+        a frame's time."""
+        ...
+
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
         """The picture (H, W, 4) float32; never one that was kept from an earlier call."""
         ...
@@ -218,6 +223,7 @@ def judge(one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray]) 
     """Draws every view and compares it with the truth."""
     decibels, similarities, worst = [], [], 0.0
     for camera, truth in zip(views, truths, strict=True):
+        one.rung.artist.prepare(camera, one.rung.plan)
         picture = one.rung.artist.draw(camera, one.rung.plan)
         decibels.append(psnr(picture, truth))
         if min(truth.shape[:2]) >= SSIM_SIDE:
@@ -230,6 +236,7 @@ def judge(one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray]) 
 
 def timed_draw(rung: Rung, camera: Camera) -> float:
     """ms of one frame up to its pixels in memory."""
+    rung.artist.prepare(camera, rung.plan)
     begun = time.perf_counter()
     rung.artist.draw(camera, rung.plan)
     return 1e3 * (time.perf_counter() - begun)

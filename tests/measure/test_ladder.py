@@ -26,7 +26,11 @@ class Pretender:
         self.name, self.milliseconds, self.error = name, milliseconds, error
         self.cameras: list[bytes] = []
 
+    def prepare(self, camera: Camera, plan: Plan) -> None:
+        self.prepared = plan
+
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+        assert self.prepared == plan
         degree = 3 if plan.settings.sh_degree is None else plan.settings.sh_degree
         time.sleep((self.milliseconds - 2 * (3 - degree)) / 1e3 * plan.resolution)
         self.cameras.append(camera.world_to_camera.tobytes())

@@ -10,22 +10,32 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.stored import Attributes
 
 if TYPE_CHECKING:
     import moderngl
 
     from ..gl import VisualMode
 
-RENDERERS = ("auto", "quads", "cpu", "reference")
+RENDERERS = ("auto", "quads", "tiles", "cpu", "reference")
 
 FOOTPRINT_BYTES = 8 * 16
 """What `scene.projection.Footprints` has of a splat."""
+
+
+MOST_HELD = 1 << 30
+"""Bytes of scenes that stay loaded besides the latest."""
 
 
 class HeadlessRenderer(Protocol):
     """One scene, many pictures."""
 
     name: str
+
+    def load(self, gaussians: Gaussians, attributes: Attributes) -> None:
+        """Gets ready to draw `gaussians`, whose values fit into `attributes` (`scene.stored`); nothing where
+        that was done before. `draw` does it too, in float32."""
+        ...
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
@@ -43,16 +53,33 @@ class HeadlessRenderer(Protocol):
 
 
 class Quads:
-    """The GL renderer on a context without a window."""
+    """A GL renderer on a context without a window.
+
+    Forms of a scene stay loaded side by side, while they fit, so that they can be drawn in turns.
+    """
 
     name = "quads"
 
     def __init__(self, ctx: moderngl.Context):
+        self._ctx = ctx
+        self._largest: tuple[int, int] = ctx.info["GL_MAX_VIEWPORT_DIMS"]
+        self._loaded: list[tuple[Gaussians, Any]] = []
+        """Scenes and their renderers, the latest last."""
+
+    def load(self, gaussians: Gaussians, attributes: Attributes) -> None:
         from ..gl import make_renderer
 
-        self._renderer: Any = make_renderer(ctx)
-        self._largest: tuple[int, int] = ctx.info["GL_MAX_VIEWPORT_DIMS"]
-        self._loaded: Gaussians | None = None
+        for place, (scene, _) in enumerate(self._loaded):
+            if scene is gaussians:
+                self._loaded.append(self._loaded.pop(place))
+                return
+        with self._ctx:
+            renderer = make_renderer(self._ctx, self.name)
+            renderer.load(gaussians)
+        self._loaded.append((gaussians, renderer))
+        while len(self._loaded) > 1 and sum(map(_bytes_of, self._loaded)) > MOST_HELD:
+            with self._ctx:
+                self._loaded.pop(0)[1].release()
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
@@ -62,20 +89,35 @@ class Quads:
                 f"OpenGL draws at most {self._largest[0]}x{self._largest[1]} here, "
                 f"not {camera.width}x{camera.height}; use --renderer cpu or a smaller --size"
             )
-        if gaussians is not self._loaded:
-            self._renderer.load(gaussians)
-            self._loaded = gaussians
-        self._renderer.draw(camera, settings, mode=mode)
-        return self._renderer.read()
+        if not self._loaded or self._loaded[-1][0] is not gaussians:
+            self.load(gaussians, "float32")
+        with self._ctx:  # another renderer's may be the current one
+            self._renderer.draw(camera, settings, mode=mode)
+            return self._renderer.read()
+
+    @property
+    def _renderer(self) -> Any:
+        return self._loaded[-1][1]
 
     def stats(self) -> tuple[int, dict[str, float]]:
-        stats = self._renderer.finished_stats()
+        with self._ctx:
+            stats = self._renderer.finished_stats()
         return stats.visible, dict(stats.ms)
 
     def memory(self) -> int:
-        from ..gl.memory import held_bytes
+        return _bytes_of(self._loaded[-1])
 
-        return held_bytes(self._renderer)
+
+def _bytes_of(loaded: tuple[Gaussians, Any]) -> int:
+    from ..gl.memory import held_bytes
+
+    return held_bytes(loaded[1])
+
+
+class Tiles(Quads):
+    """The same by tiles."""
+
+    name = "tiles"
 
 
 class Cpu:
@@ -91,6 +133,9 @@ class Cpu:
         self._workspace = Workspace()
         self._last: tuple[int, dict[str, float]] = (0, {})
         self._image_bytes = 0
+
+    def load(self, gaussians: Gaussians, attributes: Attributes) -> None:
+        """Scenes are drawn from where they are."""
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
@@ -118,6 +163,9 @@ class Reference:
     def __init__(self) -> None:
         self._last: tuple[Gaussians, Camera, RenderSettings] | None = None
         self._milliseconds = 0.0
+
+    def load(self, gaussians: Gaussians, attributes: Attributes) -> None:
+        """Scenes are drawn from where they are."""
 
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
@@ -156,7 +204,7 @@ def make_headless(name: str, *, mode: VisualMode = "splats") -> HeadlessRenderer
         return Reference()
     from ..gl.context import create_headless_context
 
-    return Quads(create_headless_context())
+    return (Tiles if name == "tiles" else Quads)(create_headless_context())
 
 
 def automatic_choice() -> tuple[str, str]:

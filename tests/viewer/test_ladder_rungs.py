@@ -1,0 +1,122 @@
+"""What the ladder says of a shortcut is what one finds oneself with `splatview render`, rung for rung."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.measure.knobs import KNOBS, Knob, Plan, apply_choices
+from splatview.measure.ladder import rungs_for
+from splatview.measure.metrics import psnr
+from splatview.scene import Camera, Gaussians, InputError, look_at
+from splatview.scene.files import save_scene
+from splatview.viewer.cli import main
+from splatview.viewer.commands.ladder import draw_truths
+from splatview.viewer.commands.plans import SceneArtist
+from splatview.viewer.commands.renderers import make_headless
+from splatview.viewer.gl.context import create_headless_context
+
+EXACT_DB = 60.0
+EYE, TARGET, SIZE = (-0.5, -1.0, -3.0), (0.0, 0.1, 0.0), (64, 48)
+VIEW = ["--eye", "-0.5,-1,-3", "--target", "0,0.1,0", "--size", "64x48"]
+CAMERA = look_at(EYE, TARGET, up=(0, -1, 0), width=SIZE[0], height=SIZE[1])
+
+
+def renderers() -> list[str]:
+    try:
+        create_headless_context(require=430).release()
+    except InputError:
+        return ["cpu"]
+    return ["cpu", "quads"]
+
+
+@pytest.fixture(scope="module")
+def scene(random_gaussians) -> Gaussians:
+    """Large opaque splats in front of many others, so that every shortcut leaves out something."""
+    made = random_gaussians(400, seed=4)
+    return replace(made, log_scales=made.log_scales + 0.7, opacity_logits=made.opacity_logits + 3)
+
+
+@pytest.fixture(scope="module")
+def truth(scene) -> np.ndarray:
+    truths, apart = draw_truths(scene, [CAMERA], Plan().settings)
+    assert apart < 1e-9
+    return truths[0]
+
+
+@pytest.fixture(scope="module")
+def artists(scene) -> dict[str, SceneArtist]:
+    return {name: SceneArtist(make_headless(name), scene) for name in renderers()}
+
+
+def drawn(artist: SceneArtist, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:
+    plan = apply_choices(Plan(), choices, artist.name)
+    artist.prepare(camera, plan)
+    return artist.draw(camera, plan)
+
+
+def owned(knobs: tuple[Knob, ...] = KNOBS) -> list[tuple[str, Knob]]:
+    return [(name, knob) for name in ("cpu", "quads") for knob in knobs if name in knob.renderers]
+
+
+def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys):
+    save_scene(scene, tmp_path / "scene.ply")
+    names = renderers()
+
+    def run(*argv: object) -> str:
+        assert main([str(argument) for argument in argv]) == 0
+        return capsys.readouterr().out
+
+    def rendered(*options: str) -> np.ndarray:
+        out = tmp_path / "x.npy"
+        run("render", tmp_path / "scene.ply", "-o", out, *VIEW, *options)
+        return np.load(out)
+
+    text = run(
+        *("ladder", tmp_path / "scene.ply", *VIEW, "--json", "--views", 1, "--seconds", 1),
+        *("--renderers", ",".join(names)),
+    )
+    rungs = json.loads(text)["rungs"]
+    artists = [SceneArtist(make_headless(name), scene) for name in names]
+    expected = {(r.artist.name, r.knob, r.value) for r in rungs_for(artists, Plan(), used_sh_degree=3)}
+    assert {(r["renderer"], r["knob"], r["value"]) for r in rungs} == expected
+    reference = rendered("--renderer", "reference")
+    for rung in rungs:
+        here = psnr(rendered(*rung["options"]), reference)
+        stated = rung["psnr"]
+        # Above 100 dB float32 itself, in which pictures are written, begins to count.
+        close = here > 100 and stated > 100 or stated == pytest.approx(here, abs=0.1)
+        assert close, (rung["renderer"], rung["knob"], rung["value"], stated, here)
+
+
+@pytest.mark.parametrize(("name", "knob"), owned(), ids=lambda x: getattr(x, "name", x))
+def test_the_exact_end_of_every_knob_is_exact_and_the_others_are_not(artists, truth, name, knob):
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    best, *coarser = (psnr(drawn(artists[name], {knob.name: value.text}), truth) for value in knob.values)
+    assert best >= EXACT_DB
+    # Above so much, roundings decide.
+    decibels = [min(each, 90) for each in (best, *coarser)]
+    if knob.monotone:
+        assert all(b <= a + 0.01 for a, b in zip(decibels, decibels[1:], strict=False)), decibels
+    if (name, knob.name) != ("quads", "early-stop"):  # whole blocks stop, and this picture has too few
+        assert min(coarser) < best
+
+
+@pytest.mark.parametrize("name", ["cpu", "quads"])
+def test_splats_kept_are_the_same_whatever_is_drawn(artists, scene, name):
+    from splatview.viewer.reduced import reduced
+
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    half, quarter = (reduced(scene, Plan(kept=share)) for share in (0.5, 0.25))
+    assert (len(half), len(quarter)) == (200, 100)
+    assert reduced(scene, Plan(kept=0.5)) is half
+    rows = {row.tobytes() for row in half.means}
+    assert all(row.tobytes() in rows for row in quarter.means), "a smaller share is part of a larger one"
+    direct = make_headless(name).draw(half, CAMERA, Plan().settings)
+    np.testing.assert_array_equal(drawn(artists[name], {"keep": "50"}), direct)

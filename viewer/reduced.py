@@ -1,0 +1,67 @@
+"""Scenes as shortcuts reduce them: fewer splats, attributes in fewer bits; made once a scene and kept.
+
+What is kept of a scene is decided by measured contribution: the share of the pictures' light that a splat
+makes in views from all around (`edit.sample_views`), whatever view is drawn in the end. Smaller shares are
+subsets of larger ones.
+"""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..measure.knobs import Plan
+from ..scene import Gaussians
+from ..scene.edits import SceneEdits
+from ..scene.effects import settings_for
+from ..scene.stored import Attributes, stored
+
+
+class Reduced:
+    """The reduced forms of one scene, made when first asked for."""
+
+    def __init__(self) -> None:
+        self._ranking: np.ndarray | None = None
+        self._forms: dict[tuple[float, Attributes], Gaussians] = {}
+
+    def form(self, gaussians: Gaussians, kept: float, attributes: Attributes) -> Gaussians:
+        key = kept, attributes
+        if key not in self._forms:
+            fewer = gaussians if kept >= 1 else gaussians.take(self._most_seen(gaussians, kept))
+            self._forms[key] = stored(fewer, attributes)
+        return self._forms[key]
+
+    def _most_seen(self, gaussians: Gaussians, share: float) -> np.ndarray:
+        if self._ranking is None:
+            self._ranking = ranked_by_contribution(gaussians)
+        return np.sort(self._ranking[: kept_count(len(gaussians), share)])
+
+
+_reduced: WeakKeyDictionary[Gaussians, Reduced] = WeakKeyDictionary()
+
+
+def reduced(gaussians: Gaussians, plan: Plan) -> Gaussians:
+    """The scene that `plan` draws: `gaussians` itself where nothing is reduced, else a form of it that is the
+    same object whenever it is asked for again."""
+    if plan.kept >= 1 and plan.attributes == "float32":
+        return gaussians
+    return _reduced.setdefault(gaussians, Reduced()).form(gaussians, plan.kept, plan.attributes)
+
+
+def kept_count(splats: int, share: float) -> int:
+    """How many of `splats` a share is: one at least, if there are any."""
+    return min(splats, max(1, round(splats * share)))
+
+
+def ranked_by_contribution(gaussians: Gaussians) -> np.ndarray:
+    """(N,) indices, the splats that make most of the pictures first; of equals the earlier one."""
+    # Imported when needed: they compile.
+    from .. import raster
+    from ..edit.sample_views import sample_cameras
+
+    if not len(gaussians):
+        return np.zeros(0, np.intp)
+    cameras = sample_cameras(gaussians, SceneEdits(marks=np.zeros(len(gaussians), np.uint32)))
+    worth = raster.contributions(gaussians, cameras, settings_for(gaussians))
+    return np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")
