@@ -12,8 +12,9 @@ from .parameters import Parameters, describe
 from .pool import TASKS_PER_THREAD, run
 from .project_backward import POSE_BLOCK, project_backward
 
-MAX_SUMMED_PAIRS = 1 << 23
-"""Pairs whose sums are in memory at once, 64 bytes each in float32: half a GiB."""
+MAX_SUMMED_PAIRS = 5 << 20
+"""Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for
+the compiler too beside 5 million splats in 4 GiB."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
