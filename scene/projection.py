@@ -114,9 +114,11 @@ def project(
     t, offsets, opacities = t[indices], offsets[indices], opacities[indices]
 
     axes_world = rotation_matrices(quats[indices]) * scales[indices][:, None, :]
-    M = projection_jacobians(t, camera, model.jacobian_margin) @ (
-        camera.R_camera_world.astype(dtype) @ axes_world
-    )
+    # Scales just within float32's range leave it here; what does is dropped below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        M = projection_jacobians(t, camera, model.jacobian_margin) @ (
+            camera.R_camera_world.astype(dtype) @ axes_world
+        )
     covariances, det, det_unblurred, spread = footprint_covariances(M, model.blur)
     if model.antialiased:
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -139,7 +141,9 @@ def project(
             drawn = opacities > 0
     drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d) & _finite(real_covariances)
 
-    directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    # By the largest component first: the squares of 1e20 leave float32's range.
+    directions = offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     colours = sh_colours(used_sh[indices], directions, degree)
     drawn &= _finite(colours)
     return Footprints(
@@ -192,7 +196,8 @@ def footprint_covariances(
     det of M·Mᵀ alone (N,); spread (N,) px. Where M is not finite so are they.
     """
     spread = np.maximum(np.abs(M).reshape(len(M), -1).max(axis=1), 1) if len(M) else np.ones(0, M.dtype)
-    m0, m1 = M[:, 0] / spread[:, None], M[:, 1] / spread[:, None]
+    with np.errstate(invalid="ignore"):
+        m0, m1 = M[:, 0] / spread[:, None], M[:, 1] / spread[:, None]
     blur_scaled = (blur / spread / spread).astype(M.dtype)
     xx, xy, yy = (m0 * m0).sum(1), (m0 * m1).sum(1), (m1 * m1).sum(1)
     det_unblurred = (np.cross(m0, m1) ** 2).sum(1)

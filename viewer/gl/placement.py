@@ -39,4 +39,7 @@ def placement_of(means: np.ndarray) -> Placement:
         median = np.median(sample, axis=0)
         radius = float(np.median(np.linalg.norm(sample - median, axis=1)))
     far = not np.abs(median).max() <= FAR_FROM_ORIGIN * radius
-    return Placement(centre=median if far else np.zeros(3), median=median, radius=radius or 1.0)
+    # On a coarse grid of float32 numbers, what lies near the centre keeps its digits relative to it.
+    step = 2.0 ** np.floor(np.log2(radius)) if 0 < radius < np.inf else 0.0
+    centre = np.round(median / step) * step if step > 0 else median
+    return Placement(centre=centre if far else np.zeros(3), median=median, radius=radius or 1.0)

@@ -1,0 +1,35 @@
+"""Hard cases: scenes that break renderers, and what must happen to each.
+
+Each module is a theme. Where a case was seen in another project, its sentence names the place.
+"""
+
+from __future__ import annotations
+
+from ...scene import InputError
+from . import colours, far_away, ill_values, near_eye, opacities, order, pictures, rotations, shapes
+from .case import HardCase, Same
+
+__all__ = ["CASES", "HardCase", "Same", "find_case"]
+
+CASES: tuple[HardCase, ...] = (
+    *rotations.CASES,
+    *shapes.CASES,
+    *near_eye.CASES,
+    *opacities.CASES,
+    *colours.CASES,
+    *ill_values.CASES,
+    *order.CASES,
+    *far_away.CASES,
+    *pictures.CASES,
+)
+
+
+def find_case(name: str) -> HardCase:
+    """The case called `name`. Raises InputError where there is none, naming those that sound alike."""
+    for case in CASES:
+        if case.name == name:
+            return case
+    words = name.lower().split()
+    alike = [case.name for case in CASES if any(word in case.name.lower() for word in words)]
+    hint = f"do you mean {', '.join(map(repr, alike[:6]))}?" if alike else "see splatview stability --list"
+    raise InputError(f"there is no case {name!r}; {hint}")
