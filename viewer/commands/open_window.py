@@ -12,7 +12,7 @@ from ...scene.files import load_scene
 from ...scene.framing import frame_camera
 from .arguments import DEFAULT_SIZE, Parser
 from .pictures import check_output, write_picture
-from .renderers import Cpu, HeadlessRenderer, Quads
+from .renderers import Cpu, HeadlessRenderer, Quads, Tiles
 
 DEFAULT_PREVIEW = Path("splatview-preview.png")
 
@@ -20,7 +20,7 @@ DEFAULT_PREVIEW = Path("splatview-preview.png")
 def run(arguments: list[str]) -> int:
     parser = Parser("", "Opens scenes in a window.", usage="splatview [SCENE ...] [options]")
     parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE")
-    parser.add_argument("--renderer", choices=("auto", "quads", "cpu"), default="auto")
+    parser.add_argument("--renderer", choices=("auto", "quads", "tiles", "cpu"), default="auto")
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_PREVIEW, metavar="FILE.png")
     args = parser.parse(arguments)
     if args is None:
@@ -69,15 +69,15 @@ def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
 
 
 def preview_renderer(renderer: str) -> HeadlessRenderer:
-    """`quads` by EGL unless `cpu` is asked for; where there is no EGL, `cpu`, saying so."""
+    """`quads` by EGL unless another is asked for; where there is no EGL, `cpu`, saying so."""
     if renderer == "cpu":
         return Cpu()
     from ..gl.context import create_headless_context
 
     try:
-        return Quads(create_headless_context())
+        return (Tiles if renderer == "tiles" else Quads)(create_headless_context())
     except InputError as error:
-        if renderer == "quads":
+        if renderer != "auto":
             raise
         print(f"splatview: {error}; rendering on the CPU", file=sys.stderr)
         return Cpu()

@@ -192,7 +192,7 @@ def run_window(
     With a `training` it shows that one instead, and begins it; ending it is left to the caller.
 
     `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
-    `renderer`: "auto", "quads" or "cpu". `drive(core, ctx)` is for tests: it runs beside the frame loop
+    `renderer`: one of `picture.RENDERERS`. `drive(core, ctx)` is for tests: it runs beside the frame loop
     with ImGui's test-engine context, and the window closes when it returns.
 
     Returns:

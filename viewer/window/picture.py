@@ -107,15 +107,15 @@ class Picture(Protocol):
 
 
 class GpuPicture:
-    """The GL renderer that suits the context, drawing straight into the window's context."""
+    """A GL renderer, drawing straight into the window's context."""
 
     modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
     threads: int | None = None
     cores: float | None = None
 
-    def __init__(self, ctx: moderngl.Context):
-        self._renderer = make_renderer(ctx)
-        self.name = f"quads (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
+    def __init__(self, ctx: moderngl.Context, name: str = "quads"):
+        self._renderer = make_renderer(ctx, name)
+        self.name = f"{name} (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
         self._renderer.load(EMPTY)
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
@@ -290,7 +290,7 @@ class CpuPicture:
 def choose_picture(
     ctx: moderngl.Context, renderer: str, *, on_ready: Callable[[], object] = lambda: None
 ) -> Picture:
-    """What draws: `renderer` is "auto", "quads" or "cpu"; "auto" takes the CPU where GL is only software.
+    """What draws: `renderer` is of RENDERERS; "auto" takes the CPU where GL is only software, else `quads`.
     `on_ready` is called, in any thread, when a picture has come that was waited for.
 
     Raises:
@@ -300,10 +300,10 @@ def choose_picture(
         raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
     if renderer == "cpu" or (renderer == "auto" and describe(ctx).is_software):
         return CpuPicture(ctx, on_ready=on_ready)
-    return GpuPicture(ctx)
+    return GpuPicture(ctx, "tiles" if renderer == "tiles" else "quads")
 
 
-RENDERERS = ("auto", "quads", "cpu")
+RENDERERS = ("auto", "quads", "tiles", "cpu")
 
 
 EMPTY = Gaussians(
