@@ -68,7 +68,9 @@ def close(image: np.ndarray, truth: np.ndarray, bound: float) -> bool:
     return image.dtype == np.float32 and bool(np.abs(image - truth).max() <= bound)
 
 
-@pytest.mark.parametrize(("renderer", "bound"), [("reference", 1e-6), ("cpu", 1e-4), ("quads", 1e-3)])
+@pytest.mark.parametrize(
+    ("renderer", "bound"), [("reference", 1e-6), ("cpu", 1e-4), ("tiles", 1e-3), ("quads", 1e-3)]
+)
 def test_renderers_draw_what_the_reference_draws(rendered, gaussians, renderer, bound):
     image = rendered(
         *VIEW,
@@ -159,7 +161,7 @@ def test_turning_moves_the_eye_about_the_target():
     assert np.allclose(orbit.turned(50).eye, Orbit(orbit.turned(20), orbit.target, orbit.up).turned(30).eye)
 
 
-@pytest.mark.parametrize("renderer", ["cpu", "quads", "reference"])
+@pytest.mark.parametrize("renderer", ["cpu", "quads", "tiles", "reference"])
 def test_stats_are_one_json_object(splatview, scene, gaussians, tmp_path, renderer):
     options = ["--frames", 3, "--turn", 40, "--stats", "--renderer", renderer]
     out = splatview("render", scene, *VIEW, *options, "-o", tmp_path / "a.npy")

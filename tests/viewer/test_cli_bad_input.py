@@ -104,7 +104,8 @@ USAGE = {
     "abbreviated option": (["S", "-o", "O", "--rend", "cpu"], "--rend"),
     "nothing to do": (["S"], "-o OUT.png or --stats"),
     "unknown renderer": (["S", "-o", "O", "--renderer", "gpu"], "--renderer"),
-    "tiles are not there": (["S", "-o", "O", "--renderer", "tiles"], "--renderer"),
+    "no such renderer": (["S", "-o", "O", "--renderer", "pixels"], "--renderer"),
+    "blend of tiles": (["S", "-o", "O", "--renderer", "tiles", "--blend", "float16"], "quads can do it"),
     "eye without target": (["S", "-o", "O", "--eye", "0,0,1"], "--target"),
     "target without eye": (["S", "-o", "O", "--target", "0,0,1"], "--eye"),
     "eye is target": (["S", "-o", "O", "--eye", "0,0,1", "--target", "0,0,1"], "same point"),
@@ -129,6 +130,7 @@ USAGE = {
     "index and name": (["S", "-o", "O", "--camera", "C", "--camera-index", "1", "--camera-name", "a"], "one"),
     "camera file missing": (["S", "-o", "O", "--camera", "C"], "no such file"),
     "mode on the cpu": (["S", "-o", "O", "--mode", "depth", "--renderer", "cpu"], "quads"),
+    "mode by tiles": (["S", "-o", "O", "--mode", "depth", "--renderer", "tiles"], "quads"),
     "alpha and background": (["S", "-o", "O", "--alpha", "--background", "0,0,0"], "--background"),
     "alpha in npy": (["S", "-o", "N", "--alpha"], "--alpha"),
 }
