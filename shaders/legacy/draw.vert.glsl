@@ -9,6 +9,7 @@ uniform sampler2D u_shapes;
 uniform sampler2D u_bounds;
 uniform sampler2D u_colours;   // alpha is 0 where the splat is culled
 uniform int u_ordered;         // how many of `u_order` to draw
+uniform float u_brightest;     // what the target can hold: infinity times no light would be NaN
 
 void main() {
     place_nothing();
@@ -21,5 +22,5 @@ void main() {
     place_quad(
         texelFetch(u_shapes, texel, 0),
         texelFetch(u_bounds, texel, 0),
-        vec4(tinted(splat, colour.rgb), colour.a));
+        vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
 }

@@ -12,6 +12,7 @@ layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
 layout(std430, binding = 5) readonly buffer Keys { uint keys[]; };
 #endif
 uniform uint u_slab;
+uniform float u_brightest;  // what the target can hold: infinity times no light would be NaN
 
 void main() {
     uint slot = slab_starts[u_slab] + uint(gl_InstanceID) * uint(QUADS_PER_INSTANCE) + uint(gl_VertexID >> 2);
@@ -24,5 +25,5 @@ void main() {
 #if DEPTH
     colour.rgb = vec3(uintBitsToFloat(keys[slot] & 0x7FFFFFFFu));  // visible depths are positive
 #endif
-    place_quad(shapes[splat], bounds[splat], vec4(tinted(splat, colour.rgb), colour.a));
+    place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
 }

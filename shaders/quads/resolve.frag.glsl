@@ -2,6 +2,7 @@
 #include "common/colour_maps.glsl"
 uniform sampler2D u_gathered;  // rgb, T; with DEPTH sums of depth in r, with OVERDRAW the count of splats in r
 uniform vec3 u_background;
+uniform float u_brightest;     // what the picture can hold
 uniform vec2 u_depth_range;    // world units, near and far
 out vec4 colour;
 
@@ -21,5 +22,6 @@ void main() {
     gathered = vec4(inferno(min(t, 1.0)), 0.0);
     opacity = 1.0;
 #endif
-    colour = vec4(gathered.rgb + gathered.a * u_background, opacity);
+    vec3 sum = gathered.rgb + gathered.a * u_background;
+    colour = vec4(clamp(sum, -u_brightest, u_brightest), opacity);
 }

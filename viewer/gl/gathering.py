@@ -97,7 +97,7 @@ class Gathering:
                 *(order, projector.slab_starts, projector.shapes, projector.bounds, projector.colours),
                 projector.keys,
             )
-            set_uniforms(program, {"u_slab": slab})
+            set_uniforms(program, {"u_slab": slab, "u_brightest": target.brightest})
             array.render_indirect(projector.commands, moderngl.TRIANGLES, count=1, first=slab)
 
     def _draw_ellipsoids(

@@ -46,7 +46,8 @@ class LegacyGathering:
         self._ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
         order.use(0)
         projection.use(program, 1)
-        set_uniforms(program, {**uniforms, "u_order": 0, "u_ordered": ordered})
+        own = {"u_order": 0, "u_ordered": ordered, "u_brightest": target.brightest}
+        set_uniforms(program, {**uniforms, **own})
         array.render(moderngl.TRIANGLES, instances=-(-ordered // QUADS_PER_INSTANCE))
 
     def draw_ellipsoids(

@@ -45,7 +45,12 @@ class Resolving:
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
-        values = {"u_gathered": 0, "u_background": background, "u_depth_range": depths or (0.0, 1.0)}
+        values = {
+            "u_gathered": 0,
+            "u_background": background,
+            "u_brightest": shown.brightest,
+            "u_depth_range": depths or (0.0, 1.0),
+        }
         set_uniforms(program, values)
         array.render(moderngl.TRIANGLES, vertices=3)
 

@@ -14,6 +14,9 @@ Precision = Literal["float16", "float32"]
 DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4"}
 """moderngl's names."""
 
+BRIGHTEST: dict[str, float] = {"float16": 65504.0, "float32": float(np.finfo(np.float32).max)}
+"""Colours beyond this become infinite in a target."""
+
 
 class ColourTarget:
     """One RGBA texture with a framebuffer around it."""
@@ -27,6 +30,11 @@ class ColourTarget:
         self._ctx = ctx
         self._depth: moderngl.Renderbuffer | None = None
         self._deep: moderngl.Framebuffer | None = None
+
+    @property
+    def brightest(self) -> float:
+        """The largest colour that it holds."""
+        return BRIGHTEST[self.precision]
 
     def with_depth(self) -> moderngl.Framebuffer:
         """The same texture with a depth buffer, made when first asked for."""

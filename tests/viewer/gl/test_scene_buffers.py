@@ -76,7 +76,8 @@ def test_positions_are_centred_only_where_that_keeps_digits(random_gaussians):
     placement = placement_of(far)
     centre, median, radius = placement.centre, placement.median, placement.radius
     assert np.allclose(centre, 1e6, atol=1)
-    assert np.array_equal(centre, median)
+    assert np.abs(centre - median).max() <= radius
+    assert np.array_equal(centre, centre.astype(np.float32))
     assert 0.5 < radius < 1
     assert (placement_of(np.full((3, 3), np.nan)).centre == 0).all()
 
