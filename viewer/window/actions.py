@@ -20,6 +20,7 @@ from .navigation.framing import axis
 from .navigation.view import MAX_FOV, MIN_FOV
 from .preferences import NavigationMode
 from .training import actions as training
+from .training.held import let_go
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
 VISUAL_MODES: tuple[VisualMode, ...] = get_args(VisualMode)
@@ -173,6 +174,8 @@ def cancel(core: Core) -> None:
         cancel_job(core)
     elif core.desk and core.desk.tool != "none":
         take_tool(core, "none")
+    elif core.desk and core.desk.trainee:
+        let_go(core)
 
 
 def quit_window(core: Core) -> None:

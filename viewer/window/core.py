@@ -203,6 +203,18 @@ class Core:
     # ---- edits
 
     @property
+    def can_edit(self) -> bool:
+        """Whether something is shown that tools can choose from."""
+        training = self.training
+        shown = training is not None and training.shown is not None and training.followed_by(self)
+        return self.desk is not None or shown
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a scene is open that no trainer changes: every edit can be done and kept."""
+        return self.desk is not None and self.desk.trainee is None
+
+    @property
     def edits(self) -> SceneEdits | None:
         """Those of the scene that the picture holds; None where nothing is edited."""
         return self.desk.edits if self.desk else None

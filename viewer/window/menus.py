@@ -63,13 +63,13 @@ def file_menu(core: Core) -> None:
         if imgui.menu_item("Forget these", "", False)[0]:
             core.prefer(recent=())
         imgui.end_menu()
-    item(core, "merge", "Merge as an edit...", enabled=core.desk is not None)
+    item(core, "merge", "Merge as an edit...", enabled=core.at_rest)
     item(core, "reload", enabled=core.scene_path is not None)
     imgui.separator()
-    item(core, "export", "Export the edited scene...", enabled=core.desk is not None)
-    item(core, "split", "Selection to its own file...", enabled=core.desk is not None)
-    item(core, "save_recipe", "Save recipe...", enabled=core.desk is not None)
-    item(core, "replay_recipe", "Replay recipe...", enabled=core.desk is not None)
+    item(core, "export", "Export the edited scene...", enabled=core.can_edit)
+    item(core, "split", "Selection to its own file...", enabled=core.at_rest)
+    item(core, "save_recipe", "Save recipe...", enabled=core.at_rest)
+    item(core, "replay_recipe", "Replay recipe...", enabled=core.at_rest)
     imgui.separator()
     if imgui.menu_item("Demo scene", "", False)[0]:
         core.post(opening.begin_demo)
@@ -89,24 +89,30 @@ def edit_menu(core: Core) -> None:
     item(core, "undo", enabled=history is not None and history.can_undo)
     item(core, "redo", enabled=history is not None and history.can_redo)
     imgui.separator()
-    for action in ("delete", "hide", "isolate", "lock", "duplicate"):
+    for action in ("delete", "hide", "isolate", "lock"):
         item(core, action, enabled=selected)
+    item(core, "duplicate", enabled=selected and core.at_rest)
     item(core, "show", enabled=desk is not None and desk.document.counts.hidden > 0)
     item(core, "unlock", enabled=desk is not None and desk.document.counts.locked > 0)
     imgui.separator()
-    item(core, "tool_measure", selected=desk is not None and desk.tool == "measure")
+    item(
+        core,
+        "tool_measure",
+        selected=desk is not None and desk.tool == "measure",
+        enabled=core.can_edit,
+    )
 
 
 def select_menu(core: Core) -> None:
     desk = core.desk
     for action in ("select_all", "select_none", "select_inverse"):
-        item(core, action, enabled=desk is not None)
+        item(core, action, enabled=core.can_edit)
     imgui.separator()
     for tool in ("rectangle", "brush", "lasso", "polygon", "flood", "colour"):
-        item(core, f"tool_{tool}", selected=desk is not None and desk.tool == tool, enabled=desk is not None)
+        item(core, f"tool_{tool}", selected=desk is not None and desk.tool == tool, enabled=core.can_edit)
     imgui.separator()
     front = desk is not None and desk.depth == "front"
-    item(core, "next_depth", "Only the front surface", selected=front, enabled=desk is not None)
+    item(core, "next_depth", "Only the front surface", selected=front, enabled=core.can_edit)
 
 
 def camera_menu(core: Core) -> None:

@@ -11,6 +11,7 @@ from .panels import widgets
 from .panels.camera import NAVIGATION_NAMES
 from .panels.rendering import MODE_NAMES, MODE_TIP
 from .shortcuts import keys_of
+from .training import rules
 
 HINTS = {
     "orbit": "Drag: orbit   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
@@ -45,12 +46,30 @@ def over_picture(core: Core) -> None:
         imgui.text_colored(theme.WARNING, core.picture.status)
     if core.picture is not None and core.picture.note:
         badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
+    waiting = rules.waiting_note(core)
+    if waiting:
+        note_below(f"{waiting} {keys_of('cancel')} lets go.")
     if core.scene is None and core.loading is None:
         text = f"Drop a scene here, or press {keys_of('open')}"
         size, area = imgui.calc_text_size(text), imgui.get_window_size()
         place = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + (area.y - size.y) / 2)
         imgui.set_cursor_screen_pos(place)
         imgui.text_colored(theme.QUIET, text)
+
+
+def note_below(text: str) -> None:
+    """In the middle of the picture's lower edge, wrapped where it is narrow."""
+    corner, area = imgui.get_window_pos(), imgui.get_window_size()
+    edge = imgui.get_font_size() * 0.4
+    room = max(area.x - 6 * edge, 1.0)
+    size = imgui.calc_text_size(text, wrap_width=room)
+    low = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + area.y - size.y - 5 * edge)
+    high = ImVec2(low.x + size.x + edge, low.y + size.y + edge)
+    draw = imgui.get_window_draw_list()
+    ground = imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8))
+    draw.add_rect_filled(ImVec2(low.x - edge, low.y - edge), high, ground, edge)
+    font, ink = imgui.get_font(), imgui.get_color_u32(theme.WARNING)
+    draw.add_text(font, imgui.get_font_size(), low, ink, text, wrap_width=room)
 
 
 def badge(note: str, at: ImVec2) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 from ....edit.operations import OPERATIONS
 from ....edit.operations.operation import Operation
+from ..training.held import hold
 from .desk import Desk
 from .files import FILE_ACTIONS
 from .tool_names import Depth, ToolName
@@ -26,10 +27,11 @@ def with_desk(command: Callable[..., None]) -> Callable[..., None]:
     """`command(core, desk, *args)` as `command(core, *args)`, which does nothing where no scene is open."""
 
     def run(core: Core, *args: object, **options: object) -> None:
-        if core.desk is None:
+        desk = hold(core)
+        if desk is None:
             core.tell("Open a scene first")
         else:
-            command(core, core.desk, *args, **options)
+            command(core, desk, *args, **options)
 
     return run
 

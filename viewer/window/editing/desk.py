@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from .forms import Forms
 from .measuring import Measured
 from .strokes import Stroke
 from .tool_names import Depth, Place, ToolName
+
+if TYPE_CHECKING:
+    from ..training.held import Trainee
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
@@ -82,6 +85,8 @@ class Desk:
     highlight: np.ndarray | None = None
     """(N,) bool: splats that a tool would take, lit up on the picture until the next edit; never written
     to."""
+    trainee: Trainee | None = None
+    """Where the scene is in training: what edits mean to the trainer."""
     journal: Journal | None = None
     pivot: tuple[object, Place] | None = None
     """What it is of, and the middle that transforms turn about."""
@@ -141,7 +146,7 @@ class Desk:
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
-        if self.job is not None:
+        if self.job is not None or self._refused(operation):
             return
         try:
             self.document.preview(operation)
@@ -166,14 +171,28 @@ class Desk:
             self.problem = f"{self.job.title} is still under way; wait for it or cancel it"
         return self.job is not None
 
+    def _refused(self, operation: Operation) -> bool:
+        """Says so where it cannot be done in training."""
+        refusal = self.trainee.refusal(operation) if self.trainee else None
+        self.news = refusal or self.news
+        return refusal is not None
+
+    def _final(self) -> bool:
+        """Says so where the trainer has been told of what would be undone."""
+        final = self.trainee.final if self.trainee else None
+        self.news = final or self.news
+        return final is not None
+
     def jump(self, position: int) -> None:
         """Undoes or redoes until `position` steps are in force."""
-        if not self._busy():
+        if not self._busy() and not self._final():
             self.document.jump(position)
 
     def apply(self, operation: Operation | Planned) -> bool:
         """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
-        if self._busy():
+        if self._busy() or self._refused(
+            operation.operation if isinstance(operation, Planned) else operation
+        ):
             return False
         try:
             change = self.document.apply(operation)
@@ -181,10 +200,14 @@ class Desk:
             self.problem = str(error)
             return False
         self.news = change.title
+        if self.trainee is not None:
+            self.trainee.edited(self.document)
         return True
 
     def apply_slowly(self, operation: Operation, title: str) -> None:
         """Plans it in a thread, with progress, and applies it between two frames when that is done."""
+        if self._refused(operation):
+            return
         self.start(title, lambda watch: self.document.plan(operation, watch=watch), self._apply_planned)
 
     def _apply_planned(self, planned: Planned) -> None:
@@ -222,13 +245,13 @@ class Desk:
             job.finish(job.result)
 
     def undo(self) -> None:
-        if self._busy():
+        if self._busy() or self._final():
             return
         step = self.document.undo()
         self.news = f"Undone: {step.title}" if step else "Nothing to undo"
 
     def redo(self) -> None:
-        if self._busy():
+        if self._busy() or self._final():
             return
         step = self.document.redo()
         self.news = f"Redone: {step.title}" if step else "Nothing to redo"

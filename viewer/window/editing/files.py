@@ -13,6 +13,8 @@ from ....edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay,
 from ....edit.watch import Watch
 from ....scene import InputError
 from ...folders import cache_folder
+from ..training.actions import export as export_training
+from ..training.held import AT_REST
 from .desk import Desk
 from .taking_up import JOURNALS
 
@@ -20,10 +22,19 @@ if TYPE_CHECKING:
     from ..core import Core
 
 
+def at_rest(core: Core) -> bool:
+    """Whether a scene is open that no trainer changes; says so where not."""
+    if not core.at_rest:
+        core.tell(AT_REST if core.can_edit else "Open a scene first")
+    return core.at_rest
+
+
 def choose_export(core: Core) -> None:
     """Asks where the edited scene goes."""
-    if core.desk is None:
-        core.tell("Open a scene first")
+    if core.can_edit and not core.at_rest:
+        export_training(core)
+        return
+    if not at_rest(core):
         return
     core.choose_files(
         "Export the edited scene",
@@ -52,6 +63,8 @@ def export_to(core: Core, path: Path) -> None:
 
 
 def choose_recipe_to_save(core: Core) -> None:
+    if not at_rest(core):
+        return
     if core.desk is None or not core.desk.document.history.position:
         core.tell("Nothing has been done yet that a recipe could hold")
         return
@@ -76,8 +89,7 @@ def save_recipe_to(core: Core, path: Path) -> None:
 
 
 def choose_recipe_to_replay(core: Core) -> None:
-    if core.desk is None:
-        core.tell("Open a scene first")
+    if not at_rest(core):
         return
     core.choose_files("Replay a recipe", lambda paths: core.post(replay_file, paths[0]), kind="recipe")
 
@@ -114,8 +126,7 @@ def replay_on(core: Core, desk: Desk, recipe: Recipe, title: str) -> None:
 
 def choose_merge(core: Core) -> None:
     """Adds a file's splats as an edit, which can be undone and replayed."""
-    if core.desk is None:
-        core.tell("Open a scene first")
+    if not at_rest(core):
         return
     core.choose_files("Merge another scene", lambda paths: core.post(merge_files, paths), kind="scene")
 
@@ -127,6 +138,8 @@ def merge_files(core: Core, paths: list[Path]) -> None:
 
 def choose_split(core: Core) -> None:
     """Moves the selection to a file of its own."""
+    if not at_rest(core):
+        return
     if core.desk is None or not core.desk.document.counts.selected:
         core.tell("Select the splats that are to go to a file of their own")
         return

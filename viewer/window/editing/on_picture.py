@@ -102,10 +102,13 @@ def _apply(core: Core, operation: Operation) -> None:
 def draw_tool(core: Core, corner: ImVec2, width: int, height: int) -> None:
     """The outline under way, the brush's circle, picked points and the last measured distance."""
     desk = core.desk
-    if desk is None:
-        return
     draw = imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
+    for crop in core.training.pointed if core.training and not core.at_rest else ():
+        crops.draw_outline(crop, core.view.camera(width, height), corner, crops.CUTTING, 2.0)
+    if desk is None:
+        draw.pop_clip_rect()
+        return
     if desk.stroke is not None:
         draw_stroke(draw, desk.stroke, corner)
     io = imgui.get_io()

@@ -89,7 +89,7 @@ def load_changed_scene(core: Core, desk: Desk) -> None:
 def put_away(core: Core) -> None:
     """The window closes."""
     if core.desk is not None:
-        if core.desk.document.history.modified:
+        if core.at_rest and core.desk.document.history.modified:
             core.tell("The edits are kept: the next start offers to restore them")
         core.desk.close()
         core.desk = None

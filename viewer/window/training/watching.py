@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from ....scene import Camera, InputError, RenderSettings
+from ....scene.crop import Crop
 from ....scene.framing import robust_bounds
 from ....trainer.published import Snapshot, State, Status, pace_of
 from ....trainer.shots import Shot
@@ -23,6 +24,7 @@ from ..navigation import view_from_camera
 from ..opening import UPLOAD_SECONDS, common_up
 from ..preferences import TrainingUpdates
 from .comparison import Comparer
+from .held import succeed, waits
 from .pictures import Pictures
 
 if TYPE_CHECKING:
@@ -104,6 +106,8 @@ class Training:
     """Whether curves are over seconds rather than steps."""
     shown: Snapshot | None = None
     """What the view shows."""
+    pointed: tuple[Crop, ...] = ()
+    """Crops of a rule under the mouse, to be drawn on the picture."""
     core: Core | None = None
     """The window's, once there is one."""
     cameras: list[Camera] = field(init=False)
@@ -217,7 +221,7 @@ class Training:
 
     def _follow(self, core: Core) -> None:
         """Takes the latest snapshot over, for a few milliseconds of uploading."""
-        if core.loading is not None or not self.followed_by(core):
+        if core.loading is not None or not self.followed_by(core) or waits(core):
             self._drop_arriving()
             return
         if core.picture is None or core.picture_size == (1, 1):  # nothing has been laid out yet
@@ -252,10 +256,6 @@ class Training:
 
     def _adopt(self, core: Core, snapshot: Snapshot) -> None:
         first = self._scene is None
-        if core.desk is not None:
-            # Its edits are of other splats.
-            core.desk.close()
-            core.desk = None
         means = snapshot.gaussians.means
         centre, radius = robust_bounds(means[:: -(-len(means) // MOST_FOR_BOUNDS)])
         self._scene = core.scene = LoadedScene(
@@ -268,6 +268,7 @@ class Training:
             seconds=0.0,
         )
         self.shown, self._shown_at = snapshot, core.now()
+        succeed(core, snapshot)
         if first:
             self._first_view(core)
         if self.status.state != "training":

@@ -51,8 +51,9 @@ def show(core: Core, desk: Desk) -> None:
         widgets.button("Look for them", tip, partial(core.post, _look), width=-1)
     else:
         threshold(core, desk)
-    widgets.section("Fewer splats")
-    decimation(core, desk)
+    if desk.trainee is None:  # training fills up again to its number
+        widgets.section("Fewer splats")
+        decimation(core, desk)
 
 
 def views(core: Core, desk: Desk) -> tuple[Camera, ...]:
@@ -115,7 +116,8 @@ def threshold(core: Core, desk: Desk) -> None:
             partial(core.post, _price),
         )
         imgui.same_line()
-    widgets.button(f"Delete {form.count:,}", "Undo brings them back.", partial(core.post, _prune))
+    tip = "Undo brings them back." if desk.trainee is None else "From the training; there is no way back."
+    widgets.button(f"Delete {form.count:,}", tip, partial(core.post, _prune))
     imgui.same_line()
     widgets.button("Leave them", "Nothing is deleted.", partial(core.post, _forget))
 

@@ -20,6 +20,7 @@ from .....scene.crop import Crop
 from ... import theme
 from ...drawing import point_on_picture
 from ...panels import widgets
+from ...training import held
 from .. import gizmos
 from ..desk import Desk
 from ..strokes import mode_of
@@ -37,6 +38,9 @@ KINDS = ("move", "turn", "size")
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 EDGES = [(i, j) for i in range(8) for j in range(i) if bin(i ^ j).count("1") == 1]
 
+CUTTING = ImVec4(1, 0.45, 0.4, 0.8)
+"""Colour of crops that cut out what is inside."""
+
 CIRCLE = np.linspace(0, 2 * np.pi, 49)
 
 
@@ -53,7 +57,11 @@ def show(core: Core, desk: Desk) -> None:
     crops = desk.document.crops
     if not crops:
         desk.forms.crop = -1
-        widgets.note("No crops. Export leaves out what they cut away.")
+        widgets.note(
+            "No crops. Export leaves out what they cut away."
+            if desk.trainee is None
+            else "No crops. They show what is left; then let them cut, or let nothing grow inside."
+        )
         return
     desk.forms.crop = min(desk.forms.crop, len(crops) - 1)
     for index, crop in enumerate(crops):
@@ -72,7 +80,15 @@ def show(core: Core, desk: Desk) -> None:
         imgui.pop_id()
     if desk.forms.crop >= 0:
         numbers(core, desk, desk.forms.crop)
-    if any(crop.enabled for crop in crops):
+    if not any(crop.enabled for crop in crops):
+        return
+    if desk.trainee is not None:
+        widgets.button(
+            "Cut away in training",
+            "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
+            partial(core.post, held.cut_away),
+        )
+    else:
         operation = DeleteCropped()
         widgets.button("Delete what is cut away", operation.summary, partial(_post, core, operation))
 
@@ -136,6 +152,12 @@ def numbers(core: Core, desk: Desk, index: int) -> None:
     if imgui.button("Remove"):
         _post(core, RemoveCrop(index=index))
     widgets.tooltip("Removes this crop; what it cut away is back.")
+    if desk.trainee is not None:
+        widgets.button(
+            "No growth inside",
+            "From now on no splat is born in it. Those that are there are trained on, and may die.",
+            partial(core.post, held.stop_growth, index),
+        )
 
 
 def volume(crop: Crop) -> Box | Sphere | None:
@@ -157,25 +179,25 @@ def change(core: Core, desk: Desk, index: int, new: Crop, *, settled: bool) -> N
 
 def draw(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
-    ink = imgui.get_window_draw_list()
     for index, crop in enumerate(desk.document.crops):
         chosen = index == desk.forms.crop
         if not (crop.enabled or chosen):
             continue
-        colour = (
-            ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6)
-            if crop.keep == "inside"
-            else ImVec4(1, 0.45, 0.4, 0.8)
-        )
-        packed = imgui.get_color_u32(colour)
-        for line in outline(crop):
-            for start, end in pairwise(line.tolist()):
-                a = point_on_picture(camera, corner, start)
-                b = point_on_picture(camera, corner, end)
-                if a is not None and b is not None:
-                    ink.add_line(a, b, packed, 2.0 if chosen else 1.0)
+        colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
+        draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
     if 0 <= desk.forms.crop < len(desk.document.crops) and not desk.forms.move.gizmo:
         drag_handles(core, desk, camera, corner)
+
+
+def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thickness: float) -> None:
+    """One crop over the picture of `camera` with its top left at `corner`."""
+    ink, packed = imgui.get_window_draw_list(), imgui.get_color_u32(colour)
+    for line in outline(crop):
+        for start, end in pairwise(line.tolist()):
+            a = point_on_picture(camera, corner, start)
+            b = point_on_picture(camera, corner, end)
+            if a is not None and b is not None:
+                ink.add_line(a, b, packed, thickness)
 
 
 def drag_handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:

@@ -9,6 +9,7 @@ from imgui_bundle import ImVec4, imgui
 
 from ... import theme
 from ...panels import widgets
+from ...training import rules
 from ..desk import Desk
 from ..tool_names import ToolName
 from . import clean, crops, look, move, select
@@ -25,6 +26,11 @@ SECTIONS: tuple[tuple[str, bool, Callable[[Core, Desk], None]], ...] = (
 )
 """Title, whether it is open at first, contents."""
 
+IN_TRAINING = (select.show, clean.show, crops.show)
+"""Contents of the sections whose changes a trainer can be told of."""
+
+RULES = "Rules of the training"
+
 TOOLS: tuple[tuple[str, ToolName], ...] = (
     ("Rectangle", "rectangle"),
     ("Brush", "brush"),
@@ -38,20 +44,30 @@ TOOLS: tuple[tuple[str, ToolName], ...] = (
 
 def show(core: Core) -> None:
     desk = core.desk
-    if desk is None:
+    if not core.can_edit:
         widgets.note("Open a scene to edit it.")
         return
     toolbar(core, desk)
-    job(core, desk)
-    for title, opened, contents in SECTIONS:
-        flags = imgui.TreeNodeFlags_.default_open if opened else 0
-        if imgui.collapsing_header(title, flags):
-            imgui.push_id(title)
-            contents(core, desk)
-            imgui.pop_id()
+    training = None if core.at_rest else core.training
+    if training is not None:
+        rules.show(core, training)
+    if desk is not None:
+        job(core, desk)
+        for title, opened, contents in SECTIONS:
+            if training is not None and contents not in IN_TRAINING:
+                continue
+            flags = imgui.TreeNodeFlags_.default_open if opened else 0
+            if imgui.collapsing_header(title, flags):
+                imgui.push_id(title)
+                contents(core, desk)
+                imgui.pop_id()
+    if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
+        imgui.push_id(RULES)
+        rules.in_force(core, training)
+        imgui.pop_id()
 
 
-def toolbar(core: Core, desk: Desk) -> None:
+def toolbar(core: Core, desk: Desk | None) -> None:
     """A button a tool; the one in hand is bright."""
     right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
     spacing, padding = imgui.get_style().item_spacing.x, imgui.get_style().frame_padding.x
@@ -59,13 +75,13 @@ def toolbar(core: Core, desk: Desk) -> None:
         width = imgui.calc_text_size(name).x + 2 * padding
         if number and imgui.get_item_rect_max().x + spacing + width < right:
             imgui.same_line()
-        chosen = desk.tool == tool
+        chosen = desk is not None and desk.tool == tool
         if chosen:
             imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))
         widgets.action_button(core, name, f"tool_{tool}")
         if chosen:
             imgui.pop_style_color()
-    if desk.tool != "none":
+    if desk is not None and desk.tool != "none":
         widgets.note("Shift adds, Ctrl removes, both keep what is common. Alt + drag turns. Esc: done.")
 
 

@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, imgui
 
 from ... import theme
 from ...panels import widgets
+from ...training.held import NO_WAY_BACK
 from .. import commands
 
 if TYPE_CHECKING:
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
 def show(core: Core) -> None:
     desk = core.desk
     if desk is None:
-        widgets.note("Nothing is open.")
+        widgets.note("Nothing is held: take a tool first." if core.can_edit else "Nothing is open.")
         return
     history = desk.document.history
+    if desk.trainee is not None:
+        widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
     imgui.begin_disabled(not history.can_undo)
     widgets.action_button(core, "Undo", "undo")
     imgui.end_disabled()
@@ -32,12 +35,17 @@ def show(core: Core) -> None:
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
     imgui.text_colored(theme.QUIET, f"{number}, {memory(history.nbytes)}")
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
-    for number, (name, action) in enumerate(
-        (("Export...", "export"), ("Save recipe...", "save_recipe"), ("Replay recipe...", "replay_recipe"))
-    ):
-        if number:
-            imgui.same_line()
-        widgets.action_button(core, name, action)
+    if core.at_rest:
+        for number, (name, action) in enumerate(
+            (
+                ("Export...", "export"),
+                ("Save recipe...", "save_recipe"),
+                ("Replay recipe...", "replay_recipe"),
+            )
+        ):
+            if number:
+                imgui.same_line()
+            widgets.action_button(core, name, action)
     imgui.begin_child("##steps", ImVec2(0, 0))
     steps = ["As opened", *(step.title for step in history.steps)]
     for position, title in enumerate(steps):
