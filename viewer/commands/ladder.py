@@ -32,6 +32,8 @@ from .renderers import automatic_choice, make_headless
 
 SECONDS, THOROUGH_SECONDS = 50.0, 300.0
 
+TRAIN_MINUTES, TRAIN_SEEDS = 0.5, 2
+
 VIEW_TURN = 40.0
 """Degrees between the views."""
 
@@ -50,7 +52,7 @@ def make_parser() -> Parser:
         "costs in accuracy: PSNR, SSIM and the largest error against a float64 truth. Times are taken\n"
         "beside the baseline's, pair by pair; differences below the noise floor are called the same.",
     )
-    parser.add_argument("scene", metavar="SCENE")
+    parser.add_argument("scene", metavar="SCENE", nargs="?")
     add_camera_options(parser)
     group = parser.add_argument_group("ladder")
     group.add_argument("--views", type=count, default=2, metavar="N", help="views on an orbit (default: 2)")
@@ -68,6 +70,17 @@ def make_parser() -> Parser:
         "--thorough", action="store_true", help=f"{THOROUGH_SECONDS:g} seconds, for less noise"
     )
     group.add_argument("--json", action="store_true", help="results as one JSON object")
+    training = parser.add_argument_group("training's ladder, instead of a scene's")
+    training.add_argument(
+        "--train", metavar="CAPTURE", help="train short runs, one a shortcut and seed (demo: our own photos)"
+    )
+    training.add_argument(
+        "--minutes", type=positive, metavar="M", help=f"of each run (default: {TRAIN_MINUTES:g})"
+    )
+    training.add_argument(
+        "--seeds", type=count, metavar="N", help=f"runs of each shortcut (default: {TRAIN_SEEDS})"
+    )
+    training.add_argument("--downscale", type=count, metavar="K", help="photos smaller by K (default: 1)")
     group.add_argument("--plot", type=Path, metavar="P.png", help="time against accuracy, drawn")
     return parser
 
@@ -77,6 +90,23 @@ def run(arguments: list[str]) -> int:
     args = make_parser().parse(arguments)
     if args is None:
         return 0
+    if args.train is not None:
+        if args.scene is not None or args.plot is not None:
+            raise InputError("--train measures training: it takes neither a SCENE nor --plot")
+        from .ladder_training import run_training_ladder
+
+        return run_training_ladder(
+            args.train,
+            minutes=args.minutes or TRAIN_MINUTES,
+            seeds=args.seeds or TRAIN_SEEDS,
+            downscale=args.downscale or 1,
+            as_text=not args.json,
+        )
+    if args.scene is None:
+        raise InputError("name a SCENE, or --train CAPTURE (see splatview ladder --help)")
+    for name in ("minutes", "seeds", "downscale"):
+        if getattr(args, name) is not None:
+            raise InputError(f"--{name} goes with --train")
     check_camera_options(args)
     if args.plot is not None:
         check_output(args.plot, PLOTS)
@@ -140,7 +170,7 @@ def chosen_renderers(given: str | None) -> list[str]:
     return [first, *others]
 
 
-MEASURED = ("quads", "cpu")
+MEASURED = ("quads", "tiles", "cpu")
 
 
 def draw_truths(

@@ -1,0 +1,176 @@
+"""The ladder for training: what each shortcut of the recipe gives for the same time.
+
+Runs are handed in: this package trains nothing. All runs of a seed see the photos in the same order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+STUDENT_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
+"""97.5 % quantiles of Student's t for 1 to 9 degrees of freedom; beyond, 2.2 is a little too wide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRung:
+    """One way to train."""
+
+    knob: str
+    value: str
+    changes: Mapping[str, Any]
+    """Fields of the recipe that differ from the baseline; "splats" is a factor on its cap on splats."""
+
+
+BASELINE = TrainingRung(knob="recipe", value="as it is", changes={})
+
+
+def _rungs(knob: str, **values: Mapping[str, Any]) -> tuple[TrainingRung, ...]:
+    return tuple(
+        TrainingRung(knob=knob, value=value.replace("_", " "), changes=changes)
+        for value, changes in values.items()
+    )
+
+
+TRAINING_RUNGS: tuple[TrainingRung, ...] = (
+    BASELINE,
+    *_rungs(
+        "resolution",
+        full={"coarse": ()},
+        half_for_60_percent={"coarse": ((0.6, 2),)},
+        quarter_then_half={"coarse": ((0.2, 4), (0.5, 2))},
+    ),
+    *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
+    *_rungs("strategy", classic={"strategy": "classic"}),
+    *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
+    *_rungs("optimiser", all_splats={"seen_only": False}),
+    *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),
+)
+"""Baseline first; each other one differs in one knob."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Curve:
+    """One run: held-out PSNR against its seconds."""
+
+    seconds: np.ndarray
+    """(E,) float64, ascending."""
+    psnr: np.ndarray
+    """(E,) dB."""
+    steps: int
+    gaussians: int
+
+    @property
+    def final(self) -> float:
+        return float(self.psnr[-1]) if len(self.psnr) else math.nan
+
+    def seconds_to(self, target: float) -> float:
+        """When the PSNR first was `target` dB, straight lines between evaluations; inf if it never was."""
+        above = np.flatnonzero(self.psnr >= target)
+        if not len(above):
+            return math.inf
+        first = int(above[0])
+        if first == 0:
+            return float(self.seconds[0])
+        low, high = float(self.psnr[first - 1]), float(self.psnr[first])
+        share = (target - low) / (high - low) if high > low else 1.0
+        return float(self.seconds[first - 1] + share * (self.seconds[first] - self.seconds[first - 1]))
+
+
+@dataclass(kw_only=True)
+class Trained:
+    """A rung and its runs, one a seed."""
+
+    rung: TrainingRung
+    curves: list[Curve] = field(default_factory=list)
+
+    @property
+    def psnr(self) -> tuple[float, float]:
+        """Mean final PSNR in dB, and the half width of its 95 % interval over seeds; inf for one seed."""
+        return mean_and_half_width([curve.final for curve in self.curves])
+
+    def seconds_to(self, target: float) -> tuple[float, float]:
+        """Likewise of the seconds to `target` dB; inf where a seed never came there."""
+        return mean_and_half_width([curve.seconds_to(target) for curve in self.curves])
+
+    def gain(self, baseline: Trained) -> tuple[float, float]:
+        """Likewise of the difference to `baseline`, seed by seed: what photos and chance have in common
+        falls out of it."""
+        pairs = zip(self.curves, baseline.curves, strict=False)
+        return mean_and_half_width([own.final - other.final for own, other in pairs])
+
+
+def mean_and_half_width(values: Sequence[float]) -> tuple[float, float]:
+    """Of a few values: their mean, and the half width of its 95 % interval by Student's t."""
+    if not values:
+        return math.nan, math.inf
+    numbers = np.asarray(values, np.float64)
+    if len(numbers) < 2 or not np.isfinite(numbers).all():
+        return float(numbers.mean()), math.inf
+    quantile = STUDENT_95[len(numbers) - 2] if len(numbers) - 2 < len(STUDENT_95) else 2.2
+    return float(numbers.mean()), quantile * float(numbers.std(ddof=1)) / math.sqrt(len(numbers))
+
+
+COLUMNS = ("shortcut", "PSNR dB", "± 95 %", "gain dB", "± 95 %", "seconds to equal", "steps", "splats")
+
+
+def cells(one: Trained, baseline: Trained) -> list[str]:
+    """A row of COLUMNS. "seconds to equal": to the PSNR that the baseline ended with."""
+    psnr, width = one.psnr
+    gain, gain_width = one.gain(baseline)
+    seconds, _ = one.seconds_to(baseline.psnr[0])
+    name = "baseline" if one.rung is BASELINE else f"{one.rung.knob}: {one.rung.value}"
+    if one is baseline:
+        said = "0"
+    elif not abs(gain) > gain_width:
+        said = f"same ({gain:+.2f})"
+    else:
+        said = f"{gain:+.2f}"
+    return [
+        name,
+        f"{psnr:.2f}",
+        _width(width),
+        said,
+        "" if one is baseline else _width(gain_width),
+        "never" if math.isinf(seconds) else f"{seconds:.0f}",
+        f"{np.mean([curve.steps for curve in one.curves]):,.0f}",
+        f"{np.mean([curve.gaussians for curve in one.curves]):,.0f}",
+    ]
+
+
+def _width(value: float) -> str:
+    return "one seed" if math.isinf(value) else f"{value:.2f}"
+
+
+def as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:
+    """What scripts may rely on; null where there is no number."""
+    baseline = trained[0]
+    return [
+        {
+            "knob": one.rung.knob,
+            "value": one.rung.value,
+            "psnr": _finite(one.psnr[0]),
+            "psnr_half_width": _finite(one.psnr[1]),
+            "gain": _finite(one.gain(baseline)[0]),
+            "gain_half_width": _finite(one.gain(baseline)[1]),
+            "seconds_to_equal": _finite(one.seconds_to(baseline.psnr[0])[0]),
+            "runs": [
+                {
+                    "seconds": curve.seconds.tolist(),
+                    "psnr": curve.psnr.tolist(),
+                    "steps": curve.steps,
+                    "gaussians": curve.gaussians,
+                }
+                for curve in one.curves
+            ],
+        }
+        for one in trained
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
