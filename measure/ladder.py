@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -46,6 +46,15 @@ class Artist(Protocol):
 
     def memory(self, plan: Plan) -> int:
         """Bytes that scene and picture take in this renderer."""
+        ...
+
+
+@runtime_checkable
+class TimedArtist(Protocol):
+    """One that has to wait for its turn, and knows what of the time was its own."""
+
+    def timed(self, camera: Camera, plan: Plan) -> float:
+        """ms of a frame up to its pixels in memory."""
         ...
 
 
@@ -237,6 +246,8 @@ def judge(one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray]) 
 def timed_draw(rung: Rung, camera: Camera) -> float:
     """ms of one frame up to its pixels in memory."""
     rung.artist.prepare(camera, rung.plan)
+    if isinstance(rung.artist, TimedArtist):
+        return rung.artist.timed(camera, rung.plan)
     begun = time.perf_counter()
     rung.artist.draw(camera, rung.plan)
     return 1e3 * (time.perf_counter() - begun)

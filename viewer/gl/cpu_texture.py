@@ -78,6 +78,8 @@ class CpuTexture:
         self.cores: float | None = None
         """How many it may keep busy on average, the window's frames included; None: as many as it likes.
         May be changed at any time."""
+        self.budget_ms: float | None = None
+        """What a picture may take while the camera moves; None: MOVING_MS. May be changed at any time."""
         self._on_ready = on_ready
         self._change = threading.Condition()
         # Guarded by _change:
@@ -133,7 +135,7 @@ class CpuTexture:
                 self._resting = self._resting and self._wish is not None and self._wish.same_view(wish)
                 self._wish, self._drawing = wish, True
                 self._change.notify_all()
-            elif not self._resting and wish.since - self._wish.since >= REST_SECONDS:
+            elif not self._resting and wish.since - self._wish.since >= self._rest_seconds:
                 # Only a window that still asks for it says that it rests: a slow one may just be late.
                 self._resting = self._drawing = True
                 self._change.notify_all()
@@ -167,6 +169,15 @@ class CpuTexture:
         """Whether what is shown is not yet the full picture of the latest wish."""
         with self._change:
             return self._wish is not None and (self._finished is not self._wish or self._image is not None)
+
+    @property
+    def _allowed_ms(self) -> float:
+        return MOVING_MS if self.budget_ms is None else self.budget_ms
+
+    @property
+    def _rest_seconds(self) -> float:
+        """Two frames of the budget where the user has set one."""
+        return REST_SECONDS if self.budget_ms is None else min(2e-3 * self.budget_ms, REST_SECONDS)
 
     @property
     def stats(self) -> FrameStats:
@@ -206,6 +217,7 @@ class CpuTexture:
                 wish, plan = self._wish, self._plan
                 assert wish is not None
                 sharp = coarse is wish or self._resting
+            self._pace.hold(self.budget_ms)
             if plan is not self._pace.plan:
                 self._pace.follow(plan)
             begun = time.perf_counter()
@@ -239,7 +251,7 @@ class CpuTexture:
         planned = self._pace.plan is not None and self._pace.plan.gaussians is wish.gaussians
         if planned and wish.edits is None:
             return self._pace.shortcut
-        if self._drawn_of is wish.gaussians and self._full_ms is not None and self._full_ms <= MOVING_MS:
+        if self._drawn_of is wish.gaussians and self._full_ms is not None and self._full_ms <= self._allowed_ms:
             return None
         return Shortcut(gaussians=wish.gaussians, share=1.0, scale=UNPRICED_SCALE, ms=0.0, error=0.0)
 
@@ -289,7 +301,7 @@ class CpuTexture:
 
     def _look_for_shortcuts(self, wish: _Wish, frame: raster.Frame) -> None:
         """Has prices found out in another thread, where pictures are slow and no prices are known."""
-        if not len(wish.gaussians) or wish.edits is not None or not time_of(frame) > MOVING_MS:
+        if not len(wish.gaussians) or wish.edits is not None or not time_of(frame) > self._allowed_ms:
             return
         if self._planner is not None and self._planner.is_alive():
             return

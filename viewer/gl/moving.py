@@ -13,14 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import raster
+from ...measure.governor import Governor
 from ...scene import Camera, Gaussians, RenderSettings
 from ...scene.merging import coarser_levels
 
 MOVING_MS = 36.0
 """What a picture may take while the camera moves. With the window's own work that is over 20 a second."""
 
-SCALES = tuple(eighths / 8 for eighths in range(8, 1, -1))
-"""Of the picture's sides, that are used; below a quarter nothing can be recognised."""
+SCALES = tuple(2 ** (-k / 8) for k in range(17))
+"""Of the picture's sides, that are used; below a quarter nothing can be recognised. Times of neighbours are
+at most 16 % apart: one of them is near any budget that lies between."""
 
 UNPRICED_SCALE = 0.5
 """Before prices are known."""
@@ -188,7 +190,10 @@ class Pace:
     def __init__(self) -> None:
         self.plan: Plan | None = None
         self.shortcut: Shortcut | None = None
+        self.budget_ms: float | None = None
+        """What a picture may take, where the user has said so; None: MOVING_MS."""
         self._slowness = 1.0
+        self._governor: Governor[Shortcut] = Governor(MOVING_MS)
 
     def follow(self, plan: Plan | None) -> None:
         """Prices have become known, or no longer hold. How slow the machine is stays known."""
@@ -204,6 +209,9 @@ class Pace:
     def _choose(self) -> None:
         if self.plan is None:
             return
+        if self.budget_ms is not None:
+            self.shortcut = self._governed(self.plan, self.budget_ms)
+            return
         shortcuts, allowed = self.plan.shortcuts, MOVING_MS / self._slowness
         best = next((one for one in shortcuts if one.ms <= allowed), shortcuts[-1])
         now = self.shortcut
@@ -212,3 +220,18 @@ class Pace:
             finer_in_haste = best.ms > now.ms and best.ms > allowed / SLACK
             best = now if coarser_in_haste or finer_in_haste else best
         self.shortcut = best
+
+    def hold(self, budget_ms: float | None) -> None:
+        """The user has set a budget, or given it up."""
+        if budget_ms != self.budget_ms:
+            self.budget_ms, self.shortcut = budget_ms, None
+            self._choose()
+
+    def _governed(self, plan: Plan, budget_ms: float) -> Shortcut | None:
+        governor = self._governor
+        governor.slowness = self._slowness
+        if governor.steps != plan.shortcuts:
+            governor.follow(plan.shortcuts)
+        governor.set_budget(budget_ms)
+        governor.choose()
+        return governor.step

@@ -83,6 +83,7 @@ class Window:
             return
         info = describe(self._ctx)
         self.core.gpu_name = info.renderer
+        self.core.accuracy.wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
@@ -116,6 +117,7 @@ class Window:
         continue_restoring(core)
         core.advance()
         core.note_statistics()
+        core.accuracy.advance(core)
         if core.clipboard_write is not None:
             imgui.set_clipboard_text(core.clipboard_write)
             core.clipboard_write = None
@@ -160,6 +162,7 @@ class Window:
         core.prefer(closed_panels=layout.closed_panels(core))
         if core.training is not None:
             core.training.stop()
+        core.accuracy.end()
         if core.picture is not None:
             core.picture.release()
             core.picture = None

@@ -22,6 +22,7 @@ from ...scene import Camera, RenderSettings
 from ...scene.edits import SceneEdits
 from ..gl import FrameStats, VisualMode
 from ..gl.overlay import Overlay
+from .accuracy.state import Accuracy
 from .bookmarks import Bookmark
 from .editing.desk import Desk
 from .loading import Examination, LoadedScene, Loading
@@ -76,6 +77,8 @@ class Core:
     """Whether that has been reported."""
     desk: Desk | None = None
     """Edits of the open scene; None where nothing is open."""
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    """Shortcuts taken, what they cost, and the frame budget."""
     stats: FrameStats | None = None
     """Of the picture, read once a frame."""
 
@@ -198,6 +201,7 @@ class Core:
             or not self.examined
             or (self.picture is not None and self.picture.busy)
             or (self.desk is not None and self.desk.job is not None)
+            or self.accuracy.waiting
         )
 
     # ---- edits

@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from ..folders import config_folder
 from . import dialogs, menus, overlays, palette, viewport
+from .accuracy import panel as accuracy
 from .core import Core
 from .editing.panels import edit, history, restore
 from .file_dialogs import FileDialogs
@@ -23,6 +24,7 @@ PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
     ("Scene", "Upper", scene.show),
     ("Edit", "Upper", edit.show),
     ("Picture", "Upper", rendering.show),
+    ("Accuracy", "Upper", accuracy.show),
     ("Camera", "Upper", camera.show),
     ("Views", "Lower", bookmarks.show),
     ("History", "Lower", history.show),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from . import frusta, gizmo, theme
+from .accuracy import on_picture
 from .actions import NAVIGATION_MODES, VISUAL_MODES, set_mode
 from .core import Core
 from .panels import widgets
@@ -46,6 +47,9 @@ def over_picture(core: Core) -> None:
         imgui.text_colored(theme.WARNING, core.picture.status)
     if core.picture is not None and core.picture.note:
         badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
+    lowest = corner.y + imgui.get_window_height() - margin
+    moving = core.picture is not None and bool(core.picture.note)
+    on_picture.badges(core, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
     waiting = rules.waiting_note(core)
     if waiting:
         note_below(f"{waiting} {keys_of('cancel')} lets go.")

@@ -210,6 +210,10 @@ class CpuPicture:
     def cores(self, cores: float | None) -> None:
         self._cpu.cores = cores
 
+    def hold_budget(self, milliseconds: float | None) -> None:
+        """What a picture may take while the camera moves; None: as much as is smooth."""
+        self._cpu.budget_ms = milliseconds
+
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         yield 0.0
         self._gaussians = gaussians

@@ -35,6 +35,8 @@ class Preferences:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     blend: BlendPrecision = "float16"
     resolution_scale: float = 1.0
+    frame_budget_ms: float = 33.0
+    """What a frame may take while the camera moves, where a budget is held."""
     show_cameras: bool = False
     """Whether loaded cameras are drawn into the view."""
     show_photos: bool = True
@@ -55,6 +57,7 @@ RANGES = {
     "mouse_speed": (0.1, 10.0),
     "fov_y": (5.0, 140.0),
     "resolution_scale": (0.125, 2.0),
+    "frame_budget_ms": (4.0, 200.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""

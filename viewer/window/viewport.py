@@ -8,13 +8,13 @@ import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from ...scene import InputError
+from .accuracy.on_picture import drag_line, draw_split
 from .actions import focus_at
 from .core import Core
 from .editing.gizmos import grabbed
 from .editing.on_picture import draw_tool, use_tool
 from .keys import held_step
 from .navigation import dolly, look, move, orbit, pan, trackball
-from .picture import scaled_camera
 from .preferences import RANGES
 
 ORBIT_SPEED = math.pi
@@ -50,10 +50,12 @@ def show(core: Core) -> None:
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
     tool_has_it = use_tool(core, corner, width, height) or (core.desk is not None and grabbed())
+    tool_has_it = drag_line(core, corner, width) or tool_has_it
     steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(core)
     turning = imgui.is_item_active() and not tool_has_it
     draw_picture(core, corner, width, height)
+    draw_split(core, corner, width, height)
     draw_tool(core, corner, width, height)
     if turning and core.preferences.navigation != "fly":
         mark_target(core, corner, width, height)
@@ -72,9 +74,9 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     picture = core.picture
     if picture is None:
         return
-    camera = scaled_camera(core.camera, core.preferences.resolution_scale)
+    camera, settings = core.accuracy.next_frame(core)
     try:
-        picture.draw(camera, core.settings, core.mode, edits=core.edits, overlay=core.overlay)
+        picture.draw(camera, settings, core.mode, edits=core.edits, overlay=core.overlay)
     except InputError as error:
         # A mode that needs more of the GPU than it has; the picture itself was there before.
         core.complain(f"{core.mode}: {error}")

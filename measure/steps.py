@@ -1,0 +1,96 @@
+"""What a governor can choose from: measured shortcuts, alone and with fewer pixels, each at its price."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .ladder import Measured
+
+SCALES = tuple(2 ** (-k / 12) for k in range(25))
+"""Of the picture's sides, from 1 to 1/4; times of neighbours are at most 11 % apart, so that one of them is
+within a tenth of any budget that lies between."""
+
+UNPRICED_PIXELS = 0.8
+"""The share of a frame that goes with its pixels, as long as nothing was measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shortcut:
+    """One way to draw in less time."""
+
+    choices: tuple[tuple[str, str], ...]
+    """Knob and value, as typed."""
+    scale: float
+    """Of the picture's sides."""
+    ms: float
+    error: float | None
+    """Mean squared error of colours against the truth; None: not measured."""
+
+    @property
+    def note(self) -> str:
+        """For the user: "sh-degree 1, 71 % of the size, about 35 dB"."""
+        parts = [f"{name} {text}" for name, text in self.choices]
+        if self.scale < 1:
+            parts.append(f"{self.scale:.0%} of the size")
+        if self.error is None:
+            parts.append("error not measured")
+        elif self.error > 0:
+            parts.append(f"about {-10 * math.log10(self.error):.0f} dB")
+        return ", ".join(parts)
+
+
+def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...]:
+    """Steps from what a ladder found out about one renderer, slowest first, none beaten by another.
+
+    Of each rung with one knob turned, and of the baseline, a step a scale. What half the sides save and
+    cost is measured; in between, time goes with the pixels and blur grows with their size.
+    """
+    own = [one for one in rungs if one.rung.artist.name == baseline.rung.artist.name]
+    half = next((one for one in own if (one.rung.knob, one.rung.value) == ("resolution", "1/2")), None)
+    share, halving = UNPRICED_PIXELS, None
+    if half is not None and math.isfinite(half.ratio):
+        share = min(max((1 - half.ratio) / (1 - 0.5**2), 0.0), 1.0)
+        halving = max(squared(half.psnr) - squared(baseline.psnr), 0.0)
+    steps = []
+    for one in (baseline, *(o for o in own if o is not baseline and o.rung.knob not in WHOLE)):
+        if not math.isfinite(one.ratio):
+            continue
+        choices = () if one is baseline else ((one.rung.knob, one.rung.value),)
+        for scale in SCALES if halving is not None else SCALES[:1]:
+            ms = baseline.ms * one.ratio * (1 - share + share * scale**2)
+            error = squared(one.psnr) + (halving or 0.0) * (1 / scale - 1)
+            steps.append(Shortcut(choices=choices, scale=scale, ms=ms, error=error))
+    return best_of(steps)
+
+
+WHOLE = ("renderer", "resolution")
+"""Rungs that are no knob of their own here."""
+
+
+def unpriced(milliseconds: float) -> tuple[Shortcut, ...]:
+    """Fewer pixels only, from what a full frame takes: good enough until prices are known."""
+    return tuple(
+        Shortcut(
+            choices=(),
+            scale=scale,
+            ms=milliseconds * (1 - UNPRICED_PIXELS + UNPRICED_PIXELS * scale**2),
+            error=None if scale < 1 else 0.0,
+        )
+        for scale in SCALES
+    )
+
+
+def best_of(steps: Sequence[Shortcut]) -> tuple[Shortcut, ...]:
+    """Those that no other beats in time and error both, slowest first."""
+    best: list[Shortcut] = []
+    for step in sorted(steps, key=lambda one: (one.ms, one.error or 0.0)):
+        if not best or (step.error or 0.0) < (best[-1].error or 0.0):
+            best.append(step)
+    return tuple(reversed(best))
+
+
+def squared(psnr: float) -> float:
+    """Mean squared error of so many dB."""
+    return 10 ** (-psnr / 10)

@@ -1,0 +1,109 @@
+"""The window's own renderer, for a thread that measures: GL work is done on the GL thread, between two
+frames, and everything else where it is asked for. No ImGui in here."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ....measure.enlarging import enlarged, reduced_size
+from ....measure.knobs import KNOBS, Plan
+from ....scene import Camera, Gaussians
+from ....scene.edits import SceneEdits
+from ..picture import CpuPicture, Picture
+
+if TYPE_CHECKING:
+    from ..core import Core
+
+PATIENCE = 0.05
+"""Seconds between two looks at whether the work was cancelled, while the GL thread is waited for."""
+
+
+class Cancelled(Exception):
+    """The user has what was asked for no longer in mind."""
+
+
+class Painter:
+    """Draws the open scene by plans, with the edits that were in force when it was made. An `Artist`."""
+
+    def __init__(self, core: Core, cancelled: threading.Event, wake: Callable[[], object]):
+        if core.picture is None or core.scene is None:
+            raise ValueError("nothing is open")
+        self.name = renderer_name(core.picture)
+        self.gaussians: Gaussians = core.scene.gaussians
+        self.edits: SceneEdits | None = core.edits
+        self._post, self._picture = core.post, core.picture
+        self._anywhere = isinstance(core.picture, CpuPicture)
+        self._cancelled, self._wake = cancelled, wake
+
+    def prepare(self, camera: Camera, plan: Plan) -> None:
+        """The scene is there."""
+
+    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+        return self._timed(camera, plan)[0]
+
+    def timed(self, camera: Camera, plan: Plan) -> float:
+        """ms of one frame up to its pixels in memory; waiting for the GL thread's turn is no part of it."""
+        return self._timed(camera, plan)[1]
+
+    def memory(self, plan: Plan) -> int:
+        return 0
+
+    def _timed(self, camera: Camera, plan: Plan) -> tuple[np.ndarray, float]:
+        size = reduced_size(camera.width, camera.height, plan.resolution)
+        small = camera if size == (camera.width, camera.height) else camera.resized(*size)
+
+        def work() -> tuple[np.ndarray, float]:
+            begun = time.perf_counter()
+            image = self._picture.read(small, plan.settings, "splats", self.edits)
+            return image, 1e3 * (time.perf_counter() - begun)
+
+        image, milliseconds = work() if self._anywhere else self._on_gl_thread(work)
+        return enlarged(image, camera.width, camera.height), milliseconds
+
+    def _on_gl_thread(self, work: Callable[[], tuple[np.ndarray, float]]) -> tuple[np.ndarray, float]:
+        done = threading.Event()
+        answers: list[tuple[np.ndarray, float]] = []
+        failures: list[Exception] = []
+
+        def command(core: Core) -> None:
+            try:
+                if core.picture is self._picture and not self._cancelled.is_set():
+                    answers.append(work())
+            except Exception as error:  # the thread that asked must hear of it, not the frame loop
+                failures.append(error)
+            done.set()
+
+        self._post(command)
+        self._wake()
+        while not done.wait(PATIENCE):
+            if self._cancelled.is_set():
+                raise Cancelled
+        if failures:
+            raise failures[0]
+        if not answers:
+            raise Cancelled
+        return answers[0]
+
+
+def renderer_name(picture: Picture) -> str:
+    """As the knobs know it: "quads" or "cpu"."""
+    return picture.name.split()[0]
+
+
+def applicable(plan: Plan) -> bool:
+    """Whether the window can draw by `plan` without loading the scene anew."""
+    return plan == Plan(settings=plan.settings, resolution=plan.resolution)
+
+
+def elsewhere(renderer: str) -> tuple[str, ...]:
+    """Names of the knobs of `renderer` that only `splatview ladder` measures."""
+    return tuple(
+        knob.name
+        for knob in KNOBS
+        if renderer in knob.renderers and not all(applicable(v.apply(Plan())) for v in knob.values)
+    )

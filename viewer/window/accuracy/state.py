@@ -1,0 +1,172 @@
+"""What the window knows and wants of accuracy: prices, the shortcuts taken, the frame budget. No ImGui."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from ....measure.governor import Governor, Watch
+from ....measure.knobs import Plan, apply_choices
+from ....measure.ladder import Ladder, Measured
+from ....measure.steps import Shortcut, priced, unpriced
+from ....scene import Camera, Gaussians, RenderSettings
+from ..picture import CpuPicture, scaled_camera
+from .comparing import Comparing
+from .measuring import SECONDS, Measurement
+from .painter import renderer_name
+
+if TYPE_CHECKING:
+    from ....measure.bill import Bill
+    from ..core import Core
+
+
+@dataclass(eq=False, kw_only=True)
+class Accuracy:
+    """Part of the window's `Core`; for the GL thread."""
+
+    wake: Callable[[], object] = lambda: None
+    """Makes an idle window draw its next frame. May be called from any thread."""
+    choices: dict[str, str] = field(default_factory=dict)
+    """Shortcuts taken: knob -> value as typed. Empty: exact, as far as the settings are."""
+    measurement: Measurement | None = None
+    """Under way."""
+    ladder: Ladder | None = None
+    """Prices, of..."""
+    bill: Bill | None = None
+    """... and what a picture costs in work, of..."""
+    measured: Gaussians | None = None
+    """... this scene."""
+    budget_ms: float | None = None
+    """What a frame may take while the camera moves; None: all that it takes."""
+    comparing: Comparing = field(default_factory=Comparing)
+    note: str = ""
+    """What the picture drawn last leaves out because the camera moves, or ""."""
+    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    _camera: Camera | None = None
+    _frames_seen: int = 0
+    _full_ms: float = 0.0
+
+    # ---- commands
+
+    def measure(self, core: Core, seconds: float = SECONDS) -> None:
+        if self.measurement is None and core.scene is not None and core.picture is not None:
+            self.measurement = Measurement(core, seconds=seconds, wake=self.wake)
+
+    def cancel(self) -> None:
+        if self.measurement is not None:
+            self.measurement.cancel()
+
+    def choose(self, core: Core, knob: str, value: str) -> None:
+        """Takes a shortcut. Raises InputError where the renderer does not have it."""
+        if core.picture is None:
+            return
+        apply_choices(Plan(), {knob: value}, renderer_name(core.picture))
+        self.choices[knob] = value
+
+    def exact(self) -> None:
+        """Takes all shortcuts back."""
+        self.choices.clear()
+
+    def hold(self, core: Core, budget_ms: float | None) -> None:
+        """Sets the frame budget, or gives it up."""
+        self.budget_ms = budget_ms
+        if budget_ms is not None:
+            self.watch.governor.set_budget(budget_ms)
+        if isinstance(core.picture, CpuPicture):
+            core.picture.hold_budget(budget_ms)
+
+    # ---- what is drawn
+
+    def plan(self, core: Core) -> Plan:
+        """The settings with the shortcuts taken."""
+        plan = Plan(settings=core.settings)
+        if self.choices and core.picture is not None:
+            plan = apply_choices(plan, self.choices, renderer_name(core.picture))
+        return plan
+
+    def next_frame(self, core: Core) -> tuple[Camera, RenderSettings]:
+        """By what the frame that comes is drawn."""
+        plan, camera, self.note = self.plan(core), core.camera, ""
+        moved = self._camera is not None and not self._camera.same_view(camera)
+        self._camera = camera
+        if self.governs(core):
+            step = self.watch.next(moved=moved)
+            if step is not None and not (step.scale == 1 and not step.choices):
+                # One's own shortcuts stay, unless the budget asks for more of the same.
+                plan = apply_choices(plan, dict(step.choices), renderer_name(core.picture))
+                plan = replace(plan, resolution=plan.resolution * step.scale)
+                self.note = step.note
+        return scaled_camera(camera, core.preferences.resolution_scale * plan.resolution), plan.settings
+
+    def governs(self, core: Core) -> bool:
+        """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
+        return (
+            self.budget_ms is not None
+            and core.picture is not None
+            and not isinstance(core.picture, CpuPicture)
+            and core.mode == "splats"
+        )
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the next frames will show something else, though nobody touches the window."""
+        governed = self.budget_ms is not None and not self.watch.resting
+        return self.measurement is not None or governed or self.comparing.busy
+
+    # ---- between two frames
+
+    def advance(self, core: Core) -> None:
+        """Takes over what was measured, and learns from the latest frame."""
+        gaussians = core.scene.gaussians if core.scene else None
+        if self.measurement is not None and self.measurement.gaussians is not gaussians:
+            self.measurement.cancel()
+        if self.measured is not None and self.measured is not gaussians:
+            self.ladder = self.bill = self.measured = None
+            self.choices.clear()
+            self.watch.governor.follow(())
+        if self.measurement is not None and self.measurement.done:
+            self._collect(core, self.measurement)
+        self._learn(core)
+
+    def _collect(self, core: Core, made: Measurement) -> None:
+        self.measurement = None
+        if made.problem is not None:
+            core.complain(made.problem)
+        elif made.ladder is not None and core.scene is not None and made.gaussians is core.scene.gaussians:
+            self.ladder, self.bill, self.measured = made.ladder, made.bill, made.gaussians
+            self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
+            core.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
+
+    def _learn(self, core: Core) -> None:
+        stats = core.stats
+        if stats is None or stats.drawn == self._frames_seen or self.measurement is not None:
+            return
+        self._frames_seen = stats.drawn
+        milliseconds = sum(stats.ms.values())
+        if not milliseconds > 0 or not self.governs(core):
+            return
+        self.watch.took(milliseconds)
+        if self.watch.resting and self.ladder is None:
+            # Until prices are known: from what a full frame takes.
+            if not self.watch.governor.steps or not 0.67 < milliseconds / max(self._full_ms, 1e-9) < 1.5:
+                self._full_ms = milliseconds
+                self.watch.governor.follow(unpriced(milliseconds))
+
+    def end(self) -> None:
+        """The window closes."""
+        if self.measurement is not None:
+            self.measurement.cancel()
+            self.measurement.join()
+            self.measurement = None
+        self.comparing.end()
+
+
+def price_of(one: Measured, ladder: Ladder) -> str:
+    """What a rung saves and costs, in a line: "saves 3.1 ms, 41.2 dB, largest error 0.031"."""
+    saved = ladder.baseline.ms * (1 - one.ratio)
+    if not abs(one.ratio - 1) > ladder.noise:
+        time = "no faster"
+    else:
+        time = f"saves {saved:.1f} ms" if saved > 0 else f"costs {-saved:.1f} ms"
+    return f"{time}, {one.psnr:.1f} dB, largest error {one.max_error:.2g}"
