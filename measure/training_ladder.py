@@ -115,35 +115,33 @@ def mean_and_half_width(values: Sequence[float]) -> tuple[float, float]:
     return float(numbers.mean()), quantile * float(numbers.std(ddof=1)) / math.sqrt(len(numbers))
 
 
-COLUMNS = ("shortcut", "PSNR dB", "± 95 %", "gain dB", "± 95 %", "seconds to equal", "steps", "splats")
+COLUMNS = ("shortcut", "PSNR dB", "gain dB", "s to equal", "steps", "splats")
 
 
 def cells(one: Trained, baseline: Trained) -> list[str]:
-    """A row of COLUMNS. "seconds to equal": to the PSNR that the baseline ended with."""
+    """A row of COLUMNS, with 95 % intervals. "s to equal": until the PSNR that the baseline ended with."""
     psnr, width = one.psnr
     gain, gain_width = one.gain(baseline)
     seconds, _ = one.seconds_to(baseline.psnr[0])
     name = "baseline" if one.rung is BASELINE else f"{one.rung.knob}: {one.rung.value}"
     if one is baseline:
-        said = "0"
-    elif not abs(gain) > gain_width:
-        said = f"same ({gain:+.2f})"
+        said, equal = "", ""
     else:
-        said = f"{gain:+.2f}"
+        same = not abs(gain) > gain_width
+        said = f"same ({gain:+.2f})" if same else f"{gain:+.2f}{_width(gain_width)}"
+        equal = "never" if math.isinf(seconds) else f"{seconds:.0f}"
     return [
         name,
-        f"{psnr:.2f}",
-        _width(width),
+        f"{psnr:.2f}{_width(width)}",
         said,
-        "" if one is baseline else _width(gain_width),
-        "never" if math.isinf(seconds) else f"{seconds:.0f}",
+        equal,
         f"{np.mean([curve.steps for curve in one.curves]):,.0f}",
         f"{np.mean([curve.gaussians for curve in one.curves]):,.0f}",
     ]
 
 
 def _width(value: float) -> str:
-    return "one seed" if math.isinf(value) else f"{value:.2f}"
+    return "" if math.isinf(value) else f" ± {value:.2f}"
 
 
 def as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:

@@ -150,7 +150,8 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
 
 def print_training_ladder(console: Console, trained: list[Trained], title: str) -> None:
     baseline = trained[0]
-    table = Table(COLUMNS[0], title=title)
+    table = Table(title=title)
+    table.add_column(COLUMNS[0], no_wrap=True)
     for column in COLUMNS[1:]:
         table.add_column(column, justify="right", no_wrap=True)
     for one in trained:
@@ -158,6 +159,6 @@ def print_training_ladder(console: Console, trained: list[Trained], title: str) 
     console.print(table)
     console.print(
         "Gain: against the baseline, seed by seed; “same” where the 95 % interval over seeds holds 0."
-        " Seconds to equal: until the PSNR that the baseline ended with.",
+        " Seconds (s) to equal: until the PSNR that the baseline ended with.",
         highlight=False,
     )
