@@ -251,7 +251,8 @@ class CpuTexture:
         planned = self._pace.plan is not None and self._pace.plan.gaussians is wish.gaussians
         if planned and wish.edits is None:
             return self._pace.shortcut
-        if self._drawn_of is wish.gaussians and self._full_ms is not None and self._full_ms <= self._allowed_ms:
+        full_ms = self._full_ms if self._drawn_of is wish.gaussians else None
+        if full_ms is not None and full_ms <= self._allowed_ms:
             return None
         return Shortcut(gaussians=wish.gaussians, share=1.0, scale=UNPRICED_SCALE, ms=0.0, error=0.0)
 

@@ -120,9 +120,11 @@ def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
     )
     for cell in cells:
         imgui.table_next_column()
-        imgui.text_colored(
-            theme.QUIET if cell == "same" else imgui.get_style_color_vec4(imgui.Col_.text), cell
-        )
+        if cell == "same":
+            imgui.text_colored(theme.QUIET, cell)
+            widgets.tooltip("The difference is within the noise floor.")
+        else:
+            imgui.text_unformatted(cell)
 
 
 def budget(core: Core, accuracy: Accuracy) -> None:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ..core import Core
 
 
+SAME_MS = 1.5
+"""Full frames that differ by less than this factor are of the same work."""
+
+
 @dataclass(eq=False, kw_only=True)
 class Accuracy:
     """Part of the window's `Core`; for the GL thread."""
@@ -147,11 +151,11 @@ class Accuracy:
         if not milliseconds > 0 or not self.governs(core):
             return
         self.watch.took(milliseconds)
-        if self.watch.resting and self.ladder is None:
+        changed = not 1 / SAME_MS < milliseconds / max(self._full_ms, 1e-9) < SAME_MS
+        if self.watch.resting and self.ladder is None and changed:
             # Until prices are known: from what a full frame takes.
-            if not self.watch.governor.steps or not 0.67 < milliseconds / max(self._full_ms, 1e-9) < 1.5:
-                self._full_ms = milliseconds
-                self.watch.governor.follow(unpriced(milliseconds))
+            self._full_ms = milliseconds
+            self.watch.governor.follow(unpriced(milliseconds))
 
     def end(self) -> None:
         """The window closes."""
