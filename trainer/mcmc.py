@@ -28,6 +28,10 @@ DEAD = 0.005
 MOST_COPIES = 51
 """A splat is shared among at most so many."""
 
+MOST_GROWTH = 2
+"""The number of splats grows at most by this factor at once: in runs of a hundred steps, with one or two
+refinements, many faint copies of each splat have no time left to become different."""
+
 NOISE_SHARPNESS = 100.0
 NOISE_MIDDLE = 0.995
 """Noise fades with opacity o as 1 / (1 + exp(-sharpness·(1 - o - middle)))."""
@@ -73,7 +77,7 @@ class SampledControl:
                 for array in group:
                     array[sources] = 0
                     array[dead] = 0
-        missing = self.count_at(progress) - len(splats)
+        missing = min(self.count_at(progress), MOST_GROWTH * len(splats)) - len(splats)
         if missing > 0:
             opacities = sigmoids(splats.parameters.opacity_logits)
             growing = ~inside_any(self.settings.no_growth, splats.parameters.means)

@@ -79,6 +79,18 @@ def automatic_elongation(photos: int) -> float:
     return LONGEST_OF_FEW if photos < FEW_PHOTOS else math.inf
 
 
+STEPS_PER_PHOTO, LEAST_STEPS = 600, 3_000
+
+
+def automatic_steps(photos: int) -> int | None:
+    """Steps after which a run on so few photos should be over; None: they are not few.
+
+    On held-out photos of `banana` (13 to train on, half size) a run of 8,000 steps scores 28.8 dB, one of
+    16,000 28.2 dB and one of 67,000 not 27: what is left to learn then is single photos.
+    """
+    return max(STEPS_PER_PHOTO * photos, LEAST_STEPS) if photos < FEW_PHOTOS else None
+
+
 LEAST_PULLED = 0.1
 """Pixels, seen from as far as the extent: thinner splats are not pulled to be thinner still."""
 

@@ -70,7 +70,8 @@ def test_the_number_grows_by_even_factors_to_the_limit() -> None:
     counts = [control.count_at(progress) for progress in (0, 0.1, 0.2, 0.3, 0.5, 1)]
     assert counts == [100, 100, 200, 400, 1600, 1600]
     splats = control.refine(splats_of([0.5] * 100), 0.3, np.random.default_rng(0))
-    assert len(splats) == 400
+    assert len(splats) == 200, "no more than twice as many at once"
+    assert len(control.refine(splats, 0.3, np.random.default_rng(0))) == 400
     assert control_of(100, max_splats=10).count_at(0.9) == 100
 
 

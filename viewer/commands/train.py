@@ -45,7 +45,10 @@ def make_parser() -> Parser:
     parser.add_argument("--headless", action="store_true", help="train without a window")
     group = parser.add_argument_group("length")
     group.add_argument(
-        "--iterations", type=count, metavar="N", help=f"steps (default: {PAPER_ITERATIONS:,}, or --minutes)"
+        "--iterations",
+        type=count,
+        metavar="N",
+        help=f"steps (default: {PAPER_ITERATIONS:,}, fewer for few photos)",
     )
     group.add_argument("--minutes", type=positive, metavar="M", help="end after M minutes, all included")
     group = parser.add_argument_group("recipe")

@@ -26,6 +26,7 @@ from ...trainer.settings import (
     automatic_elongation,
     automatic_limit,
     automatic_pull,
+    automatic_steps,
 )
 from ...trainer.shots import Shot, Shots, shots_of
 from ...trainer.training import Trainer
@@ -114,6 +115,13 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
         console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
     if checkpoint is None:
         trainer = _new_trainer(capture, shots, seed, batch, options, group)
+        if options.iterations is None and automatic_steps(len(shots)) is not None:
+            console.print(
+                f"{len(shots)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
+                " learn single photos by heart; --iterations asks for more",
+                highlight=False,
+                soft_wrap=True,
+            )
     else:
         trainer = _resumed_trainer(shots, checkpoint, options, group)
     if group.rank == 0:
@@ -186,8 +194,8 @@ def _new_trainer(
     capture: Capture, shots: Shots, seed: int, batch: int, options: argparse.Namespace, group: Group
 ) -> Trainer:
     iterations, minutes = options.iterations, options.minutes
-    if iterations is None and minutes is None:
-        iterations = PAPER_ITERATIONS
+    if iterations is None:
+        iterations = automatic_steps(len(shots)) or (PAPER_ITERATIONS if minutes is None else None)
     strategy = options.strategy or "mcmc"
     if options.abs_grad and strategy != "classic":
         raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
@@ -207,7 +215,7 @@ def _new_trainer(
         coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
         background=capture.background or (0.0, 0.0, 0.0),
         max_splats=options.max_splats
-        or automatic_limit(shots.pixel_count, minutes if iterations is None else None),
+        or automatic_limit(shots.pixel_count, minutes if options.iterations is None else None),
     )
     extent = capture.scene_radius
     parameters = initial_parameters(
