@@ -123,13 +123,15 @@ def governor(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
         core.steer(orbit(core.view, 0.01, 0.0))
 
     def turned(frames: int) -> list[float]:
-        times, last = [], picture.stats.drawn
+        times: list[float] = []
+        last = core.stats.drawn if core.stats else 0
         while len(times) < frames:
             core.post(turn)
             hand.frames(1)
-            if picture.stats.drawn != last and picture.stats.ms:
-                last = picture.stats.drawn
-                times.append(sum(picture.stats.ms.values()))
+            stats = core.stats
+            if stats is not None and stats.drawn != last and stats.ms:
+                last = stats.drawn
+                times.append(sum(stats.ms.values()))
         return times
 
     full = turned(options["frames"])
