@@ -103,7 +103,7 @@ KNOBS: tuple[Knob, ...] = (
         title="Blend target",
         changes="precision in which splats are summed; coarser moves fewer bytes",
         renderers=GL,
-        values=(_setting("float32", blend="float32"), _setting("float16", blend="float16")),
+        values=tuple(_setting(text, blend=text) for text in ("float32", "float16", "unorm8")),
     ),
     Knob(
         name="early-stop",
@@ -111,6 +111,18 @@ KNOBS: tuple[Knob, ...] = (
         changes="a pixel ends when less light than this comes through; splats behind it cost nothing",
         renderers=GL + TILES + CPU,
         values=tuple(_setting(text, early_stop=float(text)) for text in ("0", "1e-4", "1e-2")),
+    ),
+    Knob(
+        name="cut",
+        title="Footprint cut",
+        changes="where a splat ends: at an alpha of 1/255 as in the image model, or nearer, at so many standard"
+        " deviations; fewer pixels a splat",
+        renderers=GL + TILES + CPU,
+        values=(
+            _setting("1/255", sigma_cut=None),
+            _setting("3-sigma", sigma_cut=3.0),
+            _setting("2-sigma", sigma_cut=2.0),
+        ),
     ),
     Knob(
         name="resolution",

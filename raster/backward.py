@@ -280,7 +280,7 @@ def differentiate_tiles(
                 -np.inf,
                 gathered,
             )
-            touched_blocks(gathered, until - begin, view.log2_cut, rows)
+            touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
             while until > begin:
                 revive(pixels, first_pixel, until, lights, met_of, alive)
                 before = max(most_met(first_pixel, met_of, until), begin)

@@ -54,11 +54,11 @@ def tile_rows(record, tiles_y):
 
 
 @inline
-def ellipse(record, log2_cut):
+def ellipse(record, log2_cut, log2_share):
     """What `tile_span` needs of a splat, float64: x, y, then a, b, c, the reach of (a·dx + b·dy)² + (c·dy)²,
     the half extent in y and the dy at which the ellipse is farthest right."""
     a, b, c = np.float64(record[A]), np.float64(record[B]), np.float64(record[C])
-    reach = (np.float64(record[LOG2_OPACITY]) - log2_cut) * (1 + MARGIN) + MARGIN
+    reach = min(np.float64(record[LOG2_OPACITY]) - log2_cut, -log2_share) * (1 + MARGIN) + MARGIN
     root = math.sqrt(reach)
     slope = b / c
     return (
@@ -119,7 +119,7 @@ def find_spans(start, stop, first_span, visible, records, view, spans, spans_of)
                     spans[at, 1] = spans[at, 0] + 1
                     at += 1
         else:
-            shape = ellipse(record, view.log2_cut)
+            shape = ellipse(record, view.log2_cut, view.log2_share)
             for row in range(first_row, last_row + 1):
                 left, right = tile_span(shape, row, view.tiles_x)
                 if left <= right:

@@ -111,7 +111,7 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, most_
 
 
 @inline
-def touched_blocks(gathered, count, log2_cut, rows):
+def touched_blocks(gathered, count, log2_cut, log2_share, rows):
     """First and last block that each gathered ellipse meets in each strip: rows (STRIPS·2·CHUNK,) int32,
     for a strip CHUNK firsts, then CHUNK lasts. First > last where it meets none; all blocks where the
     arithmetic overflows.
@@ -126,7 +126,7 @@ def touched_blocks(gathered, count, log2_cut, rows):
             load(gathered, G_B * CHUNK + j),
             load(gathered, G_C * CHUNK + j),
         )
-        reach = load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut)
+        reach = minimum(load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut), fill(x, -log2_share))
         reach = fma(reach, fill(x, 1 + MARGIN), fill(x, MARGIN))
         zero, half, margin = fill(x, 0.0), fill(x, 0.5), fill(x, MARGIN)
         inverse = divide(fill(x, 1.0), fma(b, b, c * c))
@@ -222,7 +222,7 @@ def put_aside(retired, at, met, lights, met_of):
 
 
 @inline
-def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
+def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels):
     """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
     number = gathered.dtype.type
     blocks = 0
@@ -232,7 +232,8 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels):
         red = spread(gathered[G_RED * CHUNK + j])
         green = spread(gathered[G_GREEN * CHUNK + j])
         blue = spread(gathered[G_BLUE * CHUNK + j])
-        cut, cap, step = fill(red, log2_cut), fill(red, max_alpha), fill(red, BLOCK_HEIGHT)
+        cut = maximum(log2_opacity + fill(red, log2_share), fill(red, log2_cut))
+        cap, step = fill(red, max_alpha), fill(red, BLOCK_HEIGHT)
         y_centres = row_centres(red) - spread(gathered[G_Y * CHUNK + j])
         for strip in range(STRIPS):
             first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
@@ -316,8 +317,10 @@ def draw_tiles(
                 retirement.most_fall,
                 gathered,
             )
-            touched_blocks(gathered, count, view.log2_cut, rows)
-            blocks += blend_chunk(gathered, count, rows, alive, view.log2_cut, view.max_alpha, pixels)
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
+            blocks += blend_chunk(
+                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels
+            )
             position += count
             some = retire(pixels, first_pixel, retirement.stop_below, position - first, lights, met_of, alive)
         retire(pixels, first_pixel, np.inf, position - first, lights, met_of, alive)

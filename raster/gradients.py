@@ -11,6 +11,7 @@ from .frame import Frame, StageClock, bands_of, tile_ranges
 from .parameters import Parameters, describe
 from .pool import TASKS_PER_THREAD, run
 from .project_backward import POSE_BLOCK, project_backward
+from .view import NO_SHARE
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for
@@ -46,7 +47,7 @@ def differentiate(
 
     Raises:
         ValueError: d_image has the wrong shape or dtype, the image model's max_alpha is not below 1,
-            or the picture was drawn with edits in force.
+            or the picture was drawn with edits in force or with a sigma cut.
     """
     dtype = frame.image.dtype
     if not isinstance(d_image, np.ndarray) or d_image.shape != frame.image.shape or d_image.dtype != dtype:
@@ -55,6 +56,8 @@ def differentiate(
         raise ValueError("gradients need an image model with max_alpha below 1")
     if frame.edited:
         raise ValueError("a picture drawn with edits in force has no gradients: bake the edits first")
+    if frame.view.log2_share != NO_SHARE:
+        raise ValueError("a picture drawn with a sigma cut has no gradients: set sigma_cut to None")
     d_image = np.ascontiguousarray(d_image)
     clock = StageClock()
     splat_sums, background = _splat_sums(frame, d_image, clock)

@@ -40,13 +40,11 @@ from .edited import (
 )
 from .exp import exp_lanes, log2_lanes
 from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
+from .view import HALF_LOG2_E
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, FALL = range(14)
 RECORD = 16
 """Numbers in a record; the last two are padding to a cache line."""
-
-HALF_LOG2_E = 0.5 * math.log2(math.e)
-"""exp(-q/2) = 2^(-q·HALF_LOG2_E)."""
 
 CONIC_SCALE = math.sqrt(HALF_LOG2_E)
 
@@ -304,7 +302,7 @@ def project_group(view, lanes):
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
     # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
-    reach = (log2_opacity - view.log2_cut) * (1 / HALF_LOG2_E)
+    reach = min(log2_opacity - view.log2_cut, -view.log2_share) * (1 / HALF_LOG2_E)
     rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
     drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))

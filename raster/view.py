@@ -12,6 +12,12 @@ from ..scene import Camera, RenderSettings
 TILE = 16
 """Side of a tile in pixels."""
 
+HALF_LOG2_E = 0.5 * math.log2(math.e)
+"""exp(-q/2) = 2^(-q·HALF_LOG2_E)."""
+
+NO_SHARE = -1e30
+"""A logarithm of 0 for kernels that take all numbers to be finite."""
+
 
 class View(NamedTuple):
     """Lengths in px or world units as the name says; what each does is told in `scene.image_model`."""
@@ -38,6 +44,8 @@ class View(NamedTuple):
     """As the model has it; may be 0."""
     log2_cut: float
     """log2 of the cut that the kernels use: never below the smallest normal power of two."""
+    log2_share: float
+    """log2 of the share of its opacity below which a splat's alpha is 0; NO_SHARE where there is none."""
     max_alpha: float
     tiles_x: int
     tiles_y: int
@@ -67,6 +75,7 @@ def make_view(camera: Camera, settings: RenderSettings, dtype: np.dtype) -> View
         antialiased=bool(model.antialiased),
         alpha_cut=float(model.alpha_cut),
         log2_cut=max(math.log2(model.alpha_cut), smallest) if model.alpha_cut > 0 else smallest,
+        log2_share=NO_SHARE if settings.sigma_cut is None else -HALF_LOG2_E * settings.sigma_cut**2,
         max_alpha=float(model.max_alpha),
         tiles_x=-(-camera.width // TILE),
         tiles_y=-(-camera.height // TILE),

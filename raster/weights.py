@@ -187,7 +187,9 @@ def _weigh(
 
 
 @inline
-def weigh_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels, place, first_row, pairs):
+def weigh_chunk(
+    gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, place, first_row, pairs
+):
     """Walks gathered splats: the sum and the largest weight of the j-th go to
     pairs[first_row + j]; in `pixels` the largest weight so far takes the place of red, and that of green its
     splat's place in the tile's list, the first gathered one being at `place`."""
@@ -196,7 +198,8 @@ def weigh_chunk(gathered, count, rows, alive, log2_cut, max_alpha, pixels, place
     for j in range(count):
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
-        cut, cap, step = fill(b, log2_cut), fill(b, max_alpha), fill(b, BLOCK_HEIGHT)
+        cut = maximum(log2_opacity + fill(b, log2_share), fill(b, log2_cut))
+        cap, step = fill(b, max_alpha), fill(b, BLOCK_HEIGHT)
         y_centres = row_centres(b) - spread(gathered[G_Y * CHUNK + j])
         here = fill(b, place + j)
         total = greatest = fill(b, 0.0)
@@ -259,13 +262,14 @@ def weigh_tiles(
                 retirement.most_fall,
                 gathered,
             )
-            touched_blocks(gathered, count, view.log2_cut, rows)
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             weigh_chunk(
                 gathered,
                 count,
                 rows,
                 alive,
                 view.log2_cut,
+                view.log2_share,
                 view.max_alpha,
                 pixels,
                 position - first,

@@ -73,12 +73,17 @@ class RenderSettings:
     """RGB, display-referred, blended behind the scene."""
     sh_degree: int | None = None
     """Highest SH degree evaluated; None: all that the scene stores."""
-    blend: Literal["float16", "float32"] = "float16"
+    blend: Literal["float16", "float32", "unorm8"] = "float16"
     """Precision of the target that `quads` blends into; renderers that keep sums in registers use float32."""
     early_stop: float | None = None
     """Transmittance below which a pixel is finished; 0: never; None: the renderer's own (below 2e-4).
     A pixel's error is at most this times the brightest colour behind."""
 
+    sigma_cut: float | None = None
+    """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut alone counts."""
+
     def __post_init__(self) -> None:
+        if self.sigma_cut is not None and not self.sigma_cut > 0:
+            raise ValueError(f"sigma_cut must be above 0, got {self.sigma_cut}")
         if self.early_stop is not None and not 0 <= self.early_stop < 1:
             raise ValueError(f"early_stop must be in [0, 1), got {self.early_stop}")

@@ -12,6 +12,7 @@ uniform vec4 u_ray_limits;         // least and greatest t.xy / t.z that the Jac
 uniform float u_near;
 uniform float u_blur;              // px²
 uniform float u_alpha_cut;
+uniform float u_least_share;       // of its opacity, below which a splat's alpha is 0 too
 
 const float MIN_QUAT_COMPONENT = 1e-30;
 const float WHOLE_IMAGE = 1e18;    // px; half an axis where no alpha cut bounds the footprint
@@ -83,7 +84,8 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;
 
     // The ellipse alpha = cut: along the eigenvectors, 1-sigma lengths sqrt(eigenvalue).
-    if (u_alpha_cut > 0.0) {
+    float cut = max(u_alpha_cut, u_least_share * f.opacity);
+    if (cut > 0.0) {
         float half_difference = 0.5 * (xx - yy);
         float root = sqrt(half_difference * half_difference + xy * xy);
         float major = 0.5 * (xx + yy) + root;
@@ -91,7 +93,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         float stretch = max(abs(along.x), abs(along.y));
         along = stretch > 0.0 ? normalize(along / stretch) : vec2(1.0, 0.0);
         // A little wide, because log() is only good to 1e-4 or so on some drivers.
-        float reach = sqrt(max(2.0 * log(f.opacity / u_alpha_cut), 0.0) + 1e-3) * spread;
+        float reach = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
         f.major_axis = along * (reach * sqrt(major));
         f.minor_axis = reach * sqrt(det / major);
         vec2 across = f.minor_axis * vec2(-along.y, along.x);

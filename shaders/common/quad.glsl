@@ -3,9 +3,11 @@
 #include "common/falloff.glsl"
 
 uniform vec2 u_size;
+uniform float u_alpha_cut;
+uniform float u_least_share;  // of its opacity, below which a splat's alpha is 0 too
 
 flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the exponent one of 2
-flat out float v_c;
+flat out vec2 v_c_cut;    // c, and the alpha below which there is none
 flat out vec4 v_colour;   // rgb, opacity
 
 const float POINT_RADIUS = 1.6;                      // px
@@ -15,13 +17,13 @@ const float LARGE = 2048.0;                           // px; beyond it the raste
 void place_nothing() {
     gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
     v_shape = v_colour = vec4(0.0);
-    v_c = 0.0;
+    v_c_cut = vec2(0.0);
 }
 
 // Places vertex gl_VertexID % 4. `shape` is mean.xy, a, b; `bound` is c, minor axis, major axis.xy.
 void place_quad(vec4 shape, vec4 bound, vec4 colour) {
     v_shape = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
-    v_c = bound.x * ROOT_HALF_LOG2_E;
+    v_c_cut = vec2(bound.x * ROOT_HALF_LOG2_E, max(u_alpha_cut, u_least_share * colour.a));
     v_colour = colour;
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
 #if POINTS

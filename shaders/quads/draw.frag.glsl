@@ -4,11 +4,10 @@
 // noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
 // constant colour in place of all of main 0.74: most of it is reading and writing the target.
 // Flags: POINTS, OVERDRAW (counts splats in place of blending them).
-uniform float u_alpha_cut;
 uniform float u_max_alpha;
 
 flat in vec4 v_shape;
-flat in float v_c;
+flat in vec2 v_c_cut;
 flat in vec4 v_colour;
 out vec4 colour;
 
@@ -18,9 +17,9 @@ void main() {
     float alpha = clamp(v_shape.z + 0.5 - length(d), 0.0, 1.0);
     if (!(alpha > 0.0)) discard;
 #else
-    vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c * d.y);
+    vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c_cut.x * d.y);
     float alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
-    if (!(alpha >= u_alpha_cut)) discard;
+    if (!(alpha >= v_c_cut.y)) discard;
 #endif
 #if OVERDRAW
     colour = vec4(1.0, 0.0, 0.0, 0.0);

@@ -14,6 +14,8 @@ layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  /
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
 layout(rgba32f, binding = 0) uniform image2D u_gathered;                       // rgb, T
 uniform uint u_round;
+uniform uint u_first;  // of the tile's splats, and at most how many from there on
+uniform uint u_most;
 uniform float u_max_alpha;
 uniform float u_early_stop;
 
@@ -92,11 +94,14 @@ void main() {
 #if REST
     uvec2 range = uvec2(plan.rest_first, plan.rest_end);
 #else
-    if (me < 2u) borders[me] = first_pair(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x + me);
+    uint number = gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
+    for (uint i = me; i < 2u; i += uint(WORKGROUP)) borders[i] = first_pair(number + i);
     barrier();
     uvec2 range = uvec2(borders[0], borders[1]);
-    if (range.x == range.y) return;
 #endif
+    if (range.y - range.x <= u_first) return;
+    range.x += u_first;
+    range.y = range.x + min(range.y - range.x, u_most);
     ivec2 size = imageSize(u_gathered);
     vec4 sums[PIXELS];  // rgb, T
     for (int i = 0; i < PIXELS; i++) {
@@ -114,12 +119,12 @@ void main() {
         if (open_pixels == 0u) break;
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
-            float c = batch_cs[k];
+            float c = batch_cs[k], cut = max(u_alpha_cut, u_least_share * colour.a);
             for (int i = 0; i < PIXELS; i++) {
                 vec2 d = vec2(pixel_of(tile, i)) + 0.5 - shape.xy;
                 vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
                 float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
-                alpha = alpha >= u_alpha_cut ? alpha : 0.0;  // NaN too
+                alpha = alpha >= cut ? alpha : 0.0;  // NaN too
                 sums[i].rgb += sums[i].a * alpha * colour.rgb;
                 sums[i].a *= 1.0 - alpha;
             }

@@ -7,6 +7,7 @@ layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };    // c, 
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };  // rgb, opacity
 uniform ivec2 u_tiles;  // columns, rows
 uniform float u_alpha_cut;
+uniform float u_least_share;  // of its opacity, below which a splat's alpha is 0 too
 
 struct Outline {
     vec2 mean;      // px
@@ -27,7 +28,8 @@ Outline outline_of(uint splat) {
     o.conic = vec3(shapes[splat].zw, bounds[splat].x);
     o.reach = EVERYWHERE;
     // 1e-3 because log() is only good to 1e-4 or so on some drivers.
-    if (u_alpha_cut > 0.0) o.reach = sqrt(max(2.0 * log(colours[splat].a / u_alpha_cut), 0.0) + 1e-3);
+    float opacity = colours[splat].a, cut = max(u_alpha_cut, u_least_share * opacity);
+    if (cut > 0.0) o.reach = sqrt(max(2.0 * log(opacity / cut), 0.0) + 1e-3);
     o.height = o.reach / max(o.conic.z, LEAST_CONIC);
     float steep = length(o.conic.yz);
     o.leaning = steep > 0.0 ? o.conic.y / steep : 0.0;

@@ -121,3 +121,15 @@ def test_splats_kept_are_the_same_whatever_is_drawn(artists, scene, name):
     assert all(row.tobytes() in rows for row in quarter.means), "a smaller share is part of a larger one"
     direct = make_headless(name).draw(half, CAMERA, Plan().settings)
     np.testing.assert_array_equal(drawn(artists[name], {"keep": "50"}), direct)
+
+
+@pytest.mark.parametrize("value", ["3-sigma", "2-sigma"])
+def test_renderers_cut_alike(artists, value):
+    if len(artists) == 1:
+        pytest.skip("no OpenGL 4.3")
+    pictures = {name: drawn(artist, {"cut": value}) for name, artist in artists.items()}
+    exact = drawn(artists["cpu"], {})
+    assert np.abs(pictures["cpu"] - exact).max() > 0.01
+    for name in ("quads", "tiles"):
+        apart = np.abs(pictures[name] - pictures["cpu"]).max(axis=2)
+        assert np.mean(apart > 2e-3) < 3e-3, "but for pixels on the cut to the last digit"

@@ -89,13 +89,17 @@ class QuadsRenderer(Renderer):
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
         editing = self._edits.update(edits, overlay)
-        projected_key = (*_view_key(camera), settings.model, sh_degree, editing.footprints)
+        projected_key = (
+            *_view_key(camera),
+            *(settings.model, settings.sigma_cut, sh_degree),
+            editing.footprints,
+        )
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
         resolved_key = (drawn_key, settings.background)
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
-        uniforms = view_uniforms(camera, settings.model, scene.placement.centre)
+        uniforms = view_uniforms(camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if projected_key != self._projected_key:
             with self._timers.stage("project"):

@@ -47,7 +47,7 @@ class _Wish:
     @property
     def _footprints(self) -> tuple:
         settings = self.settings
-        return (settings.model, settings.sh_degree, self.mode == "depth", self.editing.footprints)
+        return (settings.model, settings.sigma_cut, settings.sh_degree, self.mode == "depth", self.editing.footprints)
 
     @property
     def _picture(self) -> tuple:
@@ -150,7 +150,7 @@ class LegacyQuadsRenderer(Renderer):
         if order is self._order and wish.same_picture(self._drawn):
             return
         settings = wish.settings
-        uniforms = view_uniforms(wish.camera, settings.model, scene.placement.centre)
+        uniforms = view_uniforms(wish.camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if not wish.same_footprints(self._projected):
             with self._timers.stage("project"):

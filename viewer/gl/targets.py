@@ -9,13 +9,17 @@ import numpy as np
 
 from .frame import VisualMode
 
-Precision = Literal["float16", "float32"]
+Precision = Literal["float16", "float32", "unorm8"]
 
-DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4"}
+DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4", "unorm8": "f1"}
 """moderngl's names."""
 
-BRIGHTEST: dict[str, float] = {"float16": 65504.0, "float32": float(np.finfo(np.float32).max)}
-"""Colours beyond this become infinite in a target."""
+BRIGHTEST: dict[str, float] = {
+    "float16": 65504.0,
+    "float32": float(np.finfo(np.float32).max),
+    "unorm8": 65504.0,
+}
+"""Colours beyond this become infinite in a target; what 8 bits are given is clamped to 1 after alpha."""
 
 
 class ColourTarget:
@@ -70,8 +74,8 @@ class PictureTargets:
     def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode) -> None:
         """Makes both ready for a picture of `size` (width, height) px."""
         # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
-        wide = blend == "float32" or mode in ("depth", "overdraw") or self.truncates
-        self._gathered = self._fitting(self._gathered, size, "float32" if wide else "float16")
+        wide = mode in ("depth", "overdraw") or (blend == "float16" and self.truncates)
+        self._gathered = self._fitting(self._gathered, size, "float32" if wide else blend)
         self._shown = self._fitting(self._shown, size, blend)
 
     def _fitting(

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import moderngl
 import numpy as np
 
-from ...scene import Camera, ImageModel
+from ...scene import Camera, RenderSettings
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
 
 
-def view_uniforms(camera: Camera, model: ImageModel, centre: np.ndarray) -> dict[str, Uniform]:
+def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) -> dict[str, Uniform]:
     """Uniforms of ``common/projection.glsl``; `centre` (3,) float64 is what positions are relative to."""
+    model = settings.model
     eye = camera.eye - centre
     high = eye.astype(np.float32)
     low = (eye - high).astype(np.float32)
@@ -38,6 +40,7 @@ def view_uniforms(camera: Camera, model: ImageModel, centre: np.ndarray) -> dict
         "u_near": model.near,
         "u_blur": model.blur,
         "u_alpha_cut": model.alpha_cut,
+        "u_least_share": 0.0 if settings.sigma_cut is None else math.exp(-0.5 * settings.sigma_cut**2),
         "u_max_alpha": model.max_alpha,
     }
 
