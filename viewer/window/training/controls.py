@@ -201,6 +201,7 @@ def keep(core: Core, training: Training, status: Status) -> None:
         partial(core.post, actions.save_checkpoint),
     )
     outputs = training.thread.outputs
-    when = "when the window closes" if status.saved_at is None else f"last at step {status.saved_at:,}"
-    widgets.note(f"{outputs.scene.name} is saved {when}.")
+    at = status.saved_at
+    when = "is saved when the window closes" if at is None else f"was last saved at step {at:,}"
+    widgets.note(f"{outputs.scene.name} {when}.")
     widgets.tooltip(str(outputs.scene.resolve()))
