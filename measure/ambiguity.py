@@ -79,7 +79,9 @@ def unexplained_pixels(
     rows, columns = np.nonzero(~(error <= bound))
     if not len(rows):
         return [], 0
-    footprints = project(gaussians, camera, settings)
+    # With a lower cut, or splats whose peak is just below it would be culled before they are looked at.
+    lenient = replace(settings.model, alpha_cut=settings.model.alpha_cut * (1 - RELATIVE_SLACK))
+    footprints = project(gaussians, camera, replace(settings, model=lenient))
     unexplained: list[tuple[int, int]] = []
     for x, y in zip(columns.tolist(), rows.tolist(), strict=True):
         swing = ambiguity_at(footprints, x, y, settings).swing

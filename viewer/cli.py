@@ -16,6 +16,7 @@ from ..scene import InputError
 COMMANDS = {
     "render": "a scene to a picture file, without a window",
     "info": "what a scene holds, which effects it calls for, and its health",
+    "stability": "hard cases on every renderer of this machine, against the reference",
     "ladder": "what accuracy costs in time: each shortcut's price, measured",
     "train": "photos with known cameras to a scene",
     "edit": "the steps of a recipe, done to a scene",

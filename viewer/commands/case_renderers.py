@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ...measure.hard_cases.running import CaseRenderer, Draw
+from ...measure.hard_cases.running import CaseRenderer, Draw, Precision
 from ...scene import Camera, Gaussians, RenderSettings
 
-NAMES = ("quads", "quads-gl33", "cpu", "reference")
+NAMES = ("quads", "quads-gl33", "tiles", "cpu", "reference")
 """As `--renderer` takes them."""
+
+GL_NAMES = ("quads", "quads-gl33", "tiles")
 
 
 @contextmanager
@@ -25,13 +27,15 @@ def case_renderers(names: tuple[str, ...] = NAMES) -> Iterator[list[CaseRenderer
     made: list[CaseRenderer] = []
     opened: list[Any] = []
     try:
-        if any(name.startswith("quads") for name in names):
+        if any(name in GL_NAMES for name in names):
             made += gl_renderers(names, opened)
         if "cpu" in names:
             made.append(CaseRenderer(name="cpu", blend="float32", draw=draw_by_cpu))
         if "reference" in names:
             made.append(CaseRenderer(name="reference float64", blend="float32", draw=draw_by_reference))
-            made.append(CaseRenderer(name="reference float32", blend="float32", draw=draw_by_reference_float32))
+            made.append(
+                CaseRenderer(name="reference float32", blend="float32", draw=draw_by_reference_float32)
+            )
         yield made
     finally:
         for thing in reversed(opened):
@@ -39,10 +43,11 @@ def case_renderers(names: tuple[str, ...] = NAMES) -> Iterator[list[CaseRenderer
 
 
 def gl_renderers(names: tuple[str, ...], opened: list[Any]) -> list[CaseRenderer]:
-    """The renderers of quads on a context of their own; what has to be released goes to `opened`."""
+    """The renderers by OpenGL on a context of their own; what has to be released goes to `opened`."""
     from ..gl.context import create_headless_context
     from ..gl.quads import QuadsRenderer
     from ..gl.quads_legacy import LegacyQuadsRenderer
+    from ..gl.tiles import TilesRenderer
 
     context = create_headless_context()
     opened.append(context)
@@ -51,13 +56,28 @@ def gl_renderers(names: tuple[str, ...], opened: list[Any]) -> list[CaseRenderer
         kinds.append(("quads", QuadsRenderer))
     if "quads-gl33" in names or ("quads" in names and context.version_code < 430):
         kinds.append(("quads-gl33", LegacyQuadsRenderer))
-    made = []
+    if "tiles" in names and context.version_code >= 430:
+        kinds.append(("tiles", TilesRenderer))
+    made: list[CaseRenderer] = []
     for name, kind in kinds:
         renderer = kind(context)
         opened.append(renderer)
-        for blend in ("float32", "float16"):
-            made.append(CaseRenderer(name=name, blend=blend, draw=drawn_by(renderer)))
+        # Tiles keep their sums in float32 whatever they are asked for.
+        blends: tuple[Precision, ...] = ("float32",) if name == "tiles" else ("float32", "float16")
+        made += [CaseRenderer(name=name, blend=blend, draw=drawn_by(renderer)) for blend in blends]
     return made
+
+
+def describe_gl() -> dict[str, str]:
+    """Vendor, renderer and version of the OpenGL that is tested. Raises InputError where there is none."""
+    from ..gl.context import create_headless_context, describe
+
+    context = create_headless_context()
+    try:
+        info = describe(context)
+    finally:
+        context.release()
+    return {"vendor": info.vendor, "renderer": info.renderer, "version": info.version}
 
 
 def drawn_by(renderer: Any) -> Draw:
