@@ -63,7 +63,7 @@ class ChangeCrop(_OneCrop):
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         self._crop(document)
-        return _recropped(document, self._replaced(document, self.crop), f"Change crop {self.crop.name}")
+        return _recropped(document, self._replaced(document, self.crop), f"Change {self.crop.name}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class RemoveCrop(_OneCrop):
     summary: ClassVar[str] = "Remove a crop; what it cut away is back"
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        title = f"Remove crop {self._crop(document).name}"
+        title = f"Remove {self._crop(document).name}"
         return _recropped(document, self._replaced(document), title)
 
 
@@ -85,7 +85,7 @@ class EnableCrop(_OneCrop):
 
     def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
         crop = replace(self._crop(document), enabled=self.enabled)
-        title = f"Switch crop {crop.name} {'on' if self.enabled else 'off'}"
+        title = f"Switch {crop.name} {'on' if self.enabled else 'off'}"
         return _recropped(document, self._replaced(document, crop), title)
 
 

@@ -220,12 +220,13 @@ def test_the_last_splats_stay(core, training):
 
 
 def test_clean_up_deletes_in_the_trainer(core, training):
-    later_steps(core, training, 10)
+    until(core, lambda: training.shown.iteration > 10, "opacities that differ")
     training.thread.pause()
     desk = desk_of(core)
     at = training.shown
-    opacities = 1 / (1 + np.exp(-at.gaussians.opacity_logits))
-    assert desk.apply(Prune(by=DETECTORS["faint"](), threshold=float(np.quantile(opacities, 0.3))))
+    faint = DETECTORS["faint"]()
+    threshold = float(np.median(desk.document.scores(faint)))
+    assert desk.apply(Prune(by=faint, threshold=threshold))
     gone = desk.document.counts.deleted
     assert 0 < gone < len(at.ids)
     doomed = at.ids[(desk.document.marks & DELETED) > 0]

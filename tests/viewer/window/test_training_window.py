@@ -100,6 +100,21 @@ def test_other_scenes_can_be_opened_meanwhile_and_the_run_ends(drive, capture, t
     assert list((tmp_path / "toy-held-out").glob("*.png"))
 
 
+def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
+    found = drive("edits", capture, script=SCRIPT, train=["--max-splats", "6000"], growth=3.0, cut=4.0)
+    assert found["held"], "the view waits while splats are selected"
+    assert found["deleted"] > 0 and found["still_there"] == 0
+    assert found["in_rectangle"] < 0.2 * found["deleted"], "but for some that were born since"
+    assert found["tool"] == "rectangle"
+    assert found["born"] > 0 and found["born_inside"] == 0
+    assert found["left"] > 0
+    assert found["beyond"] < 1.02, "what moves out between two looks is hardly outside"
+    assert found["pointed"] == 1
+    assert found["failure"] is None
+    settings = load_checkpoint(tmp_path / "rules.safetensors").settings
+    assert [len(settings.cut), len(settings.no_growth)] == [1, 1], "checkpoints keep the rules"
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
 def test_without_a_display_it_is_one_line(capture, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)

@@ -22,7 +22,9 @@ import numpy as np
 from drives import Hand, pose
 from imgui_bundle import ImVec2
 
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError
+from splatview.scene.edits import SceneEdits
 from splatview.viewer.commands import train, train_window
 from splatview.viewer.window import file_dialogs
 from splatview.viewer.window.core import Core
@@ -205,6 +207,87 @@ def elsewhere(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
 
 
+def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Select and delete, cut and let nothing grow, while training goes on; and take the rules back."""
+    ctx, training = hand.ctx, training_of(core)
+    core.prefer(smooth=False)
+    seen(hand, 60)
+    hand.press("R")
+    hand.drag(130, 90, over=(0.4, 0.45))
+    hand.wait(lambda: core.desk is not None and core.desk.document.counts.selected > 0, "a selection")
+    assert core.desk is not None and training.shown is not None
+    held, rectangle = training.shown, core.desk.document.history.done[-1].operation
+    splats = core.desk.document.selected.indices
+    steps(hand, 20)
+    hand.frames(5)
+    found["held"] = training.shown is held
+    ctx.window_focus("//Edit")
+    hand.wait(lambda: not core.waiting, "the picture")
+    hand.shoot(options.get("selected"))
+    hand.press("Delete")
+    hand.wait(lambda: training.shown is not held, "the snapshot without them")
+    now = training.shown
+    found["still_there"] = int(np.isin(held.ids[splats], now.ids).sum())
+    found["deleted"] = len(splats)
+    edited = SceneEdits(marks=np.zeros(len(now.ids), np.uint32))
+    found["in_rectangle"] = int(rectangle.by.mask(now.gaussians, edited, NoTools()).sum())
+    found["tool"] = core.desk.tool if core.desk else None
+    hand.press("Escape")
+    seen(hand, now.iteration)
+
+    crop(core, hand, "Add a box", options["growth"])
+    hand.shoot(options.get("growth_box"))
+    ctx.item_click("//Edit/Crop/No growth inside")
+    hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
+    first = training.thread.post(lambda session: session.trainer.splats.next_id).result(60)
+    ctx.item_click("//Edit/###let go")
+    steps(hand, 150)
+    at = seen(hand, training.status.iteration)
+    region = training.status.settings.no_growth[0]
+    found["born"] = int((training.shown.ids >= first).sum())
+    inner = replace(region, half_extents=tuple(0.8 * half for half in region.half_extents))
+    found["born_inside"] = int(
+        inner.contains(training.shown.gaussians.means[training.shown.ids >= first]).sum()
+    )
+
+    crop(core, hand, "Add a sphere", options["cut"])
+    ctx.item_click("//Edit/Crop/Cut away in training")
+    hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
+    hand.wait(lambda: core.desk is None, "the view to go on")
+    seen(hand, at + 60)
+    (sphere,) = training.status.settings.cut[0]
+    outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
+    beyond = np.linalg.norm((outside - sphere.centre) / sphere.half_extents, axis=1)
+    found["left"] = len(training.shown.ids)
+    found["beyond"] = float(beyond.max(initial=1.0))
+    training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
+    ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
+    hand.frames(3)
+    found["pointed"] = len(training.pointed)
+    hand.shoot(options.get("rules"))
+    ctx.item_click("//Edit/Rules of the training/cut 0/###remove")
+    ctx.item_click("//Edit/Rules of the training/no_growth 0/###remove")
+    hand.wait(lambda: not (training.status.settings.cut or training.status.settings.no_growth), "no rules")
+    found["failure"] = training.status.failure
+
+
+def crop(core: Core, hand: Hand, button: str, half: float) -> None:
+    """Holds the view and adds a crop of this half size."""
+    ctx = hand.ctx
+    ctx.item_click("//Edit/###hold")
+    hand.wait(lambda: core.desk is not None, "the desk")
+    hand.frames(3)
+    for section in ("Select", "Clean up"):
+        ctx.item_close(f"//Edit/{section}")
+    ctx.item_open("//Edit/Crop")
+    ctx.item_click(f"//Edit/Crop/{button}")
+    hand.wait(lambda: bool(core.desk and core.desk.document.crops), "the crop")
+    hand.frames(3)
+    for number in range(3):
+        ctx.item_input_value(f"//Edit/Crop/##half_extents/$${number}", half)
+        hand.frames(2)
+
+
 def click_frustum(core: Core, hand: Hand, index: int) -> list[int]:
     """Looks at the cameras from afar and clicks on one: its index, and the one that was gone to."""
     training = training_of(core)
@@ -252,7 +335,7 @@ def main() -> int:
 
 
 functions: dict[str, Callable[[Core, Hand, dict[str, Any], dict[str, Any]], None]] = {
-    function.__name__: function for function in (all_of_it, breaks, closes, elsewhere)
+    function.__name__: function for function in (all_of_it, breaks, closes, elsewhere, edits)
 }
 
 

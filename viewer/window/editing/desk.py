@@ -36,8 +36,17 @@ BRUSH_RADIUS = 24.0
 class Job:
     """Work that may take seconds, in a thread of its own: its progress, its end, its result."""
 
-    def __init__(self, title: str, work: Callable[[Watch], Any], done: Callable[[Any], None]):
+    def __init__(
+        self,
+        title: str,
+        work: Callable[[Watch], Any],
+        done: Callable[[Any], None],
+        *,
+        gives_way: bool = False,
+    ):
         self.title = title
+        self.gives_way = gives_way
+        """Nobody asked for it: it is dropped where the user edits."""
         self.progress = 0.0
         self.result: Any = None
         self.error: BaseException | None = None
@@ -146,8 +155,9 @@ class Desk:
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
-        if self.job is not None or self._refused(operation):
+        if (self.job is not None and not self.job.gives_way) or self._refused(operation):
             return
+        self._busy()
         try:
             self.document.preview(operation)
             self.forms.previewing = section
@@ -166,7 +176,10 @@ class Desk:
         self.forms.previewing = ""
 
     def _busy(self) -> bool:
-        """Says so where a job is under way: nothing may change beneath it."""
+        """Says so where a job is under way: nothing may change beneath it, unless it gives way."""
+        if self.job is not None and self.job.gives_way:
+            self.job.cancel()
+            self.job = None
         if self.job is not None:
             self.problem = f"{self.job.title} is still under way; wait for it or cancel it"
         return self.job is not None
@@ -220,14 +233,16 @@ class Desk:
         done: Callable[[Any], None],
         *,
         edits: bool = False,
+        gives_way: bool = False,
     ) -> None:
         """Runs `work(watch)` in a thread and `done(result)` between frames; one job at a time. Where it
-        `edits` the document, the picture stays as it was until it has ended."""
+        `edits` the document, the picture stays as it was until it has ended. One that `gives_way` is dropped
+        without a word where the user edits or starts another."""
         if self._busy():
             return
         if edits:
             self._held = unchanging(self.edits)
-        self.job = Job(title, work, done)
+        self.job = Job(title, work, done, gives_way=gives_way)
 
     def advance(self) -> None:
         """Called every frame: ends a job that is done."""

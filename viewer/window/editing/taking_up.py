@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from functools import cache
 from typing import TYPE_CHECKING
 
 from ....edit.document import Document
 from ....edit.journal import Journal
+from ....edit.warm_up import warm_up
 from ....scene import InputError
 from ...commands.edit_tools import RasterTools
 from ...folders import cache_folder
@@ -24,8 +27,15 @@ JOURNALS = "journals"
 """Folder in the cache: steps of windows that run, and of those that did not end well."""
 
 
+@cache
+def compile_ahead() -> None:
+    """Once, in a thread: what the first edits need is there before the first click."""
+    threading.Thread(target=warm_up, name="splatview-warm-up", daemon=True).start()
+
+
 def take_up(core: Core, scene: LoadedScene) -> None:
     """Puts `scene`, just opened, on a desk of its own; edits of the one before end with it."""
+    compile_ahead()
     if core.desk is not None:
         core.desk.close()
     folder = scene.paths[0].parent if scene.paths else None

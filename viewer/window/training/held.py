@@ -192,8 +192,6 @@ def succeed(core: Core, snapshot: Snapshot) -> None:
     if old.trainee is None or core.training is None:
         return
     new = _desk(core, core.training.thread, snapshot)
-    assert new.trainee is not None
-    new.trainee.pinned = old.trainee.pinned
     new.tool, new.depth, new.overlay = old.tool, old.depth, old.overlay
     new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
     new.news, new.problem = old.news, old.problem

@@ -71,10 +71,10 @@ def in_force(core: Core, training: Training) -> None:
         widgets.note("None yet: add a crop and let it cut, or let nothing grow in it.")
         return
     for number, crops in enumerate(settings.cut):
-        names = ", ".join(crop.name for crop in crops)
-        _row(core, training, "cut", number, crops, f"Cuts by {names}")
+        names = ", ".join(f"{crop.shape} {crop.name}" for crop in crops)
+        _row(core, training, "cut", number, crops, f"Cut by {names}")
     for number, crop in enumerate(settings.no_growth):
-        _row(core, training, "no_growth", number, (crop,), f"No growth in {crop.name}")
+        _row(core, training, "no_growth", number, (crop,), f"No growth in {crop.shape} {crop.name}")
     widgets.note("Checkpoints keep them.")
 
 

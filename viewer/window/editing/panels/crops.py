@@ -96,6 +96,9 @@ def show(core: Core, desk: Desk) -> None:
 def fitting(core: Core, desk: Desk, shape: Shape) -> Crop:
     """A first crop: about the bulk of the scene."""
     number = 1 + len(desk.document.crops)
+    if core.training is not None and desk.trainee is not None:
+        settings = core.training.status.settings
+        number += len(settings.cut) + len(settings.no_growth)
     if core.scene is None:
         return Crop(name=f"crop {number}", shape=shape)
     x, y, z = (float(value) for value in core.scene.centre)

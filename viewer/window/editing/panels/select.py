@@ -156,7 +156,8 @@ def measure(desk: Desk) -> None:
             edges = counted.edges
             form.low, form.high = float(edges[0]), float(edges[len(edges) // 10])
 
-    desk.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done)
+    asked = ATTRIBUTES[name].renders
+    desk.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, gives_way=not asked)
 
 
 def plot(desk: Desk) -> None:
