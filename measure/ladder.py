@@ -107,6 +107,15 @@ class Measured:
         return float(np.median(self.ratios)) if self.ratios else math.nan
 
 
+def is_clear(one: Measured, noise: float) -> bool:
+    """Whether it may be said that a rung takes another time than the baseline: the ratio is out of the
+    noise, and three quarters of its own pairs agree on the side."""
+    if not abs(one.ratio - 1) > noise:
+        return False
+    low, high = np.percentile(one.ratios, [25, 75])
+    return bool(low > 1 or high < 1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
     """The whole measurement."""

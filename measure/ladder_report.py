@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .ladder import Ladder, Measured
+from .ladder import Ladder, Measured, is_clear
 from .tables import describe_machine
 
 MIB = 1 << 20
@@ -67,7 +67,7 @@ def ratio_text(one: Measured, ladder: Ladder) -> str:
         return "1"
     if not math.isfinite(one.ratio):
         return "-"
-    if not abs(one.ratio - 1) > ladder.noise:
+    if not is_clear(one, ladder.noise):
         return f"same ({one.ratio:.2f})"
     return f"{one.ratio:.2f}"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ....measure.governor import Governor, Watch
 from ....measure.knobs import Plan, apply_choices
-from ....measure.ladder import Ladder, Measured
+from ....measure.ladder import Ladder, Measured, is_clear
 from ....measure.steps import Shortcut, priced, unpriced
 from ....scene import Camera, Gaussians, RenderSettings
 from ..picture import CpuPicture, scaled_camera
@@ -19,10 +19,6 @@ from .painter import renderer_name
 if TYPE_CHECKING:
     from ....measure.bill import Bill
     from ..core import Core
-
-
-SAME_MS = 1.5
-"""Full frames that differ by less than this factor are of the same work."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -36,11 +32,9 @@ class Accuracy:
     measurement: Measurement | None = None
     """Under way."""
     ladder: Ladder | None = None
-    """Prices, of..."""
+    """Prices in the open scene, as last measured."""
     bill: Bill | None = None
-    """... and what a picture costs in work, of..."""
-    measured: Gaussians | None = None
-    """... this scene."""
+    """What a picture of it is in work."""
     budget_ms: float | None = None
     """What a frame may take while the camera moves; None: all that it takes."""
     comparing: Comparing = field(default_factory=Comparing)
@@ -48,6 +42,8 @@ class Accuracy:
     """What the picture drawn last leaves out because the camera moves, or ""."""
     watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
     _camera: Camera | None = None
+    _gaussians: Gaussians | None = None
+    _name: str = ""
     _frames_seen: int = 0
     _full_ms: float = 0.0
 
@@ -77,6 +73,9 @@ class Accuracy:
         self.budget_ms = budget_ms
         if budget_ms is not None:
             self.watch.governor.set_budget(budget_ms)
+            if not self.watch.governor.steps and self._full_ms > 0:
+                # Until prices are known.
+                self.watch.governor.follow(unpriced(self._full_ms))
         if isinstance(core.picture, CpuPicture):
             core.picture.hold_budget(budget_ms)
 
@@ -125,10 +124,15 @@ class Accuracy:
         gaussians = core.scene.gaussians if core.scene else None
         if self.measurement is not None and self.measurement.gaussians is not gaussians:
             self.measurement.cancel()
-        if self.measured is not None and self.measured is not gaussians:
-            self.ladder = self.bill = self.measured = None
-            self.choices.clear()
+        if self._gaussians is not gaussians:
+            # Another scene, or the next moment of one that trains: prices and times are of the old one.
+            self._gaussians, self.ladder, self.bill = gaussians, None, None
+            self._full_ms = 0.0
             self.watch.governor.follow(())
+        name = core.scene.name if core.scene else ""
+        if self._name != name:
+            self._name = name
+            self.choices.clear()
         if self.measurement is not None and self.measurement.done:
             self._collect(core, self.measurement)
         self._learn(core)
@@ -138,7 +142,7 @@ class Accuracy:
         if made.problem is not None:
             core.complain(made.problem)
         elif made.ladder is not None and core.scene is not None and made.gaussians is core.scene.gaussians:
-            self.ladder, self.bill, self.measured = made.ladder, made.bill, made.gaussians
+            self.ladder, self.bill = made.ladder, made.bill
             self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
             core.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
 
@@ -148,13 +152,13 @@ class Accuracy:
             return
         self._frames_seen = stats.drawn
         milliseconds = sum(stats.ms.values())
-        if not milliseconds > 0 or not self.governs(core):
+        if not milliseconds > 0:
             return
-        self.watch.took(milliseconds)
-        changed = not 1 / SAME_MS < milliseconds / max(self._full_ms, 1e-9) < SAME_MS
-        if self.watch.resting and self.ladder is None and changed:
-            # Until prices are known: from what a full frame takes.
+        if not self.governs(core):
             self._full_ms = milliseconds
+        elif self.watch.governor.steps:
+            self.watch.took(milliseconds)
+        else:
             self.watch.governor.follow(unpriced(milliseconds))
 
     def end(self) -> None:
@@ -169,7 +173,7 @@ class Accuracy:
 def price_of(one: Measured, ladder: Ladder) -> str:
     """What a rung saves and costs, in a line: "saves 3.1 ms, 41.2 dB, largest error 0.031"."""
     saved = ladder.baseline.ms * (1 - one.ratio)
-    if not abs(one.ratio - 1) > ladder.noise:
+    if not is_clear(one, ladder.noise):
         time = "no faster"
     else:
         time = f"saves {saved:.1f} ms" if saved > 0 else f"costs {-saved:.1f} ms"
