@@ -1,6 +1,8 @@
-// Counts the tiles of every visible splat. Flags: those of slots.
+// Counts the tiles of every visible splat. A work group has a block of consecutive slots, each of its
+// invocations a run of them. Flags: WORKGROUP, RUN (BLOCK is their product), and those of slots.
 #include "tiles/slots.glsl"
 #include "sort/sum_before.glsl"
+layout(local_size_x = WORKGROUP) in;
 
 layout(std430, binding = 5) buffer Ends { uint ends[]; };  // a slot: pairs of its block up to and with it
 layout(std430, binding = 6) writeonly buffer BlockTotals { uint block_totals[]; };
@@ -17,13 +19,14 @@ uint tiles_of(uint splat) {
 }
 
 void main() {
-    uvec2 own = own_slots();
+    uint first = gl_WorkGroupID.x * uint(BLOCK) + gl_LocalInvocationID.x * uint(RUN);
+    uint end = min(first + uint(RUN), visible);
     uint sum = 0u;
-    for (uint slot = own.x; slot < own.y; slot++) {
+    for (uint slot = first; slot < end; slot++) {
         sum += tiles_of(order[slot]);
         ends[slot] = sum;
     }
     uint before = sum_before(sum);
-    for (uint slot = own.x; slot < own.y; slot++) ends[slot] += before;
+    for (uint slot = first; slot < end; slot++) ends[slot] += before;
     if (gl_LocalInvocationID.x == uint(WORKGROUP - 1)) block_totals[gl_WorkGroupID.x] = before + sum;
 }

@@ -1,6 +1,8 @@
-// Writes one round's pairs of tile and splat, nearest splat first. Flags: those of slots.
+// Writes one round's pairs of tile and splat, nearest splat first; one invocation a splat.
+// Flags: those of slots.
 #include "tiles/slots.glsl"
 #include "tiles/saturating.glsl"
+layout(local_size_x = BLOCK) in;
 
 layout(std430, binding = 5) readonly buffer Ends { uint ends[]; };
 layout(std430, binding = 6) readonly buffer Starts { uint block_starts[]; };
@@ -17,22 +19,20 @@ void write_pair(uint at, uint tile, uint splat) {
 }
 
 void main() {
-    uvec2 own = own_slots();
-    uint block_start = block_starts[gl_WorkGroupID.x];
-    for (uint slot = own.x; slot < own.y; slot++) {
-        uint before = slot % uint(BLOCK) > 0u ? ends[slot - 1u] : 0u;
-        uint at = saturating_sum(block_start, before);
-        uint end = saturating_sum(block_start, ends[slot]);
-        if (end > u_room || end <= u_round_first || at >= u_round_first + u_capacity) continue;
-        uint splat = order[slot];
-        Outline o = outline_of(splat);
-        ivec2 rows = rows_of(o);
-        for (int row = rows.x; row <= rows.y; row++) {
-            ivec2 columns = columns_of(o, row);
-            for (int column = columns.x; column <= columns.y && at < end; column++)
-                write_pair(at++, uint(row * u_tiles.x + column), splat);
-        }
-        // A compiler may round otherwise here than in the count: what that leaves over is in no tile.
-        while (at < end) write_pair(at++, uint(u_tiles.x * u_tiles.y), splat);
+    uint slot = gl_GlobalInvocationID.x;
+    if (slot >= visible) return;
+    uint block_start = block_starts[slot / uint(BLOCK)];
+    uint at = saturating_sum(block_start, slot % uint(BLOCK) > 0u ? ends[slot - 1u] : 0u);
+    uint end = saturating_sum(block_start, ends[slot]);
+    if (end > u_room || end <= u_round_first || at >= u_round_first + u_capacity) return;
+    uint splat = order[slot];
+    Outline o = outline_of(splat);
+    ivec2 rows = rows_of(o);
+    for (int row = rows.x; row <= rows.y; row++) {
+        ivec2 columns = columns_of(o, row);
+        for (int column = columns.x; column <= columns.y && at < end; column++)
+            write_pair(at++, uint(row * u_tiles.x + column), splat);
     }
+    // A compiler may round otherwise here than in the count: what that leaves over is in no tile.
+    while (at < end) write_pair(at++, uint(u_tiles.x * u_tiles.y), splat);
 }

@@ -47,5 +47,7 @@ class TilesRenderer(QuadsRenderer):
         edits: SceneEdits | None = None,
         overlay: Overlay | None = None,
     ) -> None:
+        if mode == "splats":
+            self._tiles.pairs.check((camera.width, camera.height))
         settings = replace(settings, blend="float32")
         super().draw(camera, settings, mode=mode, edits=edits, overlay=overlay)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import moderngl
@@ -29,13 +29,23 @@ class TileTuning:
     """Invocations a tile; each has as many pixels."""
     batch: int
     """Splats that a work group keeps in local memory; a multiple of 32."""
-    pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256, run=1))
+    most_walked: int | None = None
+    """Splats of one tile in a dispatch; None: all."""
+    pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256))
 
 
 HARDWARE = TileTuning(tile=16, workgroup=256, batch=256)
 """GPUs: a pixel an invocation; a batch takes 9 KiB of local memory."""
 
-SOFTWARE = TileTuning(tile=16, workgroup=8, batch=64, pairs=PairTuning(workgroup=8, run=32))
+SOFTWARE = TileTuning(
+    tile=16,
+    workgroup=8,
+    batch=64,
+    most_walked=1 << 15,
+    pairs=PairTuning(workgroup=8, most_tiles=60_000),
+)
+"""llvmpipe runs 8 invocations as one vector. It ends the loops of a shader after 65,535 iterations of all of
+them together, without a word, hence the limits: a splat walked takes up to 1.6, a tile written takes one."""
 
 
 class TilesGathering(Gathering):
@@ -74,14 +84,21 @@ class TilesGathering(Gathering):
             tiles, splats = self.pairs.make(projector, index)
             program = self._ready(False, target, edits, {**values, "u_round": index})
             bind(tiles, splats, *records(projector))
-            self.pairs.plan.bind_to_storage_buffer(6)
-            program.run(*self.pairs.tiles)
-            self._ctx.memory_barrier()
+            for _ in self._parts(program, projector):
+                program.run(*self.pairs.tiles)
         program = self._ready(True, target, edits, values)
         bind(projector.order, projector.order, *records(projector))
+        for _ in self._parts(program, projector):
+            program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
+
+    def _parts(self, program: moderngl.ComputeShader, projector: Projector) -> Iterator[int]:
+        """Sets `program` up for each part of a tile's splats, which are at most as many as the scene's."""
         self.pairs.plan.bind_to_storage_buffer(6)
-        program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
-        self._ctx.memory_barrier()
+        most = self.tuning.most_walked or max(projector.splats, 1)
+        for first in range(0, projector.splats, most):
+            set_uniforms(program, {"u_first": first, "u_most": most})
+            yield first
+            self._ctx.memory_barrier()
 
     def _ready(
         self, rest: bool, target: ColourTarget, edits: EditTextures, values: dict[str, Uniform]

@@ -14,12 +14,16 @@ from dataclasses import dataclass
 
 import moderngl
 
+from ...scene import InputError
 from .programs import load_compute
 from .projector import Projector
 from .scene_buffers import storage_limit
 from .sort import RadixSort
 from .view_uniforms import Uniform, set_uniforms
 from .visible_count import VisibleCount
+
+BLOCK = 256
+"""Visible splats whose pairs are counted together, and that are written by one work group."""
 
 SCAN_SIZE = 256
 
@@ -38,19 +42,15 @@ ROUND_PAIRS_OFFSET = 20
 
 @dataclass(frozen=True, kw_only=True)
 class PairTuning:
-    """How slots are dealt out to invocations, and how many pairs there may be; every choice is right."""
+    """How counting is dealt out, and how many pairs there may be; every choice gives the same picture."""
 
     workgroup: int
-    """Invocations."""
-    run: int
-    """Visible splats an invocation."""
+    """Invocations that count the pairs of a block of visible splats."""
     most_pairs: int = 1 << 24
     """A round: 256 MiB with what sorts them."""
     most_rounds: int = 16
-
-    @property
-    def block(self) -> int:
-        return self.workgroup * self.run
+    most_tiles: int | None = None
+    """Of a picture."""
 
 
 class TilePairs:
@@ -63,8 +63,8 @@ class TilePairs:
         flags = {
             "TILE": tile,
             "WORKGROUP": tuning.workgroup,
-            "RUN": tuning.run,
-            "BLOCK": tuning.block,
+            "RUN": BLOCK // tuning.workgroup,
+            "BLOCK": BLOCK,
             "ROUNDS": tuning.most_rounds,
         }
         self._count, self._make_plan, self._emit = (
@@ -89,15 +89,29 @@ class TilePairs:
             buffer.release()
         self._slots = None
 
+    def check(self, size: tuple[int, int]) -> None:
+        """Raises InputError for a picture of `size` px that has more tiles than this driver can do."""
+        columns, rows = self._tiles_of(size)
+        most = self._tuning.most_tiles
+        if most is not None and not columns * rows <= most:
+            raise InputError(
+                f"--renderer tiles draws at most {most * self._tile**2 / 1e6:.0f} megapixels without a GPU, "
+                f"not {size[0]}x{size[1]}; use --renderer cpu or a smaller --size"
+            )
+
+    def _tiles_of(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Columns and rows."""
+        return -(-size[0] // self._tile), -(-size[1] // self._tile)
+
     def count(self, projector: Projector, uniforms: Mapping[str, Uniform], size: tuple[int, int]) -> int:
         """Counts the pairs of the sorted splats in a picture of `size` px; returns the rounds they take.
 
-        Waits for the GPU in the first frame of a scene or size only, when no older count tells.
+        Waits for the GPU in the first frame of a scene only, when no older count tells.
         """
-        blocks = -(-projector.splats // self._tuning.block)
+        self.tiles = self._tiles_of(size)
+        blocks = -(-projector.splats // BLOCK)
         if not self._slots:
             self._slots = self._room_for(projector.splats), self._room_for(blocks)
-        self.tiles = (-(-size[0] // self._tile), -(-size[1] // self._tile))
         ends, starts = self._slots
         self._uniforms = {**uniforms, "u_tiles": self.tiles}
         if blocks:
@@ -138,7 +152,7 @@ class TilePairs:
         """The pairs of round `index`, tiles ascending, and their splats, front to back in each tile."""
         if self._sorter is None or self._pairs is None or self._slots is None:
             raise RuntimeError("count() comes before make()")
-        blocks = -(-projector.splats // self._tuning.block)
+        blocks = -(-projector.splats // BLOCK)
         bind(projector.order, projector.visible.buffer, *records(projector), *self._slots, *self._pairs)
         place: dict[str, Uniform] = {
             "u_round_first": index * self.capacity,

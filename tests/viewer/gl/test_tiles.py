@@ -301,3 +301,31 @@ def test_older_gl_is_refused_in_one_line(ctx: moderngl.Context):
 
     with pytest.raises(InputError, match=r"tiles needs OpenGL 4\.3, this is 3\.3"):
         make_renderer(Old(), "tiles")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("cramped", [False, True])
+def test_very_many_splats_in_one_tile(ctx, random_gaussians: Make, cramped):
+    # More than llvmpipe has patience for in one shader: it ends its loops after 65,535 iterations in all.
+    count, alpha = 70_000, 1e-5
+    renderer = TilesRenderer(ctx, tuning=replace(CRAMPED, tile=8) if cramped else None)
+    one = random_gaussians(1)
+    zeros = np.zeros(count, np.intp)
+    scene = replace(
+        one.take(zeros),
+        means=np.zeros((count, 3), np.float32),
+        log_scales=np.full((count, 3), 3, np.float32),
+        opacity_logits=np.full(count, np.log(alpha / (1 - alpha)), np.float32),
+    )
+    settings = replace(EXACT, model=ImageModel(alpha_cut=0))
+    image = renderer.render(scene, camera_at(0, 0, 3, width=8, height=8), settings)
+    assert np.allclose(image[..., 3], 1 - (1 - alpha) ** count, atol=5e-3)
+    renderer.release()
+
+
+def test_pictures_too_large_for_software_are_refused(ctx, random_gaussians: Make):
+    tuning = replace(SOFTWARE, pairs=replace(SOFTWARE.pairs, most_tiles=4))
+    renderer = TilesRenderer(ctx, tuning=tuning)
+    with pytest.raises(InputError, match="tiles draws at most 0 megapixels without a GPU, not 33x32"):
+        renderer.render(random_gaussians(5), camera_at(0, 0, 2, width=33, height=32), EXACT)
+    assert_true(renderer, random_gaussians(5), camera_at(0, 0, 2, width=32, height=32))
+    renderer.release()
