@@ -143,9 +143,9 @@ KNOBS: tuple[Knob, ...] = (
     Knob(
         name="attributes",
         title="Attribute precision",
-        changes="bits in which the scene is stored: quads stores and reads fewer bytes; cpu draws the same"
+        changes="bits in which the scene is stored: on the GPU fewer bytes are kept and read; cpu draws the same"
         " rounded values from float32 and saves nothing",
-        renderers=CPU,
+        renderers=GL + TILES + CPU,
         values=tuple(_planned(text, attributes=text) for text in FORMATS),
     ),
 )

@@ -133,3 +133,17 @@ def test_renderers_cut_alike(artists, value):
     for name in ("quads", "tiles"):
         apart = np.abs(pictures[name] - pictures["cpu"]).max(axis=2)
         assert np.mean(apart > 2e-3) < 3e-3, "but for pixels on the cut to the last digit"
+
+
+@pytest.mark.parametrize("name", ["quads", "tiles"])
+def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(artists, name):
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    held = []
+    for knob in (knob for knob in KNOBS if knob.name == "attributes"):
+        for value in knob.values:
+            picture = drawn(artists[name], {knob.name: value.text, "sh-degree": "3"})
+            held.append(artists[name].memory(Plan()))
+            assert psnr(picture, drawn(artists["cpu"], {knob.name: value.text})) > EXACT_DB
+    assert held[0] - held[1] == len(artists[name].scene) * (236 - 124), "float16, but for positions"
+    assert held[1] - held[2] == len(artists[name].scene) * (96 - 56), "a byte in place of two, and a step"

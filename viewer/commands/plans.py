@@ -40,13 +40,13 @@ class SceneArtist:
 
     def __init__(self, renderer: HeadlessRenderer, gaussians: Gaussians):
         self.name = renderer.name
-        self._renderer, self._gaussians = renderer, gaussians
+        self._renderer, self.scene = renderer, gaussians
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
-        prepared(self._renderer, self._gaussians, plan)
+        prepared(self._renderer, self.scene, plan)
 
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return draw_plan(self._renderer, self._gaussians, camera, plan)
+        return draw_plan(self._renderer, self.scene, camera, plan)
 
     def memory(self, plan: Plan) -> int:
         """Bytes that the scene and the picture drawn last take in the renderer, beside the scene itself."""

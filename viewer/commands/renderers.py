@@ -75,7 +75,7 @@ class Quads:
                 return
         with self._ctx:
             renderer = make_renderer(self._ctx, self.name)
-            renderer.load(gaussians)
+            renderer.load(gaussians, attributes)
         self._loaded.append((gaussians, renderer))
         while len(self._loaded) > 1 and sum(map(_bytes_of, self._loaded)) > MOST_HELD:
             with self._ctx:

@@ -10,6 +10,7 @@ Without early stop both ways take the same time (1.00).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import moderngl
 import numpy as np
@@ -42,14 +43,18 @@ def quad_indices(quads: int) -> np.ndarray:
 
 
 def mode_program(
-    programs: RenderPrograms, folder: str, mode: VisualMode, edits: EditTextures
+    programs: RenderPrograms,
+    folder: str,
+    mode: VisualMode,
+    edits: EditTextures,
+    more: Mapping[str, float | bool] = MappingProxyType({}),
 ) -> tuple[moderngl.Program, moderngl.VertexArray]:
     """What draws a mode: a vertex shader from `folder` of ``shaders/``, a fragment shader from quads."""
     surfaces = mode == "ellipsoids"
     stage = "ellipsoids" if surfaces else "draw"
     own = {"ANTIALIASED": False} if surfaces else MODE_FLAGS[mode]
     edited = edits.now.flags(projects=surfaces, shows=mode)
-    flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **own, **edited}
+    flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **own, **edited, **more}
     program, array = programs.get(f"{folder}/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags)
     edits.use(program)
     return program, array
@@ -76,7 +81,8 @@ class Gathering:
         early_stop: float,
     ) -> None:
         """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode."""
-        program, array = mode_program(self._programs, "quads", mode, edits)
+        stored = scene.flags() if mode == "ellipsoids" else {}
+        program, array = mode_program(self._programs, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
             self._draw_ellipsoids(target, scene, projector, program, array, edits)

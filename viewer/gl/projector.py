@@ -5,7 +5,6 @@ from __future__ import annotations
 import moderngl
 import numpy as np
 
-from ...scene.gaussians import SH_COEFFICIENTS
 from .edit_textures import EditTextures
 from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
@@ -81,7 +80,7 @@ class Projector:
         flags = {
             "GROUP_SIZE": GROUP_SIZE,
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
-            "SH_STORED": SH_COEFFICIENTS[scene.sh_degree],
+            **scene.flags(),
             "ANTIALIASED": antialiased,
             **edits.now.flags(),
         }

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.stored import Attributes
 from .frame import FrameStats, VisualMode
 from .gathering import Gathering
 from .overlay import Overlay
@@ -50,7 +51,9 @@ class QuadsRenderer(Renderer):
             raise ValueError(f"early_stop must be in [0, 1), got {transmittance}")
         self._early_stop = transmittance
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
+    def load_steps(
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
+    ) -> Generator[float, None, None]:
         n = len(gaussians)
         limit = storage_limit(self._ctx)
         if n * RECORD_BYTES > limit:
@@ -59,7 +62,7 @@ class QuadsRenderer(Renderer):
                 f"{limit >> 20} MiB; use --renderer cpu or fewer splats"
             )
         try:
-            for step in upload_steps(self._ctx, gaussians):
+            for step in upload_steps(self._ctx, gaussians, attributes=attributes):
                 if isinstance(step, SceneBuffers):
                     self._use(step, gaussians)
                 else:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.stored import Attributes
 from .edit_textures import Editing
 from .frame import VisualMode
 from .legacy_gathering import LegacyGathering
@@ -47,7 +48,13 @@ class _Wish:
     @property
     def _footprints(self) -> tuple:
         settings = self.settings
-        return (settings.model, settings.sigma_cut, settings.sh_degree, self.mode == "depth", self.editing.footprints)
+        return (
+            settings.model,
+            settings.sigma_cut,
+            settings.sh_degree,
+            self.mode == "depth",
+            self.editing.footprints,
+        )
 
     @property
     def _picture(self) -> tuple:
@@ -95,7 +102,11 @@ class LegacyQuadsRenderer(Renderer):
 
     # ---- loading
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
+    def load_steps(
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
+    ) -> Generator[float, None, None]:
+        if attributes != "float32":
+            raise InputError(f"attributes in {attributes} need OpenGL 4.3; use float32 or --renderer cpu")
         for step in upload_steps(self._ctx, gaussians):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)

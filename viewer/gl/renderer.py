@@ -10,6 +10,7 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.stored import Attributes
 from .edit_textures import EditTextures
 from .frame import FrameStats, VisualMode
 from .overlay import Overlay
@@ -34,17 +35,19 @@ class Renderer(ABC):
         """The scene that is loaded."""
         self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
-    def load(self, gaussians: Gaussians) -> None:
-        """Replaces the scene, all at once.
+    def load(self, gaussians: Gaussians, attributes: Attributes = "float32") -> None:
+        """Replaces the scene, all at once; stored as `attributes` (`scene.stored`).
 
         Raises:
             InputError: the scene does not fit into the GPU's memory, buffers or textures.
         """
-        for _ in self.load_steps(gaussians):
+        for _ in self.load_steps(gaussians, attributes):
             pass
 
     @abstractmethod
-    def load_steps(self, gaussians: Gaussians) -> Generator[float, None, None]:
+    def load_steps(
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
+    ) -> Generator[float, None, None]:
         """Replaces the scene in steps of a few milliseconds: yields the share done after each.
 
         The scene shown so far stays until the last step; closing the generator early leaves it so.

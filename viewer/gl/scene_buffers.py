@@ -11,6 +11,7 @@ import numpy as np
 from ...scene import Gaussians
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
+from ...scene.stored import FORMATS, Attributes, half, sh_levels, stored_quats
 from .placement import Placement, placement_of
 
 GROUP_SIZE = 256
@@ -20,7 +21,7 @@ UPLOAD_SLICE = 65_536
 """Splats prepared and uploaded between two steps of `upload_steps`: a few milliseconds of work."""
 
 BYTES_A_SPLAT = (3 + 4 + 4) * 4
-"""Positions, quaternions, scales and opacity; spherical harmonics come on top."""
+"""Positions, quaternions, scales and opacity in float32; spherical harmonics come on top."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,11 +33,12 @@ class Page:
     positions: moderngl.Buffer
     """count x 3 float32, relative to the scene's centre."""
     quats: moderngl.Buffer
-    """count x 4 float32, wxyz, raw."""
+    """count x 4 float32, wxyz, raw; or float16."""
     scales_opacity: moderngl.Buffer
-    """count x 4 float32: standard deviations in world units, opacity; activated here, where exp is exact."""
+    """count x 4 float32: standard deviations in world units, opacity; activated here, where exp is exact.
+    Or float16, the scales as logarithms, whose range they need."""
     sh: moderngl.Buffer
-    """count x K x 3 float32, K of the degree in use."""
+    """count x K x 3 float32, K of the degree in use; or what `sh_words` makes of them."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,7 +49,16 @@ class SceneBuffers:
     placement: Placement
     sh_degree: int
     """Highest degree with a coefficient that is not zero: higher bands are not uploaded."""
+    attributes: Attributes
     pages: tuple[Page, ...]
+
+    def flags(self) -> dict[str, float | bool]:
+        """Of ``quads/attributes.glsl`` and ``quads/harmonics.glsl``."""
+        return {
+            "ATTRIBUTES": FORMATS.index(self.attributes),
+            "SH_STORED": SH_COEFFICIENTS[self.sh_degree],
+            "SH_WORDS": sh_bytes(SH_COEFFICIENTS[self.sh_degree], self.attributes) // 4,
+        }
 
     def release(self) -> None:
         for page in self.pages:
@@ -69,7 +80,11 @@ def degree_in_use(sh: np.ndarray) -> int:
 
 
 def upload_steps(
-    ctx: moderngl.Context, gaussians: Gaussians, *, limit: int | None = None
+    ctx: moderngl.Context,
+    gaussians: Gaussians,
+    *,
+    attributes: Attributes = "float32",
+    limit: int | None = None,
 ) -> Generator[float | SceneBuffers, None, None]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
 
@@ -79,7 +94,9 @@ def upload_steps(
     degree = degree_in_use(gaussians.sh)
     coefficients = SH_COEFFICIENTS[degree]
     placement = placement_of(gaussians.means)
-    largest = max(16, coefficients * 12)
+    sh_size = sh_bytes(coefficients, attributes)
+    row = 16 if attributes == "float32" else 8
+    largest = max(16, sh_size)
     fitting = (limit or storage_limit(ctx)) // largest
     page_size = max(GROUP_SIZE, fitting // GROUP_SIZE * GROUP_SIZE)
     pages: list[Page] = []
@@ -91,31 +108,77 @@ def upload_steps(
                 first=first,
                 count=count,
                 positions=ctx.buffer(reserve=count * 12),
-                quats=ctx.buffer(reserve=count * 16),
-                scales_opacity=ctx.buffer(reserve=count * 16),
-                sh=ctx.buffer(reserve=count * coefficients * 12),
+                quats=ctx.buffer(reserve=count * row),
+                scales_opacity=ctx.buffer(reserve=count * row),
+                sh=ctx.buffer(reserve=count * sh_size),
             )
             pages.append(page)
             for start in range(first, first + count, UPLOAD_SLICE):
                 part = slice(start, min(start + UPLOAD_SLICE, first + count))
-                _fill(page, gaussians, part, placement.centre, coefficients)
+                _fill(page, gaussians, part, placement.centre, coefficients, attributes)
                 yield part.stop / n
         done = True
-        yield SceneBuffers(splats=n, placement=placement, sh_degree=degree, pages=tuple(pages))
+        yield _scene(n, placement, degree, attributes, pages)
     finally:
         if not done:
-            SceneBuffers(splats=n, placement=placement, sh_degree=degree, pages=tuple(pages)).release()
+            _scene(n, placement, degree, attributes, pages).release()
 
 
-def _fill(page: Page, gaussians: Gaussians, part: slice, centre: np.ndarray, coefficients: int) -> None:
+def _scene(
+    splats: int, placement: Placement, sh_degree: int, attributes: Attributes, pages: list[Page]
+) -> SceneBuffers:
+    return SceneBuffers(
+        splats=splats, placement=placement, sh_degree=sh_degree, attributes=attributes, pages=tuple(pages)
+    )
+
+
+def sh_bytes(coefficients: int, attributes: Attributes) -> int:
+    """Bytes of a splat's harmonics; whole words of 4."""
+    if attributes == "float32":
+        return coefficients * 12
+    if attributes == "float16":
+        return -(-coefficients * 3 // 2) * 4
+    return 8 + -(-(coefficients - 1) * 3 // 4) * 4
+
+
+def sh_words(sh: np.ndarray, attributes: Attributes) -> np.ndarray:
+    """(n, K, 3) float32 as the shader reads it: (n, bytes). 8-bit: the constant band and the step in float16,
+    then a signed byte a number."""
+    n = len(sh)
+    words = np.zeros((n, sh_bytes(sh.shape[1], attributes)), np.uint8)
+    if attributes == "float16":
+        words[:, : sh.shape[1] * 6] = half(sh).reshape(n, -1).view(np.uint8)
+        return words
+    levels, steps = sh_levels(sh)
+    words[:, :6] = half(np.ascontiguousarray(sh[:, 0])).view(np.uint8)
+    words[:, 6:8] = steps[:, None].view(np.uint8)
+    rest = (sh.shape[1] - 1) * 3
+    words[:, 8 : 8 + rest] = levels.reshape(n, rest).view(np.uint8)
+    return words
+
+
+def _fill(
+    page: Page,
+    gaussians: Gaussians,
+    part: slice,
+    centre: np.ndarray,
+    coefficients: int,
+    attributes: Attributes,
+) -> None:
     at = part.start - page.first
     with np.errstate(over="ignore", invalid="ignore"):
         positions = (gaussians.means[part].astype(np.float64) - centre).astype(np.float32)
         activated = np.empty((part.stop - part.start, 4), dtype=np.float32)
-        activated[:, :3] = np.exp(gaussians.log_scales[part])
+        scales = gaussians.log_scales[part]
+        activated[:, :3] = np.exp(scales) if attributes == "float32" else scales
         activated[:, 3] = sigmoid(gaussians.opacity_logits[part])
     page.positions.write(positions, offset=at * 12)
+    sh = np.ascontiguousarray(gaussians.sh[part, :coefficients])
+    if attributes != "float32":
+        page.quats.write(stored_quats(gaussians.quats[part]), offset=at * 8)
+        page.scales_opacity.write(half(activated), offset=at * 8)
+        page.sh.write(sh_words(sh, attributes), offset=at * sh_bytes(coefficients, attributes))
+        return
     page.quats.write(np.ascontiguousarray(gaussians.quats[part]), offset=at * 16)
     page.scales_opacity.write(activated, offset=at * 16)
-    sh = np.ascontiguousarray(gaussians.sh[part, :coefficients])
     page.sh.write(sh, offset=at * coefficients * 12)

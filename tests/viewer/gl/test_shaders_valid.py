@@ -18,6 +18,8 @@ from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.programs import expand
 from splatview.viewer.gl.projector import QUADS_PER_INSTANCE
 from splatview.viewer.gl.scene_buffers import GROUP_SIZE
+from splatview.viewer.gl.tiles_gathering import HARDWARE, SOFTWARE
+from splatview.viewer.gl.tiles_pairs import BLOCK
 
 Variant = tuple[str, dict[str, float | bool]]
 
@@ -35,7 +37,10 @@ def edited() -> Iterator[Editing]:
 
 
 def projections(name: str) -> Iterator[Variant]:
-    own = {"SH_STORED": 16, "DEPTH": False}
+    own = {"SH_STORED": 16, "SH_WORDS": 48, "DEPTH": False, "ATTRIBUTES": 0}
+    for attributes in (1, 2):
+        flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes}
+        yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
     for editing in edited():
         yield name, {**GEOMETRY, **own, "SH_DEGREE": 3, "ANTIALIASED": False, **editing.flags()}
     for degree, antialiased, depth in itertools.product(range(4), (False, True), (False, True)):
@@ -46,7 +51,9 @@ def projections(name: str) -> Iterator[Variant]:
 def drawing(folder: str) -> Iterator[Variant]:
     for editing in edited():
         flags = editing.flags(shows="ellipsoids")
-        yield f"{folder}/ellipsoids.vert.glsl", {**GEOMETRY, "ANTIALIASED": False, **flags}
+        for attributes in range(3):
+            own = {"ANTIALIASED": False, "ATTRIBUTES": attributes}
+            yield f"{folder}/ellipsoids.vert.glsl", {**GEOMETRY, **own, **flags}
     for mode, overlay in itertools.product(MODE_FLAGS, (None, Overlay())):
         flags = {**MODE_FLAGS[mode], **Editing(overlay=overlay).flags(projects=False, shows="splats")}
         yield f"{folder}/draw.vert.glsl", {**GEOMETRY, **flags}
@@ -56,10 +63,21 @@ def drawing(folder: str) -> Iterator[Variant]:
     yield "quads/fullscreen.vert.glsl", {}
 
 
+def tiles() -> Iterator[Variant]:
+    for tuning in (SOFTWARE, HARDWARE):
+        pairs = {"WORKGROUP": tuning.pairs.workgroup, "RUN": BLOCK // tuning.pairs.workgroup, "BLOCK": BLOCK}
+        for name in ("count", "emit", "plan", "scan"):
+            yield f"tiles/{name}.comp.glsl", {**pairs, "TILE": tuning.tile, "ROUNDS": 16}
+        for rest, overlay in itertools.product((False, True), (None, Overlay())):
+            own = {"WORKGROUP": tuning.workgroup, "BATCH": tuning.batch, "TILE": tuning.tile, "ROUNDS": 16}
+            edits = Editing(overlay=overlay).flags(projects=False, shows="splats")
+            yield "tiles/blend.comp.glsl", {**own, "REST": rest, **edits}
+
+
 @pytest.mark.parametrize(
     ("version", "variants"),
     [
-        ("430 core", [*projections("quads/project.comp.glsl"), *drawing("quads")]),
+        ("430 core", [*projections("quads/project.comp.glsl"), *drawing("quads"), *tiles()]),
         ("330 core", [*projections("legacy/project.frag.glsl"), *drawing("legacy")]),
     ],
     ids=["4.3", "3.3"],
