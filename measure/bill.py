@@ -182,13 +182,13 @@ def rows(bill: Bill) -> list[tuple[str, str, str]]:
 def sums(bill: Bill) -> list[str]:
     """Where the numbers come from, a line each."""
     network = " + ".join(f"{inputs}·{outputs}" for inputs, outputs in layers())
-    tally = ", ".join(f"{what} {count}" for what, count in EVALUATION_OPERATIONS.items())
+    tally = " + ".join(f"{count} ({what})" for what, count in EVALUATION_OPERATIONS.items())
     return [
         f"NeRF, multiply-adds an evaluation: {network} = {multiply_adds():,}",
         f"NeRF, operations: 2 · {multiply_adds():,} · {SAMPLES} samples · {bill.pixels:,} pixels "
         f"= {short(bill.nerf_operations)}",
         f"NeRF, weights: {weights():,} numbers with biases, 4 bytes each = {short(bill.nerf_weights)}B",
-        f"Splats, operations of an evaluation: {tally}",
+        f"Splats, operations an evaluation: {tally} = {sum(EVALUATION_OPERATIONS.values())}",
         f"The same picture costs a NeRF {bill.ratio:,.0f} times the arithmetic; the splats take "
         f"{bill.stored / bill.nerf_weights:,.1f} times the storage.",
     ]

@@ -18,6 +18,7 @@ COMMANDS = {
     "info": "what a scene holds, which effects it calls for, and its health",
     "stability": "hard cases on every renderer of this machine, against the reference",
     "ladder": "what accuracy costs in time: each shortcut's price, measured",
+    "bill": "what a picture takes in arithmetic and bytes, beside a NeRF",
     "train": "photos with known cameras to a scene",
     "edit": "the steps of a recipe, done to a scene",
     "convert": "a scene to another format",
