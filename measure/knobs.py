@@ -38,6 +38,8 @@ class Value:
     text: str
     """As it is typed after the option, and shown."""
     apply: Callable[[Plan], Plan]
+    renderers: tuple[str, ...] | None = None
+    """Which of the knob's have it; None: all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +61,12 @@ class Knob:
     def option(self) -> str:
         return f"--{self.name}"
 
+    def values_for(self, renderer: str) -> tuple[Value, ...]:
+        """Those that `renderer` has, from exact to coarse; none where it does not have the knob."""
+        if renderer not in self.renderers:
+            return ()
+        return tuple(v for v in self.values if v.renderers is None or renderer in v.renderers)
+
     def value(self, text: str) -> Value:
         """The value typed as `text`. Raises InputError with those that there are."""
         for value in self.values:
@@ -67,8 +75,8 @@ class Knob:
         raise InputError(f"{self.option} {text}: choose from {', '.join(v.text for v in self.values)}")
 
 
-def _setting(text: str, **changes: Any) -> Value:
-    return Value(text=text, apply=partial(_with_settings, changes=changes))
+def _setting(text: str, renderers: tuple[str, ...] | None = None, **changes: Any) -> Value:
+    return Value(text=text, apply=partial(_with_settings, changes=changes), renderers=renderers)
 
 
 def _with_settings(plan: Plan, changes: Mapping[str, Any]) -> Plan:
@@ -113,10 +121,23 @@ KNOBS: tuple[Knob, ...] = (
         values=tuple(_setting(text, early_stop=float(text)) for text in ("0", "1e-4", "1e-2")),
     ),
     Knob(
+        name="order",
+        title="Depth order",
+        changes="which splat is before which: by depths that are all told apart, by half the bits, or along each"
+        " pixel's own ray (another picture, without popping)",
+        renderers=CPU,
+        values=(
+            _setting("32-bit", order="32-bit"),
+            _setting("16-bit", order="16-bit"),
+            _setting("per-pixel", CPU, order="per-pixel"),
+        ),
+        monotone=False,
+    ),
+    Knob(
         name="cut",
         title="Footprint cut",
-        changes="where a splat ends: at an alpha of 1/255 as in the image model, or nearer, at so many standard"
-        " deviations; fewer pixels a splat",
+        changes="where a splat ends: at an alpha of 1/255 as in the image model, or nearer, at so many"
+        " standard deviations; fewer pixels a splat",
         renderers=GL + TILES + CPU,
         values=(
             _setting("1/255", sigma_cut=None),
@@ -143,8 +164,8 @@ KNOBS: tuple[Knob, ...] = (
     Knob(
         name="attributes",
         title="Attribute precision",
-        changes="bits in which the scene is stored: on the GPU fewer bytes are kept and read; cpu draws the same"
-        " rounded values from float32 and saves nothing",
+        changes="bits in which the scene is stored: on the GPU fewer bytes are kept and read; cpu draws the"
+        " same rounded values from float32 and saves nothing",
         renderers=GL + TILES + CPU,
         values=tuple(_planned(text, attributes=text) for text in FORMATS),
     ),
@@ -170,5 +191,9 @@ def apply_choices(plan: Plan, choices: Mapping[str, str], renderer: str) -> Plan
         if renderer not in chosen.renderers:
             owners = " and ".join(chosen.renderers)
             raise InputError(f"{chosen.option} is not for --renderer {renderer}: {owners} can do it")
-        plan = chosen.value(text).apply(plan)
+        value = chosen.value(text)
+        if value.renderers is not None and renderer not in value.renderers:
+            owners = " and ".join(value.renderers)
+            raise InputError(f"{chosen.option} {text} is not for --renderer {renderer}: {owners} can do it")
+        plan = value.apply(plan)
     return plan

@@ -144,9 +144,9 @@ def rungs_for(
         options = ("--renderer", artist.name)
         rungs.append(Rung(knob="renderer", value=artist.name, artist=artist, plan=plan, options=options))
         for knob in KNOBS:
-            if artist.name not in knob.renderers or (knobs is not None and knob.name not in knobs):
+            if knobs is not None and knob.name not in knobs:
                 continue
-            for value in knob.values:
+            for value in knob.values_for(artist.name):
                 changed = value.apply(plan)
                 degree = changed.settings.sh_degree
                 if knob.name == "sh-degree" and (degree is None or degree >= used_sh_degree):

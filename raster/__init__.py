@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from .forward import EARLY_STOP
 from .frame import Frame, draw
 from .gradients import Gradients, differentiate
 from .parameters import Parameters, check_parameters, parameters_of, used_degree
+from .per_pixel import depth_slopes
 from .pool import available_threads
 from .view import make_view
 from .weights import Weights, contributions, front, weigh
@@ -38,6 +40,8 @@ __all__ = [
     "weigh",
     "will_compile",
 ]
+
+ORDERS = ("32-bit", "16-bit", "per-pixel")
 
 _workspaces = threading.local()
 
@@ -111,6 +115,13 @@ def draw_frame(
     behind = np.array(settings.background if background is None else background, dtype)
     if behind.shape != (3,) or not np.isfinite(behind).all():
         raise ValueError(f"background must be 3 finite numbers, got {behind}")
+    if settings.order not in ORDERS:
+        raise ValueError(f"order must be one of {', '.join(ORDERS)} on the CPU, got {settings.order}")
+    slopes_of = None
+    if settings.order == "per-pixel":
+        if edits is not None and edits.adjusts:
+            raise ValueError("per-pixel order needs the scene itself: bake its adjustments first")
+        slopes_of = partial(depth_slopes, splats, camera=camera, settings=settings)
     return draw(
         splats,
         make_view(camera, settings, np.dtype(dtype)),
@@ -119,5 +130,7 @@ def draw_frame(
         sh_degree=used_degree(splats, settings),
         early_stop=early_stop,
         edits=edit_arrays(edits, len(splats.means)),
+        key_bits=16 if settings.order == "16-bit" else 32,
+        slopes_of=slopes_of,
         threads=threads or available_threads(),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +14,7 @@ from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from .edited import EditArrays
 from .forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
 from .parameters import Parameters
+from .per_pixel import draw_tiles_by_pixel
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from .project import RECORD, project
 from .simd import LANES
@@ -87,6 +88,8 @@ class Arrangement:
     """Projected, sorted and binned; fields as in `Frame`."""
 
     records: np.ndarray
+    depths: np.ndarray
+    """(N,) float64, of the means of visible splats."""
     pieces: Runs
     runs: Runs
     visible: np.ndarray
@@ -105,6 +108,8 @@ class Frame:
     threads: int
     edited: bool
     """Drawn with edits in force: not what `differentiate` can take."""
+    by_pixel: bool
+    """Drawn in per-pixel order: nor this."""
     image: np.ndarray
     """(H, W, 4), the caller's to keep."""
     lights: np.ndarray
@@ -139,8 +144,13 @@ def draw(
     early_stop: float,
     threads: int,
     edits: EditArrays | None = None,
+    key_bits: int = 32,
+    slopes_of: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Frame:
-    """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid."""
+    """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid.
+
+    `slopes_of` makes `per_pixel.depth_slopes` of visible splats, for a picture in per-pixel order.
+    """
     clock = StageClock()
     dtype = background.dtype
     arranged = arrange(
@@ -152,7 +162,12 @@ def draw(
         threads=threads,
         edits=edits,
         clock=clock,
+        key_bits=key_bits,
     )
+    if slopes_of is not None:
+        return _draw_by_pixel(
+            arranged, view, background, workspace, sh_degree, early_stop, threads, edits, slopes_of, clock
+        )
     records, bins = arranged.records, arranged.bins
     image = np.empty((view.height, view.width, 4), dtype)
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
@@ -192,6 +207,7 @@ def draw(
         sh_degree=sh_degree,
         threads=threads,
         edited=edits is not None,
+        by_pixel=False,
         image=image,
         lights=lights,
         met_of=met_of,
@@ -207,6 +223,63 @@ def draw(
     )
 
 
+def _draw_by_pixel(
+    arranged: Arrangement,
+    view: View,
+    background: np.ndarray,
+    workspace: Workspace,
+    sh_degree: int,
+    early_stop: float,
+    threads: int,
+    edits: EditArrays | None,
+    slopes_of: Callable[[np.ndarray], np.ndarray],
+    clock: StageClock,
+) -> Frame:
+    """The rest of `draw` in per-pixel order."""
+    records, bins = arranged.records, arranged.bins
+    image = np.empty((view.height, view.width, 4), background.dtype)
+    retirement = make_retirement(early_stop, background.dtype)
+    with clock.stage("slopes"):
+        slopes = slopes_of(bins.order)
+    lists = np.empty(0, np.int32)
+    evaluated = 0
+    for band in bins.bands:
+        with clock.stage("bin"):
+            lists = bins.write(band, workspace)
+        with clock.stage("forward"):
+            shared = (bins.offsets, int(bins.offsets[band[0]]), lists, records, arranged.depths, slopes, view)
+            evaluated += sum(
+                run(
+                    draw_tiles_by_pixel,
+                    tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
+                    (*shared, background, retirement.stop_below, image),
+                    threads,
+                )
+            )
+    nothing = np.empty(0, background.dtype)
+    return Frame(
+        view=view,
+        background=background,
+        retirement=retirement,
+        sh_degree=sh_degree,
+        threads=threads,
+        edited=edits is not None,
+        by_pixel=True,
+        image=image,
+        lights=nothing,
+        met_of=nothing,
+        records=records,
+        pieces=arranged.pieces,
+        runs=arranged.runs,
+        visible=arranged.visible,
+        bins=bins,
+        lists=lists,
+        pixel_splats=evaluated,
+        workspace=workspace,
+        milliseconds=clock.milliseconds,
+    )
+
+
 def arrange(
     splats: Parameters,
     view: View,
@@ -217,6 +290,7 @@ def arrange(
     threads: int,
     edits: EditArrays | None,
     clock: StageClock,
+    key_bits: int = 32,
 ) -> Arrangement:
     """All that comes before pixels: project, sort, bin."""
     with clock.stage("project"):
@@ -225,10 +299,10 @@ def arrange(
             splats, pieces, view, dtype, workspace, sh_degree, threads, edits
         )
     with clock.stage("sort"):
-        order = _sort(runs, bounds, visible, depths, workspace, threads)
+        order = _sort(runs, bounds, visible, depths, workspace, threads, key_bits)
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
-    return Arrangement(records=records, pieces=pieces, runs=runs, visible=visible, bins=bins)
+    return Arrangement(records=records, depths=depths, pieces=pieces, runs=runs, visible=visible, bins=bins)
 
 
 def _project(
@@ -265,13 +339,14 @@ def _sort(
     depths: np.ndarray,
     workspace: Workspace,
     threads: int,
+    key_bits: int,
 ) -> np.ndarray:
     count = sum(stop - start for start, stop in runs)
     keys = workspace.take("keys", (count,), np.uint32)
     order = workspace.take("order", (count,), np.int32)
     if count == 0:
         return order
-    base, shift, bits = key_scale(*bounds)
+    base, shift, bits = key_scale(*bounds, key_bits)
     ends = np.cumsum([stop - start for start, stop in runs]).tolist()
     tasks = [(end - (stop - start), end, start) for (start, stop), end in zip(runs, ends, strict=True)]
     run(make_keys, tasks, (visible, depths.view(np.int64), base, shift, keys, order), threads)

@@ -46,6 +46,9 @@ Far above float32's subnormals, which GPUs flush to 0; renderers divide by the l
 they normalise, so any quaternion above this, however tiny or huge, keeps its direction."""
 
 
+Order = Literal["32-bit", "16-bit", "per-pixel", "stochastic"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageModel:
     """The constants of the image model; the defaults are what scenes are trained with."""
@@ -79,6 +82,11 @@ class RenderSettings:
     """Transmittance below which a pixel is finished; 0: never; None: the renderer's own (below 2e-4).
     A pixel's error is at most this times the brightest colour behind."""
 
+    order: Order = "32-bit"
+    """How splats come front to back. 32-bit: by keys that tell all depths apart, whole splats before or behind
+    each other. 16-bit: by coarser keys, ties by index. per-pixel: by where each pixel's ray meets the splat,
+    which this image model does not do and the reference does not know. stochastic: not sorted; at each pixel
+    one splat is chosen by chance, as often as the image model would show it."""
     sigma_cut: float | None = None
     """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut alone counts."""
 
