@@ -12,7 +12,7 @@ from ....edit.operations.combining import Merge, Split
 from ....edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from ....edit.watch import Watch
 from ....scene import InputError
-from ...folders import cache_folder
+from ...folders import config_folder
 from ..training.actions import export as export_training
 from ..training.held import AT_REST
 from .desk import Desk
@@ -167,7 +167,9 @@ def _stem(core: Core) -> str:
 def look_for_abandoned(core: Core) -> None:
     """At the start: offers what a window that did not end well, or with unsaved edits, was doing."""
     core.abandoned = [
-        journal for journal in find_abandoned_journals(cache_folder() / JOURNALS) if journal.scene is not None
+        journal
+        for journal in find_abandoned_journals(config_folder() / JOURNALS)
+        if journal.scene is not None
     ]
     if core.abandoned:
         core.dialog = "restore"

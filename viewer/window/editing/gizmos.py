@@ -42,7 +42,8 @@ def handles(
 
 
 def grabbed() -> bool:
-    """Whether the mouse is on handles, or drags them: navigation leaves it alone then."""
+    """Whether the mouse is on the handles of this frame or the last, or drags them. To be asked only where
+    some were drawn: without any ImGuizmo's answer is that of a handle nowhere, which may be yes."""
     return guizmo.is_over() or guizmo.is_using()
 
 

@@ -14,6 +14,7 @@ from .. import theme
 from ..drawing import point_on_picture
 from . import picks
 from .desk import Desk
+from .gizmos import grabbed
 from .panels import crops, move
 from .strokes import CLICKED, DRAGGED, Stroke, mode_of
 from .tool_names import Mode, ToolName
@@ -56,6 +57,12 @@ def _click(core: Core, tool: ToolName, mode: Mode, camera: Camera, x: float, y: 
             picks.click(core, core.desk, tool, mode, camera, x, y)
         except InputError as error:
             core.complain(str(error))
+
+
+def on_handles(core: Core) -> bool:
+    """Whether the mouse is on handles on the picture: navigation leaves the left button alone then."""
+    desk = core.desk
+    return desk is not None and (desk.forms.move.gizmo or desk.forms.crop >= 0) and grabbed()
 
 
 def drag(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:

@@ -12,7 +12,7 @@ from ....edit.journal import Journal
 from ....edit.warm_up import warm_up
 from ....scene import InputError
 from ...commands.edit_tools import RasterTools
-from ...folders import cache_folder
+from ...folders import config_folder
 from .desk import Desk
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ LOAD_SECONDS = 0.012
 """Of each frame, for giving the picture a scene that edits have changed."""
 
 JOURNALS = "journals"
-"""Folder in the cache: steps of windows that run, and of those that did not end well."""
+"""Folder beside the settings: steps of windows that run, and of those that did not end well."""
 
 
 @cache
@@ -47,7 +47,7 @@ def take_up(core: Core, scene: LoadedScene) -> None:
         return
     core.desk = Desk(document=document)
     core.desk.journal = Journal(
-        document, cache_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
+        document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
     )
 
 

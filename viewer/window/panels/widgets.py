@@ -108,6 +108,15 @@ def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0
     tooltip(tip)
 
 
+def beside(name: str) -> None:
+    """Keeps a button of this name on the line of the last item, if it fits there."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(name, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
+        imgui.same_line()
+
+
 def section(name: str) -> None:
     imgui.spacing()
     imgui.separator_text(name)

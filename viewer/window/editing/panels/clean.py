@@ -73,10 +73,10 @@ def _look(core: Core) -> None:
     name, detector = form.detector, DETECTORS[form.detector]
     key = (name, document.versions)
     cameras = views(core, desk) if detector.renders else ()
-    edits = unchanging(document.edits)
 
     def work(watch: Watch) -> np.ndarray:
-        return detector().scores(document.gaussians, edits, document.tools, cameras, watch=watch)
+        # The document keeps them for the deletion that may follow.
+        return document.scores(detector(), cameras, watch=watch)
 
     def done(scores: np.ndarray) -> None:
         form.scores, form.of, form.threshold = scores, key, detector.threshold
@@ -115,10 +115,10 @@ def threshold(core: Core, desk: Desk) -> None:
             f"Draws {VIEWS} views with and without them and compares.",
             partial(core.post, _price),
         )
-        imgui.same_line()
+        widgets.beside(f"Delete {form.count:,}")
     tip = "Undo brings them back." if desk.trainee is None else "From the training; there is no way back."
     widgets.button(f"Delete {form.count:,}", tip, partial(core.post, _prune))
-    imgui.same_line()
+    widgets.beside("Leave them")
     widgets.button("Leave them", "Nothing is deleted.", partial(core.post, _forget))
 
 
@@ -194,7 +194,7 @@ def decimation(core: Core, desk: Desk) -> None:
             f"Draws {VIEWS} views with all splats and with the {form.keep:,} that matter most.",
             partial(core.post, _price_decimation),
         )
-        imgui.same_line()
+        widgets.beside(f"Keep {form.keep:,} of {counts.kept:,}")
     widgets.button(
         f"Keep {form.keep:,} of {counts.kept:,}", Decimate.summary + ".", partial(core.post, _decimate)
     )

@@ -46,14 +46,14 @@ CIRCLE = np.linspace(0, 2 * np.pi, 49)
 
 def show(core: Core, desk: Desk) -> None:
     shapes: tuple[tuple[str, Shape], ...] = (("Add a box", "box"), ("Add a sphere", "sphere"))
-    for name, shape in shapes:
+    for number, (name, shape) in enumerate(shapes):
+        if number:
+            widgets.beside(name)
         widgets.button(
             name,
             "Shows only what is inside; no splat is touched. Several add up; each can also cut out instead.",
             partial(_post, core, AddCrop(crop=fitting(core, desk, shape))),
         )
-        imgui.same_line()
-    imgui.new_line()
     crops = desk.document.crops
     if not crops:
         desk.forms.crop = -1
@@ -151,7 +151,7 @@ def numbers(core: Core, desk: Desk, index: int) -> None:
         "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
     )
     imgui.end_disabled()
-    imgui.same_line()
+    widgets.beside("Remove")
     if imgui.button("Remove"):
         _post(core, RemoveCrop(index=index))
     widgets.tooltip("Removes this crop; what it cut away is back.")

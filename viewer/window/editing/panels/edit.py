@@ -69,12 +69,9 @@ def show(core: Core) -> None:
 
 def toolbar(core: Core, desk: Desk | None) -> None:
     """A button a tool; the one in hand is bright."""
-    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
-    spacing, padding = imgui.get_style().item_spacing.x, imgui.get_style().frame_padding.x
     for number, (name, tool) in enumerate(TOOLS):
-        width = imgui.calc_text_size(name).x + 2 * padding
-        if number and imgui.get_item_rect_max().x + spacing + width < right:
-            imgui.same_line()
+        if number:
+            widgets.beside(name)
         chosen = desk is not None and desk.tool == tool
         if chosen:
             imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))

@@ -31,9 +31,10 @@ def show(core: Core) -> None:
     imgui.begin_disabled(not history.can_redo)
     widgets.action_button(core, "Redo", "redo")
     imgui.end_disabled()
-    imgui.same_line()
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
-    imgui.text_colored(theme.QUIET, f"{number}, {memory(history.nbytes)}")
+    used = f"{number}, {memory(history.nbytes)}"
+    widgets.beside(used)
+    imgui.text_colored(theme.QUIET, used)
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
     if core.at_rest:
         for number, (name, action) in enumerate(
@@ -44,7 +45,7 @@ def show(core: Core) -> None:
             )
         ):
             if number:
-                imgui.same_line()
+                widgets.beside(name)
             widgets.action_button(core, name, action)
     imgui.begin_child("##steps", ImVec2(0, 0))
     steps = ["As opened", *(step.title for step in history.steps)]

@@ -135,7 +135,7 @@ def upright(core: Core, desk: Desk) -> None:
     widgets.note("What points up in the scene now?")
     for number, (name, axis) in enumerate(UPS):
         if number:
-            imgui.same_line()
+            widgets.beside(name)
         operation = Orient(up=axis, pivot=_middle(core))
         widgets.button(
             f"{name}##up", f"Turns the scene: its {name} becomes up (-Y).", partial(_post, core, operation)
@@ -144,9 +144,9 @@ def upright(core: Core, desk: Desk) -> None:
         up = -core.view.R_camera_world[1]
         _post(core, Orient(up=(float(up[0]), float(up[1]), float(up[2])), pivot=_middle(core)))
     widgets.tooltip("Turns the scene so that what is up in the picture now is up (-Y).")
-    imgui.same_line()
     chosen = desk.tool == "ground"
     text = f"Pick {3 - len(desk.picked)} more..." if chosen else "Three points on the ground"
+    widgets.beside(text)
     if imgui.button(f"{text}###ground"):
         core.post(commands.take_tool, "ground")
     widgets.tooltip("Click three points of the floor: it becomes level, at y = 0.")

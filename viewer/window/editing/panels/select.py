@@ -41,24 +41,25 @@ def show(core: Core, desk: Desk) -> None:
         (("All", "select_all"), ("None", "select_none"), ("Invert", "select_inverse"))
     ):
         if number:
-            imgui.same_line()
+            widgets.beside(name)
         widgets.action_button(core, name, action)
-    imgui.same_line()
+    widgets.beside("Grow")
     grown = Grow(neighbours=NEIGHBOURS)
     widgets.button("Grow", grown.summary, partial(_slowly, core, grown, "Grow"))
-    imgui.same_line()
+    widgets.beside("Shrink")
     shrunk = Shrink(neighbours=NEIGHBOURS)
     widgets.button("Shrink", shrunk.summary, partial(_slowly, core, shrunk, "Shrink"))
     for number, (name, action) in enumerate(
         (("Delete", "delete"), ("Hide", "hide"), ("Isolate", "isolate"), ("Lock", "lock"))
     ):
         if number:
-            imgui.same_line()
+            widgets.beside(name)
         widgets.action_button(core, name, action)
     if counts.hidden:
         widgets.action_button(core, "Show hidden", "show")
-        imgui.same_line() if counts.locked else None
     if counts.locked:
+        if counts.hidden:
+            widgets.beside("Unlock all")
         widgets.action_button(core, "Unlock all", "unlock")
     options(desk)
     by_range(core, desk)
