@@ -14,6 +14,7 @@ import numpy as np
 from ..raster import Frame, Gradients, Parameters
 from ..raster.compiling import kernel
 from ..scene.projection import rotation_matrices
+from .ill import ill_splats
 from .regions import inside_any
 from .settings import PAPER_ITERATIONS, TrainSettings
 from .splats import Splats
@@ -97,7 +98,8 @@ class ClassicControl:
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
         """Clones, splits and prunes; forgets what was seen."""
         limits, parameters = self.thresholds, splats.parameters
-        scales = np.exp(parameters.log_scales.max(axis=1))
+        with np.errstate(over="ignore"):
+            scales = np.exp(parameters.log_scales.max(axis=1))
         actions = decide(
             self.pulled / np.maximum(self.seen, 1),
             scales,
@@ -112,6 +114,7 @@ class ClassicControl:
             actions[~(scales <= limits.largest_scale * self.extent)] = PRUNE
         growing = (actions == CLONE) | (actions == SPLIT)
         actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
+        actions[ill_splats(parameters)] = PRUNE
         if (actions == PRUNE).all():
             actions[:] = KEEP  # there would be nothing left to train
         self._respect_limit(actions)
@@ -173,7 +176,8 @@ def dim(splats: Splats) -> None:
 
 def sigmoid(logits: np.ndarray) -> np.ndarray:
     """float64, without overflow."""
-    decay = np.exp(-np.abs(logits.astype(np.float64)))
+    with np.errstate(invalid="ignore"):  # NaN may be signalling
+        decay = np.exp(-np.abs(logits.astype(np.float64)))
     return np.where(logits >= 0, 1.0, decay) / (1 + decay)
 
 

@@ -20,6 +20,7 @@ GONE = -30.0
 
 def some_dropped(parameters: Parameters, share: float, rng: np.random.Generator) -> Parameters:
     """The splats with this share (below 1) of them, drawn by chance, made invisible; the rest is stronger."""
-    logits = parameters.opacity_logits - np.float32(math.log1p(-share))
+    with np.errstate(invalid="ignore"):  # NaN may be signalling
+        logits = parameters.opacity_logits - np.float32(math.log1p(-share))
     logits[rng.random(len(logits), np.float32) < share] = GONE
     return parameters._replace(opacity_logits=logits)

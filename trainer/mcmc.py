@@ -18,6 +18,7 @@ from ..raster.compiling import inline, kernel
 from ..raster.pool import run
 from ..raster.project import rotation_matrix, sigmoid
 from .density import sigmoid as sigmoids
+from .ill import ill_splats
 from .regions import inside_any
 from .settings import TrainSettings
 from .splats import Splats
@@ -61,10 +62,11 @@ class SampledControl:
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
         opacities = sigmoids(splats.parameters.opacity_logits)
-        dead = np.flatnonzero(~(opacities > DEAD))
+        living = (opacities > DEAD) & ~ill_splats(splats.parameters)
+        dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
         growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
-        alive = np.flatnonzero((opacities > DEAD) & growing)
+        alive = np.flatnonzero(living & growing)
         if len(alive) == 0:
             return splats
         if len(dead):

@@ -1,0 +1,224 @@
+"""Hard cases through training: gradients are finite and right, and whole runs survive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatview.measure.hard_cases import CASES, HardCase, find_case
+from splatview.measure.hard_cases.case import neighbours
+from splatview.measure.hard_cases.running import scene_of
+from splatview.measure.metrics import SSIM_WINDOW
+from splatview.raster import Gradients, Parameters, Workspace, differentiate, draw_frame, parameters_of
+from splatview.scene import Camera, Gaussians, RenderSettings, reference
+from splatview.scene.projection import project
+from splatview.trainer.ill import ill_splats
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.shots import Shot, Shots
+from splatview.trainer.training import Trainer
+
+THEMES = sorted({case.theme for case in CASES})
+STEPS = 50
+
+BOUND = 1e-3
+"""Of |float32 - float64| / |float64|, the norms being those of an attribute of all splats."""
+
+NEGLIGIBLE = 1e-6
+"""An attribute whose gradient is below this share of the largest one's counts as that large: some cancel to
+nothing, a round splat's by its quaternion say."""
+
+EARLY_STOP = 1e-7
+"""In float32; what it leaves out is far below BOUND."""
+
+CANCELLED = {("peaks just above the cut", "means")}
+"""Each splat shows at one pixel, whose centre is its mean: the gradient is 0 but for the rounding of that."""
+
+BESIDE_CUT, BESIDE_CAP = 1e-5, 1e-5
+"""Alphas so near an edge, relative to it, may fall on its other side in float32."""
+
+
+def differentiable(case: HardCase) -> dict[str, RenderSettings]:
+    """The case's settings that have gradients."""
+    return {name: chosen for name, chosen in case.settings.items() if chosen.model.max_alpha < 1}
+
+
+def beside_an_edge(scene: Gaussians, camera: Camera, settings: RenderSettings) -> np.ndarray:
+    """(H, W) bool: pixels with an alpha beside the cut or the cap."""
+    model = settings.model
+    free = replace(settings, model=replace(model, max_alpha=np.inf, alpha_cut=0.0))
+    lenient = replace(settings, model=replace(model, alpha_cut=model.alpha_cut * (1 - BESIDE_CUT)))
+    footprints = project(scene, camera, lenient)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    alphas = reference.alphas(footprints, np.arange(len(footprints.indices)), x.ravel(), y.ravel(), free)
+    beside = np.abs(alphas - model.max_alpha) <= BESIDE_CAP * model.max_alpha
+    beside |= np.abs(alphas - model.alpha_cut) <= BESIDE_CUT * model.alpha_cut
+    return beside.any(axis=0).reshape(camera.height, camera.width)
+
+
+def gradients_in(
+    dtype: type, scene: Gaussians, camera: Camera, settings: RenderSettings, weights
+) -> Gradients:
+    parameters = parameters_of(scene)
+    if dtype is np.float64:
+        with np.errstate(invalid="ignore"):  # NaN may be signalling
+            parameters = Parameters(*(array.astype(np.float64) for array in parameters))
+    workspace = Workspace()
+    stop = 0.0 if dtype is np.float64 else EARLY_STOP
+    frame = draw_frame(parameters, camera, settings, workspace, dtype=dtype, early_stop=stop)
+    return differentiate(parameters, frame, weights.astype(dtype))
+
+
+def wrong_gradients(case: HardCase, settings: RenderSettings, camera: Camera) -> list[str]:
+    scene = scene_of(case)
+    # Exact in float32 too.
+    weights = np.random.default_rng(5).normal(size=(camera.height, camera.width, 4)).astype(np.float32)
+    weights[beside_an_edge(scene, camera, settings)] = 0
+    ours, truth = (
+        gradients_in(dtype, scene, camera, settings, weights) for dtype in (np.float32, np.float64)
+    )
+    wrong = []
+    floor = NEGLIGIBLE * max(norm(expected) for expected in truth.parameters)
+    for name, found, expected in zip(Parameters._fields, ours.parameters, truth.parameters, strict=True):
+        if not (np.isfinite(found).all() and np.isfinite(expected).all()):
+            wrong.append(
+                f"{name}: {np.sum(~np.isfinite(found))} and {np.sum(~np.isfinite(expected))} not finite"
+            )
+            continue
+        if (case.name, name) in CANCELLED:
+            continue
+        error, allowed = norm(found - expected), BOUND * max(norm(expected), floor)
+        if not error <= allowed:
+            wrong.append(f"{name}: {error:.2g}, allowed {allowed:.2g}")
+    return wrong
+
+
+def norm(values: np.ndarray) -> float:
+    """As float64, scaled, so that the squares of 1e200 do not overflow."""
+    flat = np.abs(values.astype(np.float64))
+    largest = float(flat.max(initial=0.0))
+    return largest * float(np.linalg.norm(flat / largest)) if 0 < largest < np.inf else largest
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_gradients_are_finite_and_those_of_float64(theme) -> None:
+    wrong = [
+        f"{case.name} ({name}, camera {index}) {what}"
+        for case in CASES
+        if case.theme == theme
+        for name, settings in differentiable(case).items()
+        for index, camera in enumerate(case.cameras)
+        for what in wrong_gradients(case, settings, camera)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def shot_of(camera: Camera, number: int) -> Shot:
+    """A photo of stripes that no case looks like."""
+    small = camera.resized(max(SSIM_WINDOW, camera.width // 2), max(SSIM_WINDOW, camera.height // 2))
+    rows, columns = np.mgrid[: small.height, : small.width]
+    stripes = 0.5 + 0.5 * np.sin(
+        np.stack([rows * 0.7, columns * 0.9, (rows + columns) * 0.5], axis=-1) + number
+    )
+    return Shot(replace(small, name=f"{number}.png"), (stripes * 255).astype(np.uint8))
+
+
+def trainer_of(case: HardCase, strategy: str) -> Trainer:
+    scene = scene_of(case)
+    scene = replace(scene, means=scene.means.astype(np.float32))
+    options = {"strategy": strategy, "model": next(iter(differentiable(case).values())).model}
+    settings = TrainSettings(
+        iterations=STEPS,
+        refine_from=0.1,
+        refine_every=0.1,
+        refine_until=0.8,
+        least_refine_steps=3,
+        max_splats=2 * len(scene) + 50,
+        sh_every=0.2,
+        drop=0.1,
+        **options,
+    )
+    shots = [shot_of(camera, number) for number, camera in enumerate(case.cameras)]
+    return Trainer(Shots(shots, 0), parameters_of(scene), 3.0, settings, threads=1)
+
+
+def ill_rows(parameters: Parameters) -> np.ndarray:
+    """(N,) bool: splats with a number that is not finite."""
+    return ~np.all([np.isfinite(array).reshape(len(array), -1).all(axis=1) for array in parameters], axis=0)
+
+
+def wrong_run(case: HardCase, strategy: str) -> list[str]:
+    trainer = trainer_of(case, strategy)
+    ill_from_the_start = set(trainer.splats.ids[ill_rows(trainer.splats.parameters)].tolist())
+    wrong = []
+    for step in range(STEPS):
+        report = trainer.step()
+        if not np.isfinite(report.loss):
+            return [f"loss {report.loss} at step {step}"]
+        ill = set(trainer.splats.ids[ill_rows(trainer.splats.parameters)].tolist())
+        if not ill <= ill_from_the_start:
+            return [f"splats {sorted(ill - ill_from_the_start)[:5]} are not finite after step {step}"]
+    if not trainer.counters.refined_at:
+        wrong.append("density control never ran")
+    if not len(trainer.splats):
+        wrong.append("no splat is left")
+    return wrong
+
+
+def wrong_runs(theme: str, strategies: tuple[str, ...]) -> list[str]:
+    return [
+        f"{case.name} ({strategy}): {what}"
+        for number, case in enumerate(CASES)
+        if case.theme == theme and case.trains
+        for strategy in (strategies if len(strategies) > 1 else (("classic", "mcmc")[number % 2],))
+        for what in wrong_run(case, strategy)
+    ]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("theme", THEMES)
+def test_runs_survive(theme) -> None:
+    """Every case by one of the strategies, in turn."""
+    wrong = wrong_runs(theme, ("in turn",))
+    assert not wrong, "\n".join(wrong)
+
+
+def test_density_control_takes_out_what_no_picture_shows() -> None:
+    """Else it would be copied by its opacity, which says nothing of it."""
+    for name in ("NaN means", "infinite SH", "zero quaternion", "log-scale +100", "NaN of every kind"):
+        case = find_case(name)
+        for strategy in ("classic", "mcmc"):
+            trainer = trainer_of(case, strategy)
+            before = ill_splats(trainer.splats.parameters)
+            assert before[list(case.culled)].all() and before.sum() == len(case.culled)
+            for _ in range(STEPS):
+                trainer.step()
+            assert not ill_splats(trainer.splats.parameters).any()
+            assert len(trainer.splats) >= 12
+
+
+def test_what_is_ill_for_training() -> None:
+    well = parameters_of(neighbours(3))
+    assert not ill_splats(well).any()
+    for name, value in (
+        ("means", np.inf),
+        ("quats", np.nan),
+        ("log_scales", -np.inf),
+        ("log_scales", 89.0),
+        ("opacity_logits", np.inf),
+        ("sh", np.nan),
+    ):
+        array = getattr(well, name).copy()
+        array.reshape(len(array), -1)[5, -1] = value
+        assert np.flatnonzero(ill_splats(well._replace(**{name: array}))).tolist() == [5]
+    zeros = well._replace(quats=np.zeros_like(well.quats))
+    assert ill_splats(zeros).all()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("theme", THEMES)
+def test_runs_survive_by_each_strategy(theme) -> None:
+    wrong = wrong_runs(theme, ("classic", "mcmc"))
+    assert not wrong, "\n".join(wrong)
