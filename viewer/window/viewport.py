@@ -11,8 +11,7 @@ from ...scene import InputError
 from .accuracy.on_picture import drag_line, draw_split
 from .actions import focus_at
 from .core import Core
-from .editing.gizmos import grabbed
-from .editing.on_picture import draw_tool, use_tool
+from .editing.on_picture import draw_tool, on_handles, use_tool
 from .keys import held_step
 from .navigation import dolly, look, move, orbit, pan, trackball
 from .preferences import RANGES
@@ -49,7 +48,7 @@ def show(core: Core) -> None:
     )
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    tool_has_it = use_tool(core, corner, width, height) or (core.desk is not None and grabbed())
+    tool_has_it = use_tool(core, corner, width, height) or on_handles(core)
     tool_has_it = drag_line(core, corner, width) or tool_has_it
     steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(core)

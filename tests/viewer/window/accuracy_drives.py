@@ -20,6 +20,7 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     hand.settle()
     core.prefer(smooth=False)
     accuracy = core.accuracy
+    accuracy.seconds = options.get("seconds", accuracy.seconds)
     exact = hand.picture()
     hand.ctx.window_focus("//Accuracy")
     hand.ctx.set_ref("//Accuracy")

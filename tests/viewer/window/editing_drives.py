@@ -106,7 +106,7 @@ def clean_up(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.on_gl_thread(lambda: files.export_to(core, out))
     settle(hand)
     hand.on_gl_thread(lambda: files.save_recipe_to(core, recipe))
-    found["journal_left"] = len(list(Path(options["cache"]).glob("journals/*")))
+    found["journal_left"] = len(list(Path(options["journals"]).glob("*")))
     hand.drop(str(out))
     hand.wait(lambda: core.scene is not None and core.scene.name == out.name, "the export to open")
     settle(hand)

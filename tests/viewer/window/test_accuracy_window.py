@@ -14,7 +14,7 @@ def scene(tmp_path, random_gaussians):
     return path
 
 
-@pytest.mark.parametrize("renderer", ["cpu", "quads"])
+@pytest.mark.parametrize("renderer", ["cpu", pytest.param("quads", marks=pytest.mark.slow)])
 def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer):
     found = drive(
         "prices",
@@ -22,7 +22,8 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
         script="accuracy_drives.py",
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
-        size=[900, 600],
+        size=[900, 600] if renderer == "cpu" else [520, 360],
+        seconds=1,
     )
     first, *rungs = found["rungs"]
     assert first[:2] == ["renderer", renderer] and first[2] > 60, "the baseline is all but the truth"
@@ -43,7 +44,7 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
     assert found["prices_kept"], "a cancelled measurement takes nothing away"
 
 
-@pytest.mark.parametrize("renderer", ["cpu", "quads"])
+@pytest.mark.parametrize("renderer", [pytest.param("cpu", marks=pytest.mark.slow), "quads"])
 def test_a_budget_makes_moving_pictures_coarser_and_rest_exact(drive, scene, tmp_path, renderer):
     found = drive(
         "governor",
@@ -51,7 +52,7 @@ def test_a_budget_makes_moving_pictures_coarser_and_rest_exact(drive, scene, tmp
         script="accuracy_drives.py",
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
-        size=[900, 600],
+        size=[900, 600] if renderer == "cpu" else [520, 360],
         frames=5,
         share=0.3,
         patience=2.0 if renderer == "cpu" else 0.0,

@@ -33,7 +33,7 @@ def where(tmp_path) -> dict[str, str]:
     return {
         "out": str(tmp_path / "out.ply"),
         "recipe": str(tmp_path / "steps.json"),
-        "cache": str(tmp_path / "cache"),
+        "journals": str(tmp_path / "config" / "journals"),
     }
 
 
@@ -68,12 +68,10 @@ def check(found: dict, path: Path, where: dict[str, str]) -> None:
 def test_a_scene_is_cleaned_up(drive, scene, tmp_path, where):
     path = tmp_path / "scene.ply"
     save_scene(scene, path)
-    environ = {"SPLATVIEW_CACHE_DIR": where["cache"]}
     found = drive(
         "clean_up",
         path,
         script="editing_drives.py",
-        environ=environ,
         half_extents=(3.0, 0.8, 1.2),
         threshold=300.0,
         size=(1000, 700),
@@ -83,7 +81,7 @@ def test_a_scene_is_cleaned_up(drive, scene, tmp_path, where):
     np.testing.assert_allclose(found["crop"], (3.0, 0.8, 1.2), rtol=1e-6)
     assert found["floaters"] == 6
     assert not found["crop_moved"]
-    assert not list(Path(where["cache"]).glob("journals/*")), "exported, so nothing is left to restore"
+    assert not list(Path(where["journals"]).glob("*")), "exported, so nothing is left to restore"
 
 
 @pytest.mark.slow
@@ -93,7 +91,6 @@ def test_playbot_is_cleaned_up(drive, data_file, where):
         "clean_up",
         path,
         script="editing_drives.py",
-        environ={"SPLATVIEW_CACHE_DIR": where["cache"]},
         half_extents=(0.9, 1.2, 0.9),
         threshold=3000.0,
         size=(1000, 700),
@@ -106,9 +103,8 @@ def test_playbot_is_cleaned_up(drive, data_file, where):
 def test_edits_left_in_no_file_are_offered_at_the_next_start(drive, scene, tmp_path):
     path = tmp_path / "scene.ply"
     save_scene(scene, path)
-    environ = {"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")}
-    left = drive("leave_edits", path, script="editing_drives.py", environ=environ)
-    back = drive("restore_edits", path, script="editing_drives.py", environ=environ)
+    left = drive("leave_edits", path, script="editing_drives.py")
+    back = drive("restore_edits", path, script="editing_drives.py")
     assert back["offered"] == "restore"
     assert back["restored"] == left["deleted"]
     assert left["deleted"]["deleted"] > 0
@@ -117,8 +113,7 @@ def test_edits_left_in_no_file_are_offered_at_the_next_start(drive, scene, tmp_p
 def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path):
     path = tmp_path / "scene.ply"
     save_scene(scene, path)
-    environ = {"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")}
-    found = drive("by_words", path, script="editing_drives.py", environ=environ, size=(1000, 700))
+    found = drive("by_words", path, script="editing_drives.py", size=(1000, 700))
     assert found["selected"] == len(scene)
     assert found["palette_shut"]
     assert found["previewed"]

@@ -14,6 +14,7 @@ from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.files import save_scene
 from splatview.viewer.gl import make_renderer
 from splatview.viewer.gl.context import create_headless_context
+from splatview.viewer.window.layout import PANELS
 
 
 @pytest.fixture
@@ -119,7 +120,7 @@ def test_menus_and_panels(drive, files, tmp_path):
     assert found["up"] == [0, 0, 1]
     width, height = found["picture_size"]
     assert Image.open(tmp_path / "second.png").size == (2 * width, 2 * height)
-    assert found["panels"] == ["Scene", "Picture", "Camera", "Views", "Statistics", "Messages"]
+    assert found["panels"] == [name for name, _, _ in PANELS]
     assert found["antialiased"] and not found["antialiased_after"]
     hidden, shown = found["widths"]
     assert hidden > shown + 100
