@@ -27,8 +27,8 @@ def _ordered_bits(bits):
 
 
 def key_scale(least: float, greatest: float, most_bits: int = 32) -> tuple[int, int, int]:
-    """(base, shift, bits) for depths in [least, greatest]: key = (ordered bits - base) >> shift < 2^bits, bits
-    being at most `most_bits`."""
+    """(base, shift, bits) for depths in [least, greatest]: key = (ordered bits - base) >> shift < 2^bits,
+    bits being at most `most_bits`."""
     low, high = (int(np.float64(depth).view(np.int64)) for depth in (least, greatest))
     low, high = (value ^ ((value >> 63) & 0x7FFFFFFFFFFFFFFF) for value in (low, high))
     span = (high - low).bit_length()

@@ -83,12 +83,12 @@ class RenderSettings:
     A pixel's error is at most this times the brightest colour behind."""
 
     order: Order = "32-bit"
-    """How splats come front to back. 32-bit: by keys that tell all depths apart, whole splats before or behind
-    each other. 16-bit: by coarser keys, ties by index. per-pixel: by where each pixel's ray meets the splat,
+    """How splats come front to back. 32-bit: by keys that tell all depths apart, whole splats before or
+    behind each other. 16-bit: by coarser keys, ties by index. per-pixel: by where each pixel's ray meets the splat,
     which this image model does not do and the reference does not know. stochastic: not sorted; at each pixel
     one splat is chosen by chance, as often as the image model would show it."""
     sigma_cut: float | None = None
-    """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut alone counts."""
+    """Alpha is also 0 beyond so many standard deviations of the footprint; None: only the alpha cut counts."""
 
     def __post_init__(self) -> None:
         if self.sigma_cut is not None and not self.sigma_cut > 0:

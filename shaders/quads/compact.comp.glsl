@@ -9,6 +9,9 @@ layout(std430, binding = 1) readonly buffer GroupStarts { uint group_starts[]; }
 layout(std430, binding = 2) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 3) writeonly buffer Order { uint order[]; };
 uniform uint u_splats;
+uniform uint u_key_base;   // keys are counted from it...
+uniform uint u_key_shift;  // ... and lose so many bits
+uniform uint u_key_most;
 
 const uint WORDS = uint(GROUP_SIZE) / 32u;
 shared uint visible_bits[WORDS];
@@ -25,6 +28,6 @@ void main() {
     uint slot = group_starts[gl_WorkGroupID.x];
     for (uint below = 0u; below < word; below++) slot += uint(bitCount(visible_bits[below]));
     slot += uint(bitCount(visible_bits[word] & ((1u << bit) - 1u)));
-    keys[slot] = key;
+    keys[slot] = min((max(key, u_key_base) - u_key_base) >> u_key_shift, u_key_most);
     order[slot] = splat;
 }

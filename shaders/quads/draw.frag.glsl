@@ -3,13 +3,29 @@
 // Time on llvmpipe relative to this: alpha 0 in place of discard 0.98 (GPUs gain more from discarding),
 // noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
 // constant colour in place of all of main 0.74: most of it is reading and writing the target.
-// Flags: POINTS, OVERDRAW (counts splats in place of blending them).
+// Flags: POINTS, OVERDRAW (counts splats in place of blending them), STOCHASTIC (is opaque, as often as alpha
+// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010).
 uniform float u_max_alpha;
 
 flat in vec4 v_shape;
 flat in vec2 v_c_cut;
 flat in vec4 v_colour;
 out vec4 colour;
+#if STOCHASTIC
+flat in uint v_splat;
+
+// A number in [0, 1) of splat and pixel, always the same (pcg, Jarzynski and Olano 2020).
+float chance(uint splat, uvec2 pixel) {
+    uint state = splat;
+    for (int i = 0; i < 3; i++) {
+        if (i > 0) state ^= pixel[i - 1];
+        state = state * 747796405u + 2891336453u;
+        state = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+        state = (state >> 22u) ^ state;
+    }
+    return float(state >> 8u) / 16777216.0;
+}
+#endif
 
 void main() {
     vec2 d = gl_FragCoord.xy - v_shape.xy;
@@ -23,6 +39,9 @@ void main() {
 #endif
 #if OVERDRAW
     colour = vec4(1.0, 0.0, 0.0, 0.0);
+#elif STOCHASTIC
+    if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
+    colour = vec4(v_colour.rgb, 0.0);  // no light comes through
 #else
     colour = vec4(v_colour.rgb * alpha, alpha);
 #endif

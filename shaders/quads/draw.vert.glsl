@@ -1,5 +1,6 @@
 // Four vertices a splat, nearest splat first.
-// Flags: QUADS_PER_INSTANCE, POINTS, DEPTH (the splat's depth in place of its colour), TINTS, TEXTURE_WIDTH.
+// Flags: QUADS_PER_INSTANCE, POINTS, DEPTH (the splat's depth in place of its colour), STOCHASTIC (in any
+// order, for a depth test), TINTS, TEXTURE_WIDTH.
 #include "quads/culled.glsl"
 #include "common/quad.glsl"
 #include "common/tint.glsl"
@@ -8,8 +9,14 @@ layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
 layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
 layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
-#if DEPTH
-layout(std430, binding = 5) readonly buffer Keys { uint keys[]; };
+#if DEPTH || STOCHASTIC
+layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
+
+float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
+#endif
+#if STOCHASTIC
+uniform float u_depth_unit;  // world units; depths about it keep the most digits
+flat out uint v_splat;
 #endif
 uniform uint u_slab;
 uniform float u_brightest;  // what the target can hold: infinity times no light would be NaN
@@ -19,11 +26,19 @@ void main() {
     uint splat = slot < slab_starts[u_slab + 1u] ? order[slot] : CULLED;
     if (splat == CULLED) {
         place_nothing();
+#if STOCHASTIC
+        v_splat = CULLED;
+#endif
         return;
     }
     vec4 colour = colours[splat];
 #if DEPTH
-    colour.rgb = vec3(uintBitsToFloat(keys[slot] & 0x7FFFFFFFu));  // visible depths are positive
+    colour.rgb = vec3(depth_of(splat));
 #endif
     place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+#if STOCHASTIC
+    float depth = depth_of(splat);
+    gl_Position.z = depth / (depth + u_depth_unit) * 2.0 - 1.0;
+    v_splat = splat;
+#endif
 }

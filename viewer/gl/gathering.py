@@ -25,7 +25,12 @@ from .targets import ColourTarget
 from .view_uniforms import Uniform, set_uniforms
 
 MODE_FLAGS: dict[str, dict[str, bool]] = {
-    mode: {"POINTS": mode == "points", "DEPTH": mode == "depth", "OVERDRAW": mode == "overdraw"}
+    mode: {
+        "POINTS": mode == "points",
+        "DEPTH": mode == "depth",
+        "OVERDRAW": mode == "overdraw",
+        "STOCHASTIC": False,
+    }
     for mode in ("splats", "points", "depth", "overdraw")
 }
 
@@ -79,20 +84,26 @@ class Gathering:
         edits: EditTextures,
         *,
         early_stop: float,
+        stochastic: bool = False,
     ) -> None:
-        """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode."""
-        stored = scene.flags() if mode == "ellipsoids" else {}
+        """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode.
+
+        `stochastic`: splats need no order, and each pixel shows one of them, chosen by chance.
+        """
+        stored = scene.flags() if mode == "ellipsoids" else {"STOCHASTIC": stochastic}
         program, array = mode_program(self._programs, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
             self._draw_ellipsoids(target, scene, projector, program, array, edits)
             return
-        target.framebuffer.use()
-        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
-        self._ctx.enable_only(moderngl.BLEND)
+        framebuffer = target.with_depth() if stochastic else target.framebuffer
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
+        self._ctx.enable_only(moderngl.DEPTH_TEST if stochastic else moderngl.BLEND)
+        self._ctx.depth_func = "<"
         # moderngl's stub knows two factors, moderngl itself takes four
         self._ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
-        stops = early_stop > 0 and mode in CAN_STOP_EARLY
+        stops = early_stop > 0 and mode in CAN_STOP_EARLY and not stochastic
         if stops:
             self._closing.start(target.size)
         for slab in range(SLABS):
@@ -101,9 +112,10 @@ class Gathering:
                 order = self._closing.hide(projector, target.texture, slab, early_stop)
             _bind(
                 *(order, projector.slab_starts, projector.shapes, projector.bounds, projector.colours),
-                projector.keys,
+                projector.depth_keys,
             )
-            set_uniforms(program, {"u_slab": slab, "u_brightest": target.brightest})
+            own = {"u_brightest": target.brightest, "u_depth_unit": edits.placement.radius}
+            set_uniforms(program, {"u_slab": slab, **own})
             array.render_indirect(projector.commands, moderngl.TRIANGLES, count=1, first=slab)
 
     def _draw_ellipsoids(

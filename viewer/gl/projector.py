@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import moderngl
 import numpy as np
 
 from .edit_textures import EditTextures
 from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
-from .sort import RadixSort
+from .sort import KEY_BITS, RadixSort
 from .view_uniforms import Uniform, set_uniforms
 from .visible_count import VisibleCount
 
@@ -27,6 +29,22 @@ SLABS = len(SLAB_ENDS)
 
 RECORD_BYTES = 16
 """A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthKeys:
+    """How depths are made keys: the bits of a float32 with the sign's turned over, counted from `base`,
+    shifted right by `shift`, and at most 2^bits - 1. With the defaults, all of the bits."""
+
+    base: int = 0
+    shift: int = 0
+    bits: int = KEY_BITS
+
+
+def short_keys(least: float, greatest: float, bits: int) -> DepthKeys:
+    """Keys of so many bits for depths in [least, greatest]; those beyond share the last."""
+    low, high = (int(np.float32(depth).view(np.uint32)) | 0x80000000 for depth in (least, greatest))
+    return DepthKeys(base=low, shift=max((high - low).bit_length() - bits, 0), bits=bits)
 
 
 class Projector:
@@ -75,6 +93,7 @@ class Projector:
         *,
         sh_degree: int,
         antialiased: bool,
+        keys: DepthKeys = DepthKeys(),
     ) -> None:
         """Fills records and keys of all splats, then keys and order of the visible ones, by index."""
         flags = {
@@ -106,17 +125,18 @@ class Projector:
         self._ctx.memory_barrier()
         for slot, buffer in enumerate((self.depth_keys, self._starts, self.keys, self.order)):
             buffer.bind_to_storage_buffer(slot)
-        set_uniforms(self._compact, {"u_splats": scene.splats})
+        shortened = {"u_key_base": keys.base, "u_key_shift": keys.shift, "u_key_most": (1 << keys.bits) - 1}
+        set_uniforms(self._compact, {"u_splats": scene.splats, **shortened})
         if self._groups:
             self._compact.run(self._groups)
         self._ctx.memory_barrier()
         self.visible.frame_done()
 
-    def sort(self) -> None:
+    def sort(self, key_bits: int = KEY_BITS) -> None:
         """Orders the visible splats front to back, ties by index."""
         if self._sorter is None:
             raise RuntimeError("resize() comes before sort()")
-        self._sorter.sort(self.keys, self.order, self.visible.buffer)
+        self._sorter.sort(self.keys, self.order, self.visible.buffer, key_bits=key_bits)
         self._ctx.memory_barrier()
 
     def most_in_slab(self, slab: int) -> int:

@@ -10,11 +10,12 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.image_model import Order
 from ...scene.stored import Attributes
 from .frame import FrameStats, VisualMode
 from .gathering import Gathering
 from .overlay import Overlay
-from .projector import RECORD_BYTES, Projector
+from .projector import RECORD_BYTES, DepthKeys, Projector, short_keys
 from .renderer import Renderer
 from .resolving import depth_range
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
@@ -27,6 +28,9 @@ EARLY_STOP = 1.2e-4
 class QuadsRenderer(Renderer):
     """The `Renderer` for GL 4.3."""
 
+    name = "quads"
+    orders: tuple[Order, ...] = ("32-bit", "16-bit", "stochastic")
+
     def __init__(self, ctx: moderngl.Context, *, gathering: Gathering | None = None) -> None:
         super().__init__(ctx)
         self._projector = Projector(ctx)
@@ -34,6 +38,8 @@ class QuadsRenderer(Renderer):
         self._gathering = gathering or Gathering(ctx)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
+        self._box = np.zeros((2, 3))
+        """Within which the scene's splats are."""
         self._drawn_key: object = None
         self._resolved_key: object = None
 
@@ -76,6 +82,7 @@ class QuadsRenderer(Renderer):
         self._projector.resize(scene.splats)
         self._edits.load(scene.placement, source.means)
         self._scene, self._source = scene, source
+        self._box = finite_box(source.means)
         self._projected_key = None
 
     def draw(
@@ -92,8 +99,13 @@ class QuadsRenderer(Renderer):
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
         editing = self._edits.update(edits, overlay)
+        if settings.order not in self.orders:
+            raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
+        # Other modes show what an order is, or need one that is exact.
+        order = settings.order if mode == "splats" else "32-bit"
         projected_key = (
             *_view_key(camera),
+            order,
             *(settings.model, settings.sigma_cut, sh_degree),
             editing.footprints,
         )
@@ -105,6 +117,7 @@ class QuadsRenderer(Renderer):
         uniforms = view_uniforms(camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if projected_key != self._projected_key:
+            keys = DepthKeys() if order != "16-bit" else self._short_keys(camera, settings.model.near)
             with self._timers.stage("project"):
                 self._projector.project(
                     scene,
@@ -112,11 +125,13 @@ class QuadsRenderer(Renderer):
                     self._edits,
                     sh_degree=sh_degree,
                     antialiased=settings.model.antialiased,
+                    keys=keys,
                 )
-            with self._timers.stage("sort"):
-                self._projector.sort()
+            if order != "stochastic":
+                with self._timers.stage("sort"):
+                    self._projector.sort(keys.bits)
+                self._counters["sorted"] += 1
             self._counters["projected"] += 1
-            self._counters["sorted"] += 1
             self._projected_key = projected_key
             self._drawn_key = None
         with self._timers.stage("draw"):
@@ -130,6 +145,7 @@ class QuadsRenderer(Renderer):
                     uniforms,
                     self._edits,
                     early_stop=early_stop,
+                    **({"stochastic": True} if order == "stochastic" else {}),
                 )
                 self._counters["drawn"] += 1
                 self._drawn_key = drawn_key
@@ -142,6 +158,12 @@ class QuadsRenderer(Renderer):
             )
             self._resolved_key = resolved_key
         previous.use()
+
+    def _short_keys(self, camera: Camera, near: float) -> DepthKeys:
+        centre, half = self._box.mean(axis=0), np.diff(self._box, axis=0)[0] / 2
+        middle, reach = camera.forward @ (centre - camera.eye), np.abs(camera.forward) @ half
+        least = max(float(middle - reach), near)
+        return short_keys(least, max(float(middle + reach), least), 16)
 
     def read(self) -> np.ndarray:
         return self._targets.shown.read()
@@ -158,6 +180,15 @@ class QuadsRenderer(Renderer):
             self._scene.release()
         self._projector.release()
         self._gathering.release()
+
+
+def finite_box(means: np.ndarray) -> np.ndarray:
+    """(2, 3) float64: least and greatest finite coordinates of means (N, 3); a point where there are none."""
+    with np.errstate(invalid="ignore"):
+        finite = means[np.isfinite(means).all(axis=1)]
+    if not len(finite):
+        return np.zeros((2, 3))
+    return np.stack([finite.min(axis=0), finite.max(axis=0)]).astype(np.float64)
 
 
 def _view_key(camera: Camera) -> tuple:

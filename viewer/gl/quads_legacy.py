@@ -154,6 +154,8 @@ class LegacyQuadsRenderer(Renderer):
         # For `render` this is all: to draw would be to draw in the order of an earlier view first.
         _, sorter = self._loaded()
         editing = self._edits.update(edits, overlay)
+        if settings.order != "32-bit":
+            raise InputError(f"{settings.order} order needs OpenGL 4.3; use 32-bit")
         self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
         sorter.request(self._wanted.line)
 

@@ -27,6 +27,9 @@ class TilesRenderer(QuadsRenderer):
         InputError: the context is older than GL 4.3.
     """
 
+    name = "tiles"
+    orders = ("32-bit", "16-bit")
+
     def __init__(self, ctx: moderngl.Context, *, tuning: TileTuning | None = None) -> None:
         if not ctx.version_code >= COMPUTE_VERSION:
             version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
