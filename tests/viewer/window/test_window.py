@@ -112,6 +112,14 @@ def test_old_opengl_shows_the_same_picture(drive, files, scene):
     assert found["pixel_sum"] == pytest.approx(expected, rel=2e-3)
 
 
+def test_tiles_show_the_same_picture(drive, files, scene):
+    found = drive("look", files[1], renderer="tiles")
+    assert found["renderer"] == "tiles (OpenGL 4.3)"
+    camera = Camera(**{**found["camera"], "world_to_camera": np.array(found["camera"]["world_to_camera"])})
+    expected = float(headless_picture(scene, camera)[..., :3].sum())
+    assert found["pixel_sum"] == pytest.approx(expected, rel=2e-3)
+
+
 def test_menus_and_panels(drive, files, tmp_path):
     first, second = files
     found = drive("menus", first, renderer="cpu", typed=str(second))
