@@ -38,6 +38,8 @@ def made() -> Iterator[dict[tuple[str, str], CaseRenderer]]:
 @pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("name", RENDERERS, ids=" ".join)
 def test_every_case(made, name, theme) -> None:
+    if name not in made:
+        pytest.skip(f"the OpenGL here is too old for {name[0]}")
     renderer = made[name]
     wrong = [
         f"{case.name} ({result.settings}): {'; '.join(result.failures)}"
