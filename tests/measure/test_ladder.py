@@ -11,7 +11,8 @@ import pytest
 
 from splatview.measure.knobs import Plan
 from splatview.measure.ladder import Measured, climb, mark_pareto, noise_floor, rungs_for
-from splatview.measure.ladder_report import as_json, cells, plot, ratio_text
+from splatview.measure.ladder_plot import plot
+from splatview.measure.ladder_report import COLUMNS, as_json, cells, ratio_text
 from splatview.scene import Camera, RenderSettings
 
 SIZE = (24, 16)
@@ -162,4 +163,4 @@ def test_the_plot_is_a_picture(ladder, tmp_path):
     made, _ = ladder
     plot(made, tmp_path / "ladder.png", title="test")
     assert (tmp_path / "ladder.png").read_bytes().startswith(b"\x89PNG")
-    assert len(cells(made.rungs[1], made)) == 8
+    assert len(cells(made.rungs[1], made)) == len(COLUMNS)

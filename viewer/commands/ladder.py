@@ -19,7 +19,8 @@ from rich.table import Table
 
 from ...measure.knobs import KNOBS, Plan, knob
 from ...measure.ladder import Artist, Ladder, climb, rungs_for
-from ...measure.ladder_report import COLUMNS, as_json, cells, plot
+from ...measure.ladder_plot import plot
+from ...measure.ladder_report import COLUMNS, as_json, cells
 from ...measure.truth import AGREEMENT, disagreement
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.effects import settings_for, used_sh_degree
@@ -228,8 +229,9 @@ def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
 
 
 def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> None:
-    """The table that a person reads: by renderer, the Pareto front in bold."""
-    table = Table(COLUMNS[0], title=title)
+    """The table that a person reads: by renderer, the Pareto front starred and bold."""
+    table = Table(title=title, pad_edge=False)
+    table.add_column(COLUMNS[0], no_wrap=True)
     for column in COLUMNS[1:]:
         table.add_column(column, justify="right", no_wrap=True)
     last = None
@@ -238,15 +240,16 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         if last not in (None, renderer):
             table.add_section()
         last = renderer
-        row = cells(one, ladder)
-        if one is ladder.baseline:
-            row[0] += ", the baseline"
-        table.add_row(*row, style="bold" if one.pareto else None)
+        name, *rest = cells(one, ladder)
+        star = "* " if one.pareto else "  "
+        table.add_row(star + name, *rest, style="bold" if one.pareto else None)
     console.print(table)
+    base = ladder.baseline.rung.artist.name
     console.print(
-        f"Noise floor: a ratio within {ladder.noise:.0%} of 1 is chance (the baseline against itself,"
-        f" {ladder.rounds} pairs). Truth: float64, within {apart:.0e} of the reference in sampled blocks."
-        f" Bold: nothing else here is both faster and nearer to the truth.",
+        f"time: of {base} with its defaults, drawn in turn with it; same: not to be told from chance. Noise"
+        f" floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs). ±: half the quartiles'"
+        f" distance. PSNR, SSIM and largest error: against a float64 truth, which is within {apart:.0e} of"
+        " the reference in sampled blocks. *: nothing else here is both faster and nearer to the truth.",
         highlight=False,
     )
     if not ladder.complete:

@@ -38,6 +38,8 @@ class Accuracy:
     budget_ms: float | None = None
     """What a frame may take while the camera moves; None: all that it takes."""
     comparing: Comparing = field(default_factory=Comparing)
+    seconds: float = SECONDS
+    """How long measuring may take, about."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
     watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
@@ -49,9 +51,10 @@ class Accuracy:
 
     # ---- commands
 
-    def measure(self, core: Core, seconds: float = SECONDS) -> None:
+    def measure(self, core: Core) -> None:
+        """Begins to measure the view that is seen, where nothing is being measured."""
         if self.measurement is None and core.scene is not None and core.picture is not None:
-            self.measurement = Measurement(core, seconds=seconds, wake=self.wake)
+            self.measurement = Measurement(core, seconds=self.seconds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.measurement is not None:
