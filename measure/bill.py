@@ -199,6 +199,8 @@ def as_json(bill: Bill) -> dict[str, Any]:
     fields: dict[str, Any] = json.loads(json.dumps(bill.__dict__))
     return {
         **fields,
+        "rows": rows(bill),
+        "sums": sums(bill),
         "operations_an_evaluation": EVALUATION_OPERATIONS,
         "nerf_multiply_adds": multiply_adds(),
         "nerf_samples": SAMPLES,

@@ -26,6 +26,9 @@ SSIM_SIDE = 11
 LEAST_ROUNDS = 3
 """Pairs a rung at least, so that there is a spread."""
 
+NUDGED = 1
+"""Number of the camera that differs least from a view but for 0; timed frames have larger ones."""
+
 SELF = "noise"
 """The rung that is the baseline again."""
 
@@ -81,6 +84,8 @@ class Measured:
     ssim: float = math.nan
     max_error: float = math.nan
     """The largest of any pixel, colour and view."""
+    popping: float = math.nan
+    """The largest change of any pixel and colour when the camera turns a little: splats that change places."""
     memory: int = 0
     times: list[float] = field(default_factory=list)
     """ms a frame, and..."""
@@ -111,6 +116,8 @@ def is_clear(one: Measured, noise: float) -> bool:
     """Whether it may be said that a rung takes another time than the baseline: the ratio is out of the
     noise, and three quarters of its own pairs agree on the side."""
     if not abs(one.ratio - 1) > noise:
+        return False
+    if not one.ratios:
         return False
     low, high = np.percentile(one.ratios, [25, 75])
     return bool(low > 1 or high < 1)
@@ -193,7 +200,7 @@ def climb(
             measured = measured[:number]
             break
         on_progress(0.4 * number / len(measured), f"{one.rung.knob} {one.rung.value}: against the truth")
-        judge(one, views, truths)
+        judge(one, views, truths, [moved(view, NUDGED) for view in range(len(views))])
     timed = [itself, *(one for one in measured if one is not baseline)] if measured else []
     rng = np.random.default_rng(seed)
     done, frame = 0, 0
@@ -237,17 +244,21 @@ def _goes_on(done: int, rounds: int | None, begun: float, seconds: float) -> boo
     return spent + spent / (done + 1) / 2 < seconds
 
 
-def judge(one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray]) -> None:
-    """Draws every view and compares it with the truth."""
-    decibels, similarities, worst = [], [], 0.0
-    for camera, truth in zip(views, truths, strict=True):
+def judge(
+    one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray], nudged: Sequence[Camera]
+) -> None:
+    """Draws every view and compares it with the truth; and from cameras `nudged` a little, for popping."""
+    decibels, similarities, worst, popping = [], [], 0.0, 0.0
+    for camera, truth, beside in zip(views, truths, nudged, strict=True):
         one.rung.artist.prepare(camera, one.rung.plan)
         picture = one.rung.artist.draw(camera, one.rung.plan)
         decibels.append(psnr(picture, truth))
         if min(truth.shape[:2]) >= SSIM_SIDE:
             similarities.append(ssim(picture, truth))
         worst = max(worst, largest_error(picture, truth))
-    one.psnr, one.max_error = float(np.mean(decibels)), worst
+        one.rung.artist.prepare(beside, one.rung.plan)
+        popping = max(popping, largest_error(one.rung.artist.draw(beside, one.rung.plan), picture))
+    one.psnr, one.max_error, one.popping = float(np.mean(decibels)), worst, popping
     one.ssim = float(np.mean(similarities)) if similarities else math.nan
     one.memory = one.rung.artist.memory(one.rung.plan)
 

@@ -11,7 +11,7 @@ from .tables import describe_machine
 
 MIB = 1 << 20
 
-COLUMNS = ("shortcut", "ms a frame", "time", "PSNR dB", "SSIM", "largest", "MiB")
+COLUMNS = ("shortcut", "ms a frame", "time", "PSNR dB", "SSIM", "largest", "popping", "MiB")
 
 
 def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -28,11 +28,11 @@ def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
         "views": ladder.views,
         "rounds": ladder.rounds,
         "complete": ladder.complete,
-        "rungs": [_rung_json(one) for one in ladder.rungs],
+        "rungs": [_rung_json(one, ladder.noise) for one in ladder.rungs],
     }
 
 
-def _rung_json(one: Measured) -> dict[str, Any]:
+def _rung_json(one: Measured, noise: float) -> dict[str, Any]:
     numbers = {
         "ms": one.ms,
         "ms_quartiles": list(one.spread),
@@ -40,6 +40,7 @@ def _rung_json(one: Measured) -> dict[str, Any]:
         "psnr": one.psnr,
         "ssim": one.ssim,
         "max_error": one.max_error,
+        "popping": one.popping,
     }
     return {
         "knob": one.rung.knob,
@@ -48,6 +49,7 @@ def _rung_json(one: Measured) -> dict[str, Any]:
         "options": list(one.rung.options),
         **{name: _finite(value) for name, value in numbers.items()},
         "memory": one.memory,
+        "clear": is_clear(one, noise),
         "pareto": one.pareto,
     }
 
@@ -84,5 +86,6 @@ def cells(one: Measured, ladder: Ladder) -> list[str]:
         "exact" if one.psnr == math.inf else f"{one.psnr:.1f}",
         f"{one.ssim:.4f}",
         f"{one.max_error:.2g}",
+        f"{one.popping:.2g}",
         f"{one.memory / MIB:.0f}",
     ]

@@ -1,9 +1,10 @@
-"""Figures in README.md come from JSON in assets/benchmarks, and from nowhere else.
+"""Figures in README.md and ACCURACY.md come from JSON in assets/benchmarks, and from nowhere else.
 
 A benchmark writes its raw results with `write_results`, and among them a ``table``:
 ``{"columns": [...], "rows": [[...], ...], "note": "..."}``. A Markdown file holds it between
 ``<!-- table: NAME -->`` and ``<!-- end of table -->``, NAME being the JSON's file name without its
-suffix; ``python -m splatview.measure.tables README.md`` writes them anew, ``--check`` only compares.
+suffix (or ``knobs``); ``python -m splatview.measure.tables README.md`` writes them anew, ``--check`` only
+compares.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .ladder_page import knobs_section
+
 FOLDER = Path("assets") / "benchmarks"
+KNOBS = "knobs"
+"""The table that comes from the program's own knobs instead of from a file."""
+
 SECTION = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
@@ -58,6 +64,8 @@ def fill(text: str, folder: Path) -> str:
     """`text` with every table section made anew from the JSON files in `folder`."""
 
     def section(match: re.Match[str]) -> str:
+        if match[2] == KNOBS:
+            return f"{match[1]}{knobs_section()}\n{match[3]}"
         results = json.loads((folder / f"{match[2]}.json").read_text(encoding="utf8"))
         return f"{match[1]}{markdown_table(results)}\n{match[3]}"
 
