@@ -85,7 +85,7 @@ class Measured:
     max_error: float = math.nan
     """The largest of any pixel, colour and view."""
     popping: float = math.nan
-    """The largest change of any pixel and colour when the camera turns a little: splats that change places."""
+    """The largest change of any pixel and colour when the camera turns a little: splats change places."""
     memory: int = 0
     times: list[float] = field(default_factory=list)
     """ms a frame, and..."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splatview.measure.knobs import Plan
-from splatview.measure.ladder import Measured, climb, mark_pareto, noise_floor, rungs_for
+from splatview.measure.ladder import NUDGED, Measured, climb, mark_pareto, noise_floor, rungs_for
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, cells, ratio_text
 from splatview.scene import Camera, RenderSettings
@@ -87,6 +87,28 @@ def test_errors_are_those_against_the_truth(ladder):
     assert found(made, "sh-degree", "0").max_error == pytest.approx(0.03, rel=1e-3)
 
 
+def test_popping_is_the_largest_change_under_a_tiny_turn(ladder):
+    class Popper(Pretender):
+        def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+            picture = super().draw(camera, plan)
+            if camera.world_to_camera.tobytes() == moved(0, NUDGED).world_to_camera.tobytes():
+                picture[3, 4, 1] += 0.125
+            return picture
+
+    made, _ = ladder
+    assert made.baseline.popping == 0
+    popper = climb(
+        rungs_for([Popper("cpu", 1, 0)], Plan(), used_sh_degree=0, knobs=["blend"]),
+        [CAMERA] * 2,
+        [TRUTH] * 2,
+        moved=moved,
+        seconds=1,
+        rounds=0,
+    )
+    assert popper.baseline.popping == pytest.approx(0.125)
+    assert as_json(popper, {})["rungs"][0]["popping"] == pytest.approx(0.125)
+
+
 def test_times_are_ratios_to_the_baseline_beside(ladder):
     made, _ = ladder
     assert made.baseline.ratio == 1
@@ -98,9 +120,12 @@ def test_times_are_ratios_to_the_baseline_beside(ladder):
 
 def test_no_timed_frame_is_drawn_twice(ladder):
     _, artists = ladder
-    still = CAMERA.world_to_camera.tobytes()
+    still = {
+        CAMERA.world_to_camera.tobytes(),
+        *(moved(v, NUDGED).world_to_camera.tobytes() for v in range(2)),
+    }
     for artist in artists:
-        timed = [camera for camera in artist.cameras if camera != still]
+        timed = [camera for camera in artist.cameras if camera not in still]
         assert len(set(timed)) == len(timed) > 0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatview.measure.knobs import KNOBS, Knob, Plan, apply_choices
-from splatview.measure.ladder import rungs_for
+from splatview.measure.ladder import climb, rungs_for
 from splatview.measure.metrics import psnr
 from splatview.scene import Camera, Gaussians, InputError, look_at
 from splatview.scene.files import save_scene
@@ -149,3 +149,25 @@ def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(artists, name)
             assert psnr(picture, drawn(artists["cpu"], {knob.name: value.text})) > EXACT_DB
     assert held[0] - held[1] == len(artists[name].scene) * (236 - 124), "float16, but for positions"
     assert held[1] - held[2] == len(artists[name].scene) * (96 - 56), "a byte in place of two, and a step"
+
+
+def test_a_scene_that_pops_does_so_in_the_global_order_only():
+    turn = np.radians(35) / 2
+    sheets = Gaussians(  # an opaque red and a green one that cross, their means equally far
+        means=np.float32([[-0.001, 0, 0], [0.001, 0, 0]]),
+        quats=np.float32([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]]),
+        log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
+        opacity_logits=np.float32([4, 4]),
+        sh=np.float32([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]]),
+    )
+
+    def beside(view: int, number: int) -> Camera:
+        return look_at((1e-4 * number, 0, -2.5), (0, 0, 0), up=(0, -1, 0), width=40, height=33)
+
+    camera = look_at((-1e-4, 0, -2.5), (0, 0, 0), up=(0, -1, 0), width=40, height=33)
+    truths, _ = draw_truths(sheets, [camera], Plan().settings)
+    rungs = rungs_for([SceneArtist(make_headless("cpu"), sheets)], Plan(), used_sh_degree=0, knobs=["order"])
+    made = climb(rungs, [camera], truths, moved=beside, seconds=1, rounds=3)
+    popping = {one.rung.value: one.popping for one in made.rungs}
+    assert popping["cpu"] > 0.3
+    assert popping["per-pixel"] < 0.01
