@@ -83,10 +83,9 @@ uint fill_batch(uint first, uint count, ivec2 tile) {
 }
 #endif
 
-ivec2 pixel_of(ivec2 tile, int index) {
-    int at = index * WORKGROUP + int(gl_LocalInvocationID.x);
-    return tile * TILE + ivec2(at % TILE, at / TILE);
-}
+// From an invocation's first pixel to its others: whole rows, or parts of one, as WORKGROUP and TILE are
+// multiples of each other.
+ivec2 step_to(int index) { return ivec2(index * WORKGROUP % TILE, index * WORKGROUP / TILE); }
 
 void main() {
     uint me = gl_LocalInvocationID.x;
@@ -102,10 +101,10 @@ void main() {
     if (range.y - range.x <= u_first) return;
     range.x += u_first;
     range.y = range.x + min(range.y - range.x, u_most);
-    ivec2 size = imageSize(u_gathered);
+    ivec2 size = imageSize(u_gathered), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T
     for (int i = 0; i < PIXELS; i++) {
-        ivec2 pixel = pixel_of(tile, i);
+        ivec2 pixel = own + step_to(i);
         sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_gathered, pixel) : vec4(0.0);  // beside it: closed
     }
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
@@ -119,9 +118,10 @@ void main() {
         if (open_pixels == 0u) break;
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
+            vec2 offset = vec2(own) + 0.5 - shape.xy;
             float c = batch_cs[k], cut = max(u_alpha_cut, u_least_share * colour.a);
             for (int i = 0; i < PIXELS; i++) {
-                vec2 d = vec2(pixel_of(tile, i)) + 0.5 - shape.xy;
+                vec2 d = offset + vec2(step_to(i));
                 vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
                 float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
                 alpha = alpha >= cut ? alpha : 0.0;  // NaN too
@@ -132,7 +132,7 @@ void main() {
         barrier();
     }
     for (int i = 0; i < PIXELS; i++) {
-        ivec2 pixel = pixel_of(tile, i);
+        ivec2 pixel = own + step_to(i);
         if (all(lessThan(pixel, size))) imageStore(u_gathered, pixel, sums[i]);
     }
 }

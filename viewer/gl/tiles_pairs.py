@@ -85,6 +85,8 @@ class TilePairs:
     def start_anew(self) -> None:
         """Forgets what was counted: another scene is loaded."""
         self._fresh = True
+        self.found.release()
+        self.found = VisibleCount(self._ctx)
         for buffer in self._slots or ():
             buffer.release()
         self._slots = None

@@ -239,6 +239,14 @@ def test_early_stop_costs_at_most_its_transmittance(any_renderer, random_gaussia
         assert largest_error(image, exact) > 0
 
 
+def test_orders_that_tiles_have_and_others(renderer, random_gaussians: Make):
+    scene, camera = random_gaussians(500), camera_at(0, 0, 2.2)
+    assert_true(renderer, scene, camera, replace(EXACT, order="16-bit"), least=50, most=0.2)
+    for order in ("per-pixel", "stochastic"):
+        with pytest.raises(InputError, match=f"{order} order is not for tiles"):
+            renderer.render(scene, camera, replace(EXACT, order=order))
+
+
 @pytest.mark.parametrize("kind", ["hidden", "lit"])
 def test_edits_and_tints(any_renderer, random_gaussians: Make, kind):
     scene, camera = random_gaussians(400), camera_at(0, 0, 2.2)
