@@ -1,4 +1,4 @@
-"""What ACCURACY.md holds: tables of ladders and bills from their JSON, and of the knobs from their own data."""
+"""What ACCURACY.md holds: tables of ladders and bills from their JSON, of the knobs from their own data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from typing import Any
 
 from .knobs import KNOBS
 
-LADDER_COLUMNS = ("shortcut", "ms a frame", "time", "PSNR, dB", "SSIM", "largest error", "MiB", "front")
+LADDER_COLUMNS = (
+    "shortcut",
+    "ms a frame",
+    "time",
+    "PSNR, dB",
+    "SSIM",
+    "largest error",
+    "popping",
+    "MiB",
+    "front",
+)
 
 
 def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
@@ -26,12 +36,12 @@ def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
         "columns": list(LADDER_COLUMNS),
         "rows": rows,
         "note": f"{results['scene']}, {results['splats']:,} splats at {width}x{height}, "
-        f"{results['views']} views, {results['rounds']} rounds. Time: of `{base}` with its defaults, drawn in "
-        "turn with it, and the noise floor, which is that of "
+        f"{results['views']} views, {results['rounds']} rounds. Time: of `{base}` with its defaults, drawn "
+        "in turn with it, and the noise floor, which is that of "
         f'`{base}` against itself; "same" where no difference may be claimed. Errors: against a float64 '
         "truth that agrees with the reference to "
         f"{results['truth']['largest_difference_from_reference']:.0e} in sampled blocks. "
-        "Front: nothing else in the table is both faster and nearer to the truth.",
+        "Popping: the largest change of a pixel when the eye turns a little. Front: nothing else in the table is both faster and nearer to the truth.",
     }
 
 
@@ -47,6 +57,7 @@ def _row(rung: Mapping[str, Any], noise: float | None) -> list[str]:
         "exact" if rung["psnr"] is None else f"{rung['psnr']:.1f}",
         "-" if rung["ssim"] is None else f"{rung['ssim']:.4f}",
         f"{rung['max_error']:.2g}",
+        f"{rung['popping']:.2g}",
         f"{rung['memory'] / 2**20:.0f}",
         "yes" if rung["pareto"] else "",
     ]

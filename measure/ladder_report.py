@@ -11,7 +11,7 @@ from .tables import describe_machine
 
 MIB = 1 << 20
 
-COLUMNS = ("shortcut", "ms a frame", "time", "PSNR dB", "SSIM", "largest", "popping", "MiB")
+COLUMNS = ("shortcut", "ms", "time", "PSNR", "SSIM", "largest", "popping", "MiB")
 
 
 def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def cells(one: Measured, ladder: Ladder) -> list[str]:
     low, high = one.spread
     return [
         rung_name(one),
-        f"{one.ms:.1f} ±{(high - low) / 2:.0f}",
+        f"{one.ms:.{int(one.ms < 100)}f} ±{(high - low) / 2:.0f}",
         ratio_text(one, ladder),
         "exact" if one.psnr == math.inf else f"{one.psnr:.1f}",
         f"{one.ssim:.4f}",

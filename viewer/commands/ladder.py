@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -230,7 +231,8 @@ def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
 
 def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> None:
     """The table that a person reads: by renderer, the Pareto front starred and bold."""
-    table = Table(title=title, pad_edge=False)
+    # Without lines between columns it fits a terminal of 80.
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column(COLUMNS[0], no_wrap=True)
     for column in COLUMNS[1:]:
         table.add_column(column, justify="right", no_wrap=True)
@@ -246,9 +248,9 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
     console.print(table)
     base = ladder.baseline.rung.artist.name
     console.print(
-        f"time: of {base} with its defaults, drawn in turn with it; same: not to be told from chance. Noise"
+        f"ms: of a frame; time: of {base} with its defaults, drawn in turn with it; same: not to be told from chance. Noise"
         f" floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs). ±: half the quartiles'"
-        f" distance. PSNR, SSIM and largest error: against a float64 truth, which is within {apart:.0e} of"
+        f" distance. PSNR (dB), SSIM and largest error: against a float64 truth, which is within {apart:.0e} of"
         " the reference in sampled blocks. Popping: the largest change of a pixel when the eye turns by"
         f" {2 * FRAME_TURN:g}°. *: nothing else here is both faster and nearer to the truth.",
         highlight=False,
