@@ -20,6 +20,7 @@ from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.quads import QuadsRenderer
 from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
 from splatview.viewer.gl.sort_worker import ViewLine, depth_order
+from splatview.viewer.gl.tiles import TilesRenderer
 
 Make = Callable[..., Gaussians]
 Renderer = QuadsRenderer | LegacyQuadsRenderer
@@ -31,9 +32,9 @@ TURNED = (0.8, 0.36, -0.48, 0.0)
 GRADE = ((0.5, 0.2, 0.0, 0.1), (0.0, 0.9, 0.1, -0.05), (0.3, 0.0, 0.4, 0.2))
 
 
-@pytest.fixture(params=[QuadsRenderer, LegacyQuadsRenderer], ids=["quads", "legacy"])
+@pytest.fixture(params=[QuadsRenderer, LegacyQuadsRenderer, TilesRenderer], ids=["quads", "legacy", "tiles"])
 def renderer(ctx: moderngl.Context, request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    if request.param is QuadsRenderer and ctx.version_code < 430:
+    if request.param is not LegacyQuadsRenderer and ctx.version_code < 430:
         pytest.skip("needs OpenGL 4.3")
     made = request.param(ctx)
     yield made
