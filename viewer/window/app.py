@@ -157,7 +157,9 @@ class Window:
         """The context still exists: end what runs, keep what is to be kept."""
         core = self.core
         opening.cancel_loading(core, quiet=True)
-        put_away(core)
+        if left := put_away(core):
+            # The window that could show it is going.
+            print(f"splatview: {left}", file=sys.stderr)
         self.dialogs.close()
         core.prefer(closed_panels=layout.closed_panels(core))
         if core.training is not None:

@@ -77,7 +77,7 @@ def clean_up(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     settle(hand)
     box = desk.document.crops[0]
     for number, value in enumerate(options["half_extents"]):
-        hand.ctx.item_input_value(f"Crop/##half_extents/$${number}", float(value))
+        hand.ctx.item_input_value(f"Crop/##Half size/$${number}", float(value))
         hand.frames(2)
     settle(hand)
     found["crop"] = list(desk.document.crops[0].half_extents)
@@ -167,7 +167,7 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["colourfulness"] = float((grey.max(axis=-1) - grey.min(axis=-1)).max())
 
     open_section(hand, "Move")
-    hand.ctx.item_input_value("Move/##turn/$$1", 30.0)
+    hand.ctx.item_input_value("Move/##Turn/$$1", 30.0)
     settle(hand)
     hand.ctx.item_click("Move/Apply##move")
     settle(hand)

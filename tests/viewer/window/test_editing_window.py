@@ -108,6 +108,7 @@ def test_edits_left_in_no_file_are_offered_at_the_next_start(drive, scene, tmp_p
     assert back["offered"] == "restore"
     assert back["restored"] == left["deleted"]
     assert left["deleted"]["deleted"] > 0
+    assert "the next start offers to restore them" in left["output"]
 
 
 def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path):

@@ -288,5 +288,5 @@ def test_files_of_edits_are_of_scenes_at_rest(core, training, action):
 def test_a_window_that_closes_says_nothing_of_a_journal(core, training):
     choose(desk_of(core), 1, 2)
     said = len(core.messages)
-    put_away(core)
+    assert put_away(core) is None
     assert core.desk is None and len(core.messages) == said

@@ -104,7 +104,7 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
     found = drive("edits", capture, script=SCRIPT, train=["--max-splats", "6000"], growth=3.0, cut=4.0)
     assert found["held"], "the view waits while splats are selected"
     assert found["deleted"] > 0 and found["still_there"] == 0
-    assert found["in_rectangle"] < 0.2 * found["deleted"], "but for some that were born since"
+    assert found["in_rectangle"] < 0.6 * found["deleted"], "but for some that moved in since"
     assert found["tool"] == "rectangle"
     assert found["born"] > 0 and found["born_inside"] == 0
     assert found["left"] > 0

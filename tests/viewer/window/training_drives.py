@@ -284,7 +284,7 @@ def crop(core: Core, hand: Hand, button: str, half: float) -> None:
     hand.wait(lambda: bool(core.desk and core.desk.document.crops), "the crop")
     hand.frames(3)
     for number in range(3):
-        ctx.item_input_value(f"//Edit/Crop/##half_extents/$${number}", half)
+        ctx.item_input_value(f"//Edit/Crop/##Half size/$${number}", half)
         hand.frames(2)
 
 

@@ -96,10 +96,12 @@ def load_changed_scene(core: Core, desk: Desk) -> None:
         desk.undo()
 
 
-def put_away(core: Core) -> None:
-    """The window closes."""
-    if core.desk is not None:
-        if core.at_rest and core.desk.document.history.modified:
-            core.tell("The edits are kept: the next start offers to restore them")
-        core.desk.close()
-        core.desk = None
+def put_away(core: Core) -> str | None:
+    """The window closes: a line for the user where edits are in no file."""
+    desk, core.desk = core.desk, None
+    if desk is None:
+        return None
+    offered = core.scene is not None and len(core.scene.paths) == 1
+    kept = offered and desk.journal is not None and desk.document.history.modified
+    desk.close()
+    return "the edits are in no file yet; the next start offers to restore them" if kept else None

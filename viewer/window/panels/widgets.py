@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from .. import theme
@@ -14,18 +16,23 @@ from ..shortcuts import keys_of, text_of
 
 Choice = TypeVar("Choice", bound=str)
 
+Triple = tuple[float, float, float]
+
 LABEL_SHARE = 0.38
 """Of a panel's width that labels take."""
 
+VECTOR_LABEL_SHARE = 0.25
+"""The same beside three numbers, which need the room."""
 
-def label(text: str, tip: str) -> None:
-    """Begins a row: `text` on the left, the next control fills the rest."""
+
+def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
+    """Begins a row: `text` on the left, in its `share` of the width; the next control fills the rest."""
     width = imgui.get_content_region_avail().x
     start = imgui.get_cursor_pos_x()
     imgui.align_text_to_frame_padding()
     imgui.text(text)
     tooltip(tip)
-    imgui.same_line(start + width * LABEL_SHARE)
+    imgui.same_line(start + width * share)
     imgui.set_next_item_width(-1)
 
 
@@ -54,6 +61,23 @@ def slider(
     changed, value = imgui.slider_float(f"##{name}", value, low, high, form, flags)
     tooltip(tip)
     return value if changed else None
+
+
+def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
+    """A row with three finite numbers to type or to drag, by `speed` a pixel; where the user changed them
+    the new ones. They keep all their digits, of which `form` shows some."""
+    label(name, tip, share=VECTOR_LABEL_SHARE)
+    flags = imgui.SliderFlags_.no_round_to_format
+    changed, new = imgui.drag_float3(f"##{name}", list(values), speed, 0, 0, form, flags)
+    if not changed or not all(math.isfinite(value) for value in new):
+        return None
+    x, y, z = (_as_meant(old, value) for old, value in zip(values, new, strict=True))
+    return x, y, z
+
+
+def _as_meant(old: float, new: float) -> float:
+    """ImGui's numbers have 32 bits: the old one where it has not changed, else the shortest it may be."""
+    return old if np.float32(old) == np.float32(new) else float(str(np.float32(new)))
 
 
 def checkbox(name: str, value: bool, tip: str) -> bool | None:

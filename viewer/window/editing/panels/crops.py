@@ -124,17 +124,16 @@ def numbers(core: Core, desk: Desk, index: int) -> None:
         ("Centre", "centre", "x, y, z in world units.", speed),
         ("Half size", "half_extents", "Half of its extent along its own axes, world units.", speed),
     ):
-        widgets.label(label, tip)
-        changed, values = imgui.drag_float3(f"##{field}", list(getattr(crop, field)), step, 0, 0, "%.5g")
-        if changed and np.isfinite(values).all():
-            if field == "half_extents":
-                values = [max(abs(value), 1e-9) for value in values]
-            new = replace(new, **{field: (values[0], values[1], values[2])})
+        values = widgets.vector(label, getattr(crop, field), step, tip)
+        if values is not None and field == "half_extents":
+            x, y, z = (max(abs(value), 1e-9) for value in values)
+            values = x, y, z
+        if values is not None:
+            new = replace(new, **{field: values})
         settled |= imgui.is_item_deactivated_after_edit()
-    widgets.label("Turned", "Degrees about x, y, z.")
-    changed, values = imgui.drag_float3("##turned", list(angles_of(crop.rotation)), 0.25, 0, 0, "%.2f")
-    if changed and np.isfinite(values).all():
-        new = replace(new, rotation=quat_of((values[0], values[1], values[2])))
+    values = widgets.vector("Turned", angles_of(crop.rotation), 0.25, "Degrees about x, y, z.", form="%.2f")
+    if values is not None:
+        new = replace(new, rotation=quat_of(values))
     settled |= imgui.is_item_deactivated_after_edit()
     handle = widgets.combo(
         "Handles", KINDS[desk.forms.crop_handles], KINDS, "What the handles on the picture do."

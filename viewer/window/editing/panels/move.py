@@ -52,16 +52,13 @@ def by_numbers(core: Core, desk: Desk) -> None:
     form = desk.forms.move
     speed = max(core.scene.radius if core.scene else 1.0, 1e-6) / 300
     changed = False
-    widgets.label("Move", "World units along x, y, z.")
-    moved, value = imgui.drag_float3("##move", list(form.translation), speed, 0, 0, "%.4g")
-    if moved:
-        form.translation, changed = (value[0], value[1], value[2]), True
-    widgets.label(
-        "Turn", "Degrees about x, y, z through the middle; colours that depend on the view turn too."
-    )
-    moved, value = imgui.drag_float3("##turn", list(form.rotation), 0.25, 0, 0, "%.2f")
-    if moved:
-        form.rotation, changed = (value[0], value[1], value[2]), True
+    moved = widgets.vector("Move", form.translation, speed, "World units along x, y, z.")
+    if moved is not None:
+        form.translation, changed = moved, True
+    tip = "Degrees about x, y, z through the middle; colours that depend on the view turn too."
+    turned = widgets.vector("Turn", form.rotation, 0.25, tip, form="%.2f")
+    if turned is not None:
+        form.rotation, changed = turned, True
     scale = widgets.slider(
         "Scale", form.scale, 0.05, 20.0, "About the middle.", form="%.3f", logarithmic=True
     )
