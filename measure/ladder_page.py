@@ -41,7 +41,8 @@ def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
         f'`{base}` against itself; "same" where no difference may be claimed. Errors: against a float64 '
         "truth that agrees with the reference to "
         f"{results['truth']['largest_difference_from_reference']:.0e} in sampled blocks. "
-        "Popping: the largest change of a pixel when the eye turns a little. Front: nothing else in the table is both faster and nearer to the truth.",
+        "Popping: the largest change of a pixel when the eye turns a little. "
+        "Front: nothing else in the table is both faster and nearer to the truth.",
     }
 
 

@@ -89,7 +89,10 @@ def _background(axes: Any, ladder: Ladder) -> list[Any]:
     notes = [
         axes.text(1, high, f"noise floor ±{noise:.0%}", ha="center", va="top", color=FAINT, fontsize=7.5)
     ]
-    for level, text in ((VISIBLE_DB, "hard to see above"), (EXACT_DB, "below one step of 8 bits above")):
+    for level, text in (
+        (VISIBLE_DB, "above: hard to see"),
+        (EXACT_DB, "above: finer than a screen's 8 bits"),
+    ):
         axes.axhline(level, color="0.75", lw=0.9, ls=(0, (2, 3)), zorder=0)
         notes.append(
             axes.text(

@@ -122,7 +122,9 @@ def test_a_time_that_is_no_number_teaches_nothing():
 class Nobody:
     name = "quads"
 
-    def draw(self, camera, plan): ...
+    def draw(self, camera, plan) -> np.ndarray:
+        return np.zeros((1, 1, 4))
+
     def prepare(self, camera, plan) -> None: ...
     def memory(self, plan) -> int:
         return 0

@@ -2,18 +2,84 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
+from splatview.measure.knobs import KNOBS
+from splatview.measure.ladder_page import ladder_table
 from splatview.measure.tables import FOLDER, fill, main, write_results
 
 ROOT = Path(__file__).parents[2]
 RESULTS = {"table": {"columns": ["what", "ms"], "rows": [["sort", 1.5], ["draw", 20]], "note": "Medians."}}
 
 
-def test_readme_agrees_with_its_json():
-    assert main(["--check", str(ROOT / "README.md")]) == 0, "run `make tables`"
+@pytest.mark.parametrize("page", ["README.md", "ACCURACY.md"])
+def test_pages_agree_with_their_json(page):
+    assert main(["--check", str(ROOT / page)]) == 0, "run `make tables`"
+
+
+@pytest.mark.parametrize("name", ["skull", "playbot"])
+def test_the_tables_of_accuracy_are_those_of_the_measurements(name):
+    ladder = json.loads((ROOT / FOLDER / f"ladder_{name}.json").read_text())
+    assert ladder["table"] == ladder_table(ladder), "the table is not of this measurement"
+    bill = json.loads((ROOT / FOLDER / f"bill_{name}.json").read_text())
+    assert bill["table"]["rows"] == bill["rows"]
+    page = (ROOT / "ACCURACY.md").read_text()
+    assert f"(assets/benchmarks/ladder_{name}.png)" in page
+    for picture in (f"ladder_{name}.png", f"bill_{name}.png"):
+        assert (ROOT / FOLDER / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_knob_is_on_the_page():
+    section = fill("<!-- table: knobs -->\nold\n<!-- end of table -->", ROOT / FOLDER)
+    for knob in KNOBS:
+        line = next(line for line in section.splitlines() if line.startswith(f"| `{knob.option}` "))
+        assert knob.changes in line and all(value.text in line for value in knob.values)
+
+
+def test_figures_have_the_noise_floor_beside_them():
+    rung = {
+        "knob": "cut",
+        "value": "3-sigma",
+        "renderer": "cpu",
+        "ms": 20.0,
+        "ms_quartiles": [18.0, 24.0],
+        "ratio": 0.8,
+        "psnr": 61.23,
+        "ssim": None,
+        "max_error": 0.0123,
+        "popping": 0.002,
+        "memory": 3 << 20,
+        "clear": True,
+        "pareto": True,
+    }
+    results = {
+        "scene": "x.ply",
+        "splats": 1000,
+        "size": [64, 48],
+        "baseline": {"renderer": "cpu"},
+        "noise": 0.05,
+        "views": 2,
+        "rounds": 9,
+        "truth": {"largest_difference_from_reference": 2e-15},
+        "rungs": [rung, {**rung, "clear": False}],
+    }
+    header, row, same = ladder_table(results)["rows"]
+    assert header[0] == "**drawn by `cpu`**"
+    assert row == [
+        "`--cut 3-sigma`",
+        "20.0 ±3.0",
+        "0.80 ±0.05",
+        "61.2",
+        "-",
+        "0.012",
+        "0.002",
+        "3",
+        "yes",
+    ]
+    assert same[2] == "same ±0.05"
 
 
 def test_fill_replaces_only_its_section(tmp_path):

@@ -96,7 +96,7 @@ class Accuracy:
         plan, camera, self.note = self.plan(core), core.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
-        if self.governs(core):
+        if core.picture is not None and self.governs(core):
             step = self.watch.next(moved=moved)
             if step is not None and not (step.scale == 1 and not step.choices):
                 # One's own shortcuts stay, unless the budget asks for more of the same.
