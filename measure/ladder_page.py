@@ -49,7 +49,7 @@ def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
 def _row(rung: Mapping[str, Any], noise: float | None) -> list[str]:
     low, high = (part if part is not None else math.nan for part in rung["ms_quartiles"])
     name = "defaults" if rung["knob"] == "renderer" else f"`--{rung['knob']} {rung['value']}`"
-    floor = "" if noise is None else f" ±{noise:.2f}"
+    floor = "" if noise is None else f" ±{noise:.0%}"
     time = f"{rung['ratio']:.2f}{floor}" if rung["clear"] or rung["ratio"] == 1 else f"same{floor}"
     return [
         name,

@@ -249,10 +249,11 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
     base = ladder.baseline.rung.artist.name
     console.print(
         f"ms: of a frame; time: of {base} with its defaults, drawn in turn with it; same: not to be told"
-        f" from chance. Noise floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs). ±: half the"
-        f" quartiles' distance. PSNR (dB), SSIM and largest error: against a float64 truth, which is within {apart:.0e}"
-        " of the reference in sampled blocks. Popping: the largest change of a pixel when the eye turns by"
-        f" {2 * FRAME_TURN:g}°. *: nothing else here is both faster and nearer to the truth.",
+        f" from chance. Noise floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs)."
+        " ±: half the quartiles' distance. PSNR (dB), SSIM and largest error: against a float64 truth,"
+        f" which is within {apart:.0e} of the reference in sampled blocks. Popping: the largest change of"
+        f" a pixel when the eye turns by {2 * FRAME_TURN:g}°. *: nothing else here is both faster and nearer"
+        " to the truth.",
         highlight=False,
     )
     if not ladder.complete:
