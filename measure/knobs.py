@@ -123,13 +123,14 @@ KNOBS: tuple[Knob, ...] = (
     Knob(
         name="order",
         title="Depth order",
-        changes="which splat is before which: by depths all told apart, by half the bits, along each pixel's own"
-        " ray (another picture, without popping), or unsorted by chance",
+        changes="which splat is before which: by depths all told apart; by half the bits; along each pixel's"
+        " own ray, another picture, without popping; or unsorted: a weighted sum, or one splat by chance",
         renderers=GL + TILES + CPU,
         values=(
             _setting("32-bit", order="32-bit"),
             _setting("16-bit", order="16-bit"),
             _setting("per-pixel", CPU, order="per-pixel"),
+            _setting("weighted", GL, order="weighted"),
             _setting("stochastic", GL, order="stochastic"),
         ),
         monotone=False,

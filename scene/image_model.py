@@ -46,7 +46,7 @@ Far above float32's subnormals, which GPUs flush to 0; renderers divide by the l
 they normalise, so any quaternion above this, however tiny or huge, keeps its direction."""
 
 
-Order = Literal["32-bit", "16-bit", "per-pixel", "stochastic"]
+Order = Literal["32-bit", "16-bit", "per-pixel", "weighted", "stochastic"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +83,16 @@ class RenderSettings:
     A pixel's error is at most this times the brightest colour behind."""
 
     order: Order = "32-bit"
-    """How splats come front to back. 32-bit: by keys that tell all depths apart, whole splats before or
-    behind each other. 16-bit: by coarser keys, ties by index. per-pixel: by where each pixel's ray meets the splat,
-    which this image model does not do and the reference does not know. stochastic: not sorted; at each pixel
-    one splat is chosen by chance, as often as the image model would show it."""
+    """How splats come front to back.
+
+    32-bit: by keys that tell all depths apart, whole splats before or behind each other.
+    16-bit: by coarser keys, ties by index.
+    per-pixel: by where each pixel's ray meets the splat, which the image model does not know.
+    weighted: not sorted; nearer splats count more in a sum, and the light that comes through is right.
+    stochastic: not sorted; each pixel shows one splat, by chance, as often as the image model would.
+    """
     sigma_cut: float | None = None
-    """Alpha is also 0 beyond so many standard deviations of the footprint; None: only the alpha cut counts."""
+    """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut decides."""
 
     def __post_init__(self) -> None:
         if self.sigma_cut is not None and not self.sigma_cut > 0:

@@ -4,13 +4,18 @@
 // noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
 // constant colour in place of all of main 0.74: most of it is reading and writing the target.
 // Flags: POINTS, OVERDRAW (counts splats in place of blending them), STOCHASTIC (is opaque, as often as alpha
-// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010).
+// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010), WEIGHTED (sums in any order, nearer splats counting more; the blend adds
+// colours and multiplies T. McGuire and Bavoil 2013).
 uniform float u_max_alpha;
 
 flat in vec4 v_shape;
 flat in vec2 v_c_cut;
 flat in vec4 v_colour;
-out vec4 colour;
+layout(location = 0) out vec4 colour;
+#if WEIGHTED
+flat in float v_weight;
+layout(location = 1) out vec4 weights;
+#endif
 #if STOCHASTIC
 flat in uint v_splat;
 
@@ -39,6 +44,9 @@ void main() {
 #endif
 #if OVERDRAW
     colour = vec4(1.0, 0.0, 0.0, 0.0);
+#elif WEIGHTED
+    colour = vec4(v_colour.rgb * alpha * v_weight, alpha);
+    weights = vec4(alpha * v_weight, 0.0, 0.0, alpha);
 #elif STOCHASTIC
     if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
     colour = vec4(v_colour.rgb, 0.0);  // no light comes through

@@ -1,6 +1,6 @@
 // Four vertices a splat, nearest splat first.
 // Flags: QUADS_PER_INSTANCE, POINTS, DEPTH (the splat's depth in place of its colour), STOCHASTIC (in any
-// order, for a depth test), TINTS, TEXTURE_WIDTH.
+// order, for a depth test), WEIGHTED (in any order, with a weight by depth), TINTS, TEXTURE_WIDTH.
 #include "quads/culled.glsl"
 #include "common/quad.glsl"
 #include "common/tint.glsl"
@@ -9,7 +9,7 @@ layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
 layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
 layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
-#if DEPTH || STOCHASTIC
+#if DEPTH || STOCHASTIC || WEIGHTED
 layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
 
 float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
@@ -17,6 +17,12 @@ float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFF
 #if STOCHASTIC
 uniform float u_depth_unit;  // world units; depths about it keep the most digits
 flat out uint v_splat;
+#endif
+#if WEIGHTED
+uniform float u_nearest;      // depth at which weights are 1, world units
+uniform float u_weight_fall;  // natural logarithm of the weight that a unit of depth costs
+flat out float v_weight;
+const float LEAST_WEIGHT = 1e-12;  // what is behind everything else still has a colour
 #endif
 uniform uint u_slab;
 uniform float u_brightest;  // what the target can hold: infinity times no light would be NaN
@@ -29,6 +35,9 @@ void main() {
 #if STOCHASTIC
         v_splat = CULLED;
 #endif
+#if WEIGHTED
+        v_weight = 0.0;
+#endif
         return;
     }
     vec4 colour = colours[splat];
@@ -36,6 +45,9 @@ void main() {
     colour.rgb = vec3(depth_of(splat));
 #endif
     place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+#if WEIGHTED
+    v_weight = clamp(exp(-u_weight_fall * (depth_of(splat) - u_nearest)), LEAST_WEIGHT, 1.0);
+#endif
 #if STOCHASTIC
     float depth = depth_of(splat);
     gl_Position.z = depth / (depth + u_depth_unit) * 2.0 - 1.0;

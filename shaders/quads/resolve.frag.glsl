@@ -1,9 +1,12 @@
-// What was gathered, over the background; alpha = 1 - T. Flags: DEPTH, OVERDRAW.
+// What was gathered, over the background; alpha = 1 - T. Flags: DEPTH, OVERDRAW, WEIGHTED.
 #include "common/colour_maps.glsl"
 uniform sampler2D u_gathered;  // rgb, T; with DEPTH sums of depth in r, with OVERDRAW the count of splats in r
 uniform vec3 u_background;
 uniform float u_brightest;     // what the picture can hold
 uniform vec2 u_depth_range;    // world units, near and far
+#if WEIGHTED
+uniform sampler2D u_weights;   // sums of alpha times weight in r
+#endif
 out vec4 colour;
 
 const float MOST_OVERDRAW = 512.0;  // splats at one pixel that show as the map's last colour
@@ -11,6 +14,9 @@ const float MOST_OVERDRAW = 512.0;  // splats at one pixel that show as the map'
 void main() {
     vec4 gathered = texelFetch(u_gathered, ivec2(gl_FragCoord.xy), 0);
     float opacity = 1.0 - gathered.a;
+#if WEIGHTED
+    gathered.rgb *= opacity / max(texelFetch(u_weights, ivec2(gl_FragCoord.xy), 0).r, 1e-30);
+#endif
 #if DEPTH
     // Expected depth: the mean over what the pixel shows, near bright and far dark.
     float depth = gathered.r / max(opacity, 1e-6);

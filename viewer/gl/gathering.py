@@ -30,6 +30,7 @@ MODE_FLAGS: dict[str, dict[str, bool]] = {
         "DEPTH": mode == "depth",
         "OVERDRAW": mode == "overdraw",
         "STOCHASTIC": False,
+        "WEIGHTED": False,
     }
     for mode in ("splats", "points", "depth", "overdraw")
 }
@@ -39,6 +40,9 @@ CAN_STOP_EARLY = ("splats", "depth")
 
 FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
 """Blend factors: source and destination of RGB, then of alpha."""
+
+SUMS = (moderngl.ONE, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
+"""Of weighted colours, and T."""
 
 
 def quad_indices(quads: int) -> np.ndarray:
@@ -85,25 +89,35 @@ class Gathering:
         *,
         early_stop: float,
         stochastic: bool = False,
+        weights: Mapping[str, Uniform] | None = None,
     ) -> None:
         """Fills `target` with colour and T, or what ``quads/resolve.frag.glsl`` makes of the mode.
 
         `stochastic`: splats need no order, and each pixel shows one of them, chosen by chance.
+        `weights`: nor do they where each counts by its depth; the uniforms of that.
         """
-        stored = scene.flags() if mode == "ellipsoids" else {"STOCHASTIC": stochastic}
+        stored = (
+            scene.flags()
+            if mode == "ellipsoids"
+            else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None}
+        )
         program, array = mode_program(self._programs, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
             self._draw_ellipsoids(target, scene, projector, program, array, edits)
             return
         framebuffer = target.with_depth() if stochastic else target.framebuffer
+        if weights is not None:
+            framebuffer = target.with_weights()
+            set_uniforms(program, weights)
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
         self._ctx.enable_only(moderngl.DEPTH_TEST if stochastic else moderngl.BLEND)
         self._ctx.depth_func = "<"
         # moderngl's stub knows two factors, moderngl itself takes four
-        self._ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
-        stops = early_stop > 0 and mode in CAN_STOP_EARLY and not stochastic
+        factors = FRONT_TO_BACK if weights is None else SUMS
+        self._ctx.blend_func = factors  # pyright: ignore[reportAttributeAccessIssue]
+        stops = early_stop > 0 and mode in CAN_STOP_EARLY and not stochastic and weights is None
         if stops:
             self._closing.start(target.size)
         for slab in range(SLABS):

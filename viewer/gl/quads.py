@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import replace
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -24,12 +25,20 @@ from .view_uniforms import view_uniforms
 EARLY_STOP = 1.2e-4
 """Transmittance below which a pixel is closed."""
 
+UNSORTED = ("weighted", "stochastic")
+"""Orders that take no sort."""
+
+WEIGHT_FALL = 40.0
+"""A weight falls by this power of e from the front of the scene to its back. Scenes differ in what suits
+them: a skull of 95,000 needles has 25.9 dB with 0, 29.1 with 20, 32.1 with 40 and 32.7 with 80, a thin scene
+of 1,000 splats 44.8, 43.0, 40.1 and 39.2."""
+
 
 class QuadsRenderer(Renderer):
     """The `Renderer` for GL 4.3."""
 
     name = "quads"
-    orders: tuple[Order, ...] = ("32-bit", "16-bit", "stochastic")
+    orders: tuple[Order, ...] = ("32-bit", "16-bit", "weighted", "stochastic")
 
     def __init__(self, ctx: moderngl.Context, *, gathering: Gathering | None = None) -> None:
         super().__init__(ctx)
@@ -127,7 +136,7 @@ class QuadsRenderer(Renderer):
                     antialiased=settings.model.antialiased,
                     keys=keys,
                 )
-            if order != "stochastic":
+            if order not in UNSORTED:
                 with self._timers.stage("sort"):
                     self._projector.sort(keys.bits)
                 self._counters["sorted"] += 1
@@ -136,7 +145,9 @@ class QuadsRenderer(Renderer):
             self._drawn_key = None
         with self._timers.stage("draw"):
             if drawn_key != self._drawn_key:
-                self._targets.fit((camera.width, camera.height), settings.blend, mode)
+                self._targets.fit(
+                    (camera.width, camera.height), settings.blend, mode, sums=order == "weighted"
+                )
                 self._gathering.draw(
                     mode,
                     self._targets.gathered,
@@ -145,7 +156,7 @@ class QuadsRenderer(Renderer):
                     uniforms,
                     self._edits,
                     early_stop=early_stop,
-                    **({"stochastic": True} if order == "stochastic" else {}),
+                    **self._unsorted(order, camera, settings.model.near),
                 )
                 self._counters["drawn"] += 1
                 self._drawn_key = drawn_key
@@ -155,15 +166,30 @@ class QuadsRenderer(Renderer):
                 self._targets.shown,
                 background=settings.background,
                 depths=depth_range(self._edits.placement, camera) if mode == "depth" else None,
+                weighted=order == "weighted",
             )
             self._resolved_key = resolved_key
         previous.use()
 
+    def _unsorted(self, order: Order, camera: Camera, near: float) -> dict[str, Any]:
+        """What `Gathering.draw` is told of an order that takes no sort."""
+        if order == "stochastic":
+            return {"stochastic": True}
+        if order != "weighted":
+            return {}
+        least, greatest = self._depths(camera, near)
+        fall = WEIGHT_FALL / (greatest - least) if greatest > least else 0.0
+        return {"weights": {"u_nearest": least, "u_weight_fall": fall}}
+
     def _short_keys(self, camera: Camera, near: float) -> DepthKeys:
+        return short_keys(*self._depths(camera, near), 16)
+
+    def _depths(self, camera: Camera, near: float) -> tuple[float, float]:
+        """Between which all splats that can be seen are, as the file has them."""
         centre, half = self._box.mean(axis=0), np.diff(self._box, axis=0)[0] / 2
         middle, reach = camera.forward @ (centre - camera.eye), np.abs(camera.forward) @ half
         least = max(float(middle - reach), near)
-        return short_keys(least, max(float(middle + reach), least), 16)
+        return least, max(float(middle + reach), least)
 
     def read(self) -> np.ndarray:
         return self._targets.shown.read()

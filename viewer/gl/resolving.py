@@ -38,15 +38,25 @@ class Resolving:
         *,
         background: tuple[float, float, float],
         depths: tuple[float, float] | None = None,
+        weighted: bool = False,
     ) -> None:
-        """Fills `shown`. `depths` are those of the colour map's ends, for the mode that has one."""
-        flags = {"DEPTH": mode == "depth", "OVERDRAW": mode == "overdraw"}
+        """Fills `shown`. `depths` are those of the colour map's ends, for the mode that has one; `weighted`:
+        what was gathered are sums, over those in `gathered.weights`."""
+        weights = gathered.weights if weighted else None
+        flags = {
+            "DEPTH": mode == "depth",
+            "OVERDRAW": mode == "overdraw",
+            "WEIGHTED": weights is not None,
+        }
         program, array = self._programs.get("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
+        if weights is not None:
+            weights.use(1)
         values = {
             "u_gathered": 0,
+            "u_weights": 1,
             "u_background": background,
             "u_brightest": shown.brightest,
             "u_depth_range": depths or (0.0, 1.0),

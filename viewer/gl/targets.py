@@ -34,6 +34,9 @@ class ColourTarget:
         self._ctx = ctx
         self._depth: moderngl.Renderbuffer | None = None
         self._deep: moderngl.Framebuffer | None = None
+        self.weights: moderngl.Texture | None = None
+        """Sums of weights in r, where `with_weights` was called."""
+        self._weighted: moderngl.Framebuffer | None = None
 
     @property
     def brightest(self) -> float:
@@ -47,6 +50,14 @@ class ColourTarget:
             self._deep = self._ctx.framebuffer([self.texture], self._depth)
         return self._deep
 
+    def with_weights(self) -> moderngl.Framebuffer:
+        """The same texture and a second one for sums of weights, made when first asked for."""
+        if self._weighted is None:
+            self.weights = self._ctx.texture(self.size, 4, dtype="f4")
+            self.weights.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._weighted = self._ctx.framebuffer([self.texture, self.weights])
+        return self._weighted
+
     def read(self) -> np.ndarray:
         """(H, W, 4) float32, row 0 on top; waits for the GPU."""
         width, height = self.size
@@ -54,7 +65,7 @@ class ColourTarget:
         return np.frombuffer(data, dtype=np.float32).reshape(height, width, 4)
 
     def release(self) -> None:
-        for thing in (self._deep, self._depth):
+        for thing in (self._deep, self._depth, self._weighted, self.weights):
             if thing is not None:
                 thing.release()
         self.framebuffer.release()
@@ -71,10 +82,10 @@ class PictureTargets:
         self._gathered: ColourTarget | None = None
         self._shown: ColourTarget | None = None
 
-    def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode) -> None:
-        """Makes both ready for a picture of `size` (width, height) px."""
+    def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode, *, sums: bool = False) -> None:
+        """Makes both ready for a picture of `size` (width, height) px, of weighted `sums` or blended."""
         # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
-        wide = mode in ("depth", "overdraw") or (blend == "float16" and self.truncates)
+        wide = sums or mode in ("depth", "overdraw") or (blend == "float16" and self.truncates)
         self._gathered = self._fitting(self._gathered, size, "float32" if wide else blend)
         self._shown = self._fitting(self._shown, size, blend)
 

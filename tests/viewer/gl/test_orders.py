@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import psnr
-from splatview.scene import InputError, RenderSettings, look_at
+from splatview.scene import Gaussians, InputError, RenderSettings, look_at
 from splatview.viewer.gl.projector import short_keys
 from splatview.viewer.gl.quads import QuadsRenderer, finite_box
 from splatview.viewer.gl.tiles import TilesRenderer
@@ -67,7 +67,35 @@ def test_a_background_shows_where_chance_leaves_nothing(quads, random_gaussians)
     np.testing.assert_allclose(image[empty][:, :3], [[0, 0.5, 0]] * int(empty.sum()), atol=1e-6)
 
 
-@pytest.mark.parametrize("order", ["16-bit", "stochastic"])
+def test_weighted_sums_let_the_right_light_through(quads, random_gaussians):
+    scene, weighted = random_gaussians(500, seed=2), replace(EXACT, order="weighted")
+    exact, image = quads.render(scene, CAMERA, EXACT), quads.render(scene, CAMERA, weighted)
+    np.testing.assert_allclose(image[..., 3], exact[..., 3], atol=1e-5)
+    assert 15 < psnr(image, exact) < 50
+    single = scene.take(np.flatnonzero(scene.opacity_logits > 1)[:1])
+    np.testing.assert_allclose(
+        quads.render(single, CAMERA, weighted), quads.render(single, CAMERA, EXACT), atol=1e-5
+    )
+
+
+def test_weights_favour_what_is_nearer(quads):
+    def sheets(near_red: bool) -> Gaussians:
+        z = np.float32([-0.5, 0.5]) if near_red else np.float32([0.5, -0.5])
+        return Gaussians(
+            means=np.stack([0 * z, 0 * z, z], axis=1),
+            quats=np.tile(np.float32([1, 0, 0, 0]), (2, 1)),
+            log_scales=np.tile(np.float32(np.log([0.8, 0.8, 0.01])), (2, 1)),
+            opacity_logits=np.float32([3, 3]),
+            sh=np.float32([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]]),
+        )
+
+    camera = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=32, height=32)
+    for near_red in (True, False):
+        red, green, *_ = quads.render(sheets(near_red), camera, replace(EXACT, order="weighted"))[16, 16]
+        assert (red > 0.8 and green < 0.1) if near_red else (green > 0.8 and red < 0.1)
+
+
+@pytest.mark.parametrize("order", ["16-bit", "weighted", "stochastic"])
 def test_other_modes_keep_the_exact_order(quads, random_gaussians, order):
     scene = random_gaussians(300)
     pictures = [
@@ -79,7 +107,7 @@ def test_other_modes_keep_the_exact_order(quads, random_gaussians, order):
 
 def test_an_order_that_a_renderer_has_not_is_refused(ctx, quads, random_gaussians):
     tiles = TilesRenderer(ctx)
-    for renderer, order in ((quads, "per-pixel"), (tiles, "stochastic")):
+    for renderer, order in ((quads, "per-pixel"), (tiles, "stochastic"), (tiles, "weighted")):
         with pytest.raises(InputError, match=f"{order} order is not for"):
             renderer.render(random_gaussians(5), CAMERA, replace(EXACT, order=order))
     tiles.release()
