@@ -104,6 +104,12 @@ def editing(folder: Path) -> None:
     grab([sys.executable, drive, "editing"], folder / "editing.png", SECONDS_TO_EDIT, until="readme-ready")
 
 
+def accuracy(folder: Path) -> None:
+    """The window on the demo with prices of shortcuts, and exact beside one."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "accuracy"], folder / "accuracy.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
 def training(folder: Path) -> None:
     """The window while the demo's photos are trained on."""
     command = [SPLATVIEW, "train", "--demo", "-o", "demo.ply", "--minutes", "3"]
@@ -117,6 +123,7 @@ if __name__ == "__main__":
         "modes": modes,
         "window": window,
         "editing": editing,
+        "accuracy": accuracy,
         "training": training,
     }
     for chosen in sys.argv[1:] or makers:

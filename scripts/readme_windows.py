@@ -13,6 +13,7 @@ from typing import Any
 
 from imgui_bundle import ImVec2, imgui
 
+from splatview.viewer.window.accuracy import commands
 from splatview.viewer.window.app import run_window
 from splatview.viewer.window.core import Core
 
@@ -64,7 +65,29 @@ def editing(core: Core, ctx: Any) -> None:
         time.sleep(0.05)
 
 
-DRIVES = {"editing": editing}
+def accuracy(core: Core, ctx: Any) -> None:
+    """Prices of shortcuts, one taken, and where an eye would notice it."""
+    while core.waiting or core.scene is None or core.transition is not None:
+        ctx.yield_(1)
+    ctx.window_focus("//Accuracy")
+    core.accuracy.seconds = 20.0
+    core.post(commands.measure)
+    ctx.yield_(3)
+    while core.accuracy.ladder is None:
+        ctx.yield_(1)
+    core.post(commands.choose, "sh-degree", "0")
+    core.accuracy.comparing.right = "perceptual"
+    ctx.yield_(10)
+    while core.waiting:
+        ctx.yield_(1)
+    ctx.yield_(5)
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while True:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+DRIVES = {"editing": editing, "accuracy": accuracy}
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def test_a_budget_makes_moving_pictures_coarser_and_rest_exact(drive, scene, tmp
         renderer=renderer,
         size=[900, 600] if renderer == "cpu" else [520, 360],
         frames=5,
-        share=0.3,
+        share=0.02,  # out of reach of any chance: the quickest step is taken
         patience=2.0 if renderer == "cpu" else 0.0,
     )
     assert found["moving_size"][0] < found["exact_size"][0] or "of the splats" in found["badge"]
