@@ -175,11 +175,14 @@ CPU = (
         {"keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))": "drawn"},
     ),
     Removal(
-        "finite footprints",
+        "finite colours",
         RASTER,
         "cpu",
-        "footprint beyond float32",
-        {"if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)": "drawn"},
+        "NaN SH",
+        {
+            "if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):": "if False:",
+            "if not (is_finite(red) and is_finite(green) and is_finite(blue)):": "if False:",
+        },
     ),
     Removal(
         "clamp",
