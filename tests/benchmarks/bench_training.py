@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +75,8 @@ def main() -> None:
     path = FOLDER / "training.json"
     runs = {(run["capture"], run["minutes"]): run for run in known_runs(path)}
     with tempfile.TemporaryDirectory() as folder:
-        for (name, downscale), minutes in product(PEER, options.minutes):
+        wanted: list[tuple[str, int, float]] = [(*key, m) for key in PEER for m in options.minutes]
+        for name, downscale, minutes in wanted:
             if name not in options.only:
                 continue
             result = train(options.captures / name, downscale, minutes, Path(folder))

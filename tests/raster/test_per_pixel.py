@@ -59,8 +59,8 @@ def test_flat_splats_that_face_the_camera_come_in_the_global_order(random_gaussi
     made = random_gaussians(200, sh_degree=0)
     scene = Gaussians(
         means=made.means,
-        quats=np.tile(np.float32([1, 0, 0, 0]), (200, 1)),
-        log_scales=np.tile(np.float32([-2, -2, -12]), (200, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (200, 1)),
+        log_scales=np.tile(np.array([-2, -2, -12], np.float32), (200, 1)),
         opacity_logits=made.opacity_logits,
         sh=made.sh,
     )
@@ -72,11 +72,11 @@ def crossing() -> Gaussians:
     """Two opaque sheets that cross before the camera, a red and a green one, whose means are equally far."""
     turn = np.radians(35) / 2
     return Gaussians(
-        means=np.float32([[-0.001, 0, 0], [0.001, 0, 0]]),
-        quats=np.float32([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]]),
+        means=np.array([[-0.001, 0, 0], [0.001, 0, 0]], np.float32),
+        quats=np.array([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]], np.float32),
         log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
-        opacity_logits=np.float32([4, 4]),
-        sh=np.float32([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]]),
+        opacity_logits=np.array([4, 4], np.float32),
+        sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
     )
 
 
@@ -107,7 +107,7 @@ def test_needles_keep_finite_slopes(random_gaussians):
     needles = Gaussians(
         means=scene.means,
         quats=scene.quats,
-        log_scales=np.tile(np.float32([0, -14, -14]), (50, 1)),
+        log_scales=np.tile(np.array([0, -14, -14], np.float32), (50, 1)),
         opacity_logits=scene.opacity_logits,
         sh=scene.sh,
     )

@@ -37,7 +37,7 @@ def test_what_was_read_does_not_change() -> None:
     for i in range(4):
         history.add(i)
     (before,) = history.read("x")
-    for i in range(100):
+    for _ in range(100):
         history.add(-1)
     assert before.tolist() == [0, 1, 2, 3]
 

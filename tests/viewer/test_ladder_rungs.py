@@ -154,11 +154,11 @@ def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(artists, name)
 def test_a_scene_that_pops_does_so_in_the_global_order_only():
     turn = np.radians(35) / 2
     sheets = Gaussians(  # an opaque red and a green one that cross, their means equally far
-        means=np.float32([[-0.001, 0, 0], [0.001, 0, 0]]),
-        quats=np.float32([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]]),
+        means=np.array([[-0.001, 0, 0], [0.001, 0, 0]], np.float32),
+        quats=np.array([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]], np.float32),
         log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
-        opacity_logits=np.float32([4, 4]),
-        sh=np.float32([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]]),
+        opacity_logits=np.array([4, 4], np.float32),
+        sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
     )
 
     def beside(view: int, number: int) -> Camera:

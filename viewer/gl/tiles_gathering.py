@@ -74,11 +74,12 @@ class TilesGathering(Gathering):
         *,
         early_stop: float,
         stochastic: bool = False,
+        weights: Mapping[str, Uniform] | None = None,
     ) -> None:
         """As `Gathering.draw`; splats need a float32 target."""
-        if mode != "splats" or stochastic:
+        if mode != "splats" or stochastic or weights is not None:
             given = (mode, target, scene, projector, uniforms, edits)
-            super().draw(*given, early_stop=early_stop, stochastic=stochastic)
+            super().draw(*given, early_stop=early_stop, stochastic=stochastic, weights=weights)
             return
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)

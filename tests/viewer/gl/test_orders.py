@@ -37,8 +37,9 @@ def test_16_bit_keys_are_nearly_the_order(ctx, quads, random_gaussians):
 
 @pytest.mark.parametrize("ends", [(0.01, 30.0), (1.0, 1.0), (2.0, 2.0000002), (1e-3, 1e30)])
 def test_short_keys_keep_the_order_of_depths(ends):
-    keys = short_keys(*ends, 16)
-    depths = np.sort(np.random.default_rng(1).uniform(*ends, 1000).astype(np.float32))
+    least, greatest = ends
+    keys = short_keys(least, greatest, 16)
+    depths = np.sort(np.random.default_rng(1).uniform(least, greatest, 1000).astype(np.float32))
     made = ((depths.view(np.uint32) | 0x80000000).astype(np.int64) - keys.base) >> keys.shift
     assert (np.diff(made) >= 0).all()
     assert made[0] >= 0
@@ -80,13 +81,13 @@ def test_weighted_sums_let_the_right_light_through(quads, random_gaussians):
 
 def test_weights_favour_what_is_nearer(quads):
     def sheets(near_red: bool) -> Gaussians:
-        z = np.float32([-0.5, 0.5]) if near_red else np.float32([0.5, -0.5])
+        z = np.array([-0.5, 0.5], np.float32) if near_red else np.array([0.5, -0.5], np.float32)
         return Gaussians(
             means=np.stack([0 * z, 0 * z, z], axis=1),
-            quats=np.tile(np.float32([1, 0, 0, 0]), (2, 1)),
+            quats=np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1)),
             log_scales=np.tile(np.float32(np.log([0.8, 0.8, 0.01])), (2, 1)),
-            opacity_logits=np.float32([3, 3]),
-            sh=np.float32([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]]),
+            opacity_logits=np.array([3, 3], np.float32),
+            sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
         )
 
     camera = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=32, height=32)
@@ -114,6 +115,6 @@ def test_an_order_that_a_renderer_has_not_is_refused(ctx, quads, random_gaussian
 
 
 def test_the_box_is_of_what_is_finite():
-    means = np.float32([[0, 1, 2], [np.nan, 9, 9], [-1, 3, 0], [np.inf, 0, 0]])
+    means = np.array([[0, 1, 2], [np.nan, 9, 9], [-1, 3, 0], [np.inf, 0, 0]], np.float32)
     np.testing.assert_array_equal(finite_box(means), [[-1, 1, 0], [0, 3, 2]])
     np.testing.assert_array_equal(finite_box(means[1:2]), np.zeros((2, 3)))

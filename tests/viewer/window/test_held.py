@@ -82,6 +82,7 @@ def training(core, capture, tmp_path) -> Iterator[Training]:
 def frame(core: Core) -> None:
     """The parts of the frame loop that editing a training needs."""
     core.run_posted()
+    assert core.training is not None
     core.training.advance(core)
     continue_editing(core)
 
@@ -212,7 +213,9 @@ def test_the_last_splats_stay(core, training):
     training.thread.pause()
     desk.apply(SelectAll())
     desk.apply(Delete())
-    until(core, lambda: not desk.trainee.waiting and not desk.document.counts.deleted, "the answer")
+    trainee = desk.trainee
+    assert trainee is not None
+    until(core, lambda: not trainee.waiting and not desk.document.counts.deleted, "the answer")
     assert len(alive(training)) >= before
     assert any("no splat would be left" in message.text for message in core.messages)
     desk.undo()

@@ -22,6 +22,7 @@ import numpy as np
 from drives import Hand, pose
 from imgui_bundle import ImVec2
 
+from splatview.edit.operations import Select
 from splatview.edit.tools import NoTools
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
@@ -217,6 +218,7 @@ def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
     hand.wait(lambda: core.desk is not None and core.desk.document.counts.selected > 0, "a selection")
     assert core.desk is not None and training.shown is not None
     held, rectangle = training.shown, core.desk.document.history.done[-1].operation
+    assert isinstance(rectangle, Select)
     splats = core.desk.document.selected.indices
     steps(hand, 20)
     hand.frames(5)
