@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ...edit.detecting import DETECTORS
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shortcut:
@@ -12,7 +14,7 @@ class Shortcut:
     action: str
     """The key in `actions.ACTIONS`, or for a `held` key a direction in `HELD_DIRECTIONS`."""
     keys: tuple[str, ...]
-    """As the user reads them: "F", "Ctrl+Shift+O". Any of them does it."""
+    """As the user reads them: "F", "Ctrl+Shift+O". Any of them does it; those without are in the palette."""
     text: str
     """What it does, for the menu and the help page."""
     group: str
@@ -90,6 +92,16 @@ SHORTCUTS: tuple[Shortcut, ...] = (
     _once("Select", "larger_brush", "Shift+]", "Larger brush"),
     _once("Select", "smaller_brush", "Shift+[", "Smaller brush"),
     _once("Edit", "tool_measure", "M", "Measure the distance between two points"),
+    _once("Select", "grow", "", "Grow the selection by its neighbours"),
+    _once("Select", "shrink", "", "Shrink the selection by one layer"),
+    _once("Edit", "add_box", "", "Add a crop box"),
+    _once("Edit", "add_sphere", "", "Add a crop sphere"),
+    _once("Edit", "delete_cropped", "", "Delete what the crops cut away"),
+    _once("Edit", "tool_ground", "", "Set the scene on the ground by picking three points of it"),
+    *(
+        _once("Edit", f"find_{name}", "", f"Clean up: find {detector.label.lower()}")
+        for name, detector in DETECTORS.items()
+    ),
     _once("Window", "toggle_palette", "Ctrl+P", "Find a command by its name"),
     _once("Training", "pause_training", "Space", "Pause or resume training"),
     _once("Training", "step_training", "Period", "Train one step, then pause"),
@@ -130,7 +142,7 @@ MOUSE: tuple[tuple[str, str], ...] = (
 
 def keys_of(action: str) -> str:
     """The first key of an action as menus show it; "" where it has none."""
-    return next((s.keys[0] for s in SHORTCUTS if s.action == action), "")
+    return next((s.keys[0] for s in SHORTCUTS if s.action == action and s.keys), "")
 
 
 def text_of(action: str) -> str:

@@ -7,6 +7,7 @@ import pytest
 from splatview.viewer.window.actions import ACTIONS
 from splatview.viewer.window.dialogs import HELP_COLUMNS
 from splatview.viewer.window.keys import chord
+from splatview.viewer.window.palette import matching
 from splatview.viewer.window.shortcuts import HELD_DIRECTIONS, SHORTCUTS, keys_of, text_of
 
 
@@ -15,9 +16,11 @@ def test_every_shortcut_does_something():
         assert shortcut.action in (HELD_DIRECTIONS if shortcut.held else ACTIONS), shortcut
 
 
-def test_every_action_can_be_found_by_its_key():
+def test_every_action_can_be_found_by_its_key_or_its_words():
     assert set(ACTIONS) == {shortcut.action for shortcut in SHORTCUTS if not shortcut.held}
-    assert all(keys_of(action) and text_of(action) for action in ACTIONS)
+    assert all(text_of(action) for action in ACTIONS)
+    assert keys_of("undo") == "Ctrl+Z" and keys_of("find_needles") == ""
+    assert [command.action for command in matching("needles")] == ["find_needles"]
 
 
 def test_no_key_means_two_things():

@@ -6,9 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, get_args
 
+from ....edit.detecting import DETECTORS
 from ....edit.operations import OPERATIONS
+from ....edit.operations.growing import Grow, Shrink
 from ....edit.operations.operation import Operation
 from ..training.held import hold
+from .cleaning import find
+from .cropping import add_crop
 from .desk import Desk
 from .files import FILE_ACTIONS
 from .tool_names import Depth, ToolName
@@ -21,6 +25,12 @@ BRUSH_STEP = 1.25
 
 LEAST_BRUSH, MOST_BRUSH = 2.0, 600.0
 """px"""
+
+
+NEIGHBOURS = 8
+"""Growing and shrinking go by so many nearest splats: about one layer."""
+
+SELECT_FIRST = "Select splats first: R for a rectangle, C for a brush, Ctrl+A for all"
 
 
 def with_desk(command: Callable[..., None]) -> Callable[..., None]:
@@ -63,7 +73,16 @@ def apply_to_selection(core: Core, desk: Desk, operation: Operation) -> None:
     if desk.document.counts.selected:
         desk.apply(operation)
     else:
-        desk.news = "Select splats first: R for a rectangle, C for a brush, Ctrl+A for all"
+        desk.news = SELECT_FIRST
+
+
+@with_desk
+def grow_or_shrink(core: Core, desk: Desk, operation: Grow | Shrink) -> None:
+    """In a thread: it looks for the neighbours of every splat."""
+    if desk.document.counts.selected:
+        desk.apply_slowly(operation, "Grow" if isinstance(operation, Grow) else "Shrink")
+    else:
+        desk.news = SELECT_FIRST
 
 
 @with_desk
@@ -114,6 +133,13 @@ EDIT_ACTIONS: dict[str, Callable[[Core], None]] = {
         f"tool_{name}": partial(take_tool, tool=name)
         for name in ("rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure")
     },
+    "tool_ground": partial(take_tool, tool="ground"),
+    "grow": partial(grow_or_shrink, operation=Grow(neighbours=NEIGHBOURS)),
+    "shrink": partial(grow_or_shrink, operation=Shrink(neighbours=NEIGHBOURS)),
+    "add_box": partial(add_crop, shape="box"),
+    "add_sphere": partial(add_crop, shape="sphere"),
+    "delete_cropped": partial(apply, operation=_operation("delete_cropped")),
+    **{f"find_{name}": partial(find, detector=name) for name in DETECTORS},
     "next_depth": next_depth,
     "larger_brush": partial(scale_brush, factor=BRUSH_STEP),
     "smaller_brush": partial(scale_brush, factor=1 / BRUSH_STEP),

@@ -90,5 +90,7 @@ class Forms:
     """What they do, an index of `panels.crops.KINDS`, and..."""
     crop_dragged: bool = False
     """... whether they are being dragged."""
+    open_section: str = ""
+    """Title of the section that the Edit panel is to open, once."""
     previewing: str = ""
     """The section whose preview is in force; "" for none."""

@@ -5,27 +5,19 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from .....edit.detecting import DETECTORS
-from .....edit.operations.pruning import Decimate, Prune, editable
-from .....edit.price import NO_LOSS, price, unchanging, with_deleted
-from .....edit.sample_views import sample_cameras
-from .....edit.watch import Watch
-from .....scene import Camera
+from .....edit.operations.pruning import Decimate
+from .....edit.price import NO_LOSS
 from ... import theme
 from ...panels import widgets
+from .. import cleaning
+from ..cleaning import VIEWS
 from ..desk import Desk
 
 if TYPE_CHECKING:
     from ...core import Core
-
-VIEWS = 8
-"""That a price is measured in."""
-
-MOST_LOADED = 16
-"""Of loaded cameras, spread evenly."""
 
 GOOD, FAIR = 45.0, 35.0
 """dB: above the one nobody sees the difference; below the other anybody does."""
@@ -39,8 +31,7 @@ def show(core: Core, desk: Desk) -> None:
         "Find", form.detector, names, detector.what, [DETECTORS[name].label for name in names]
     )
     if chosen is not None:
-        form.detector, form.scores, form.mask, form.price = chosen, None, None, None
-        form.threshold, desk.highlight = DETECTORS[chosen].threshold, None
+        cleaning.choose_detector(desk, chosen)
         detector = DETECTORS[chosen]
     widgets.note(detector.what)
     key = (form.detector, desk.document.versions)
@@ -48,52 +39,12 @@ def show(core: Core, desk: Desk) -> None:
         if form.scores is not None:
             form.scores, form.mask, form.price, desk.highlight = None, None, None, None
         tip = "Looks at every splat" + (", in pictures from around the scene." if detector.renders else ".")
-        widgets.button("Look for them", tip, partial(core.post, _look), width=-1)
+        widgets.button("Look for them", tip, partial(core.post, cleaning.look), width=-1)
     else:
         threshold(core, desk)
     if desk.trainee is None:  # training fills up again to its number
         widgets.section("Fewer splats")
         decimation(core, desk)
-
-
-def views(core: Core, desk: Desk) -> tuple[Camera, ...]:
-    """The loaded cameras if there are some, else views from around the scene."""
-    if core.cameras:
-        step = -(-len(core.cameras) // MOST_LOADED)
-        return tuple(core.cameras[::step])
-    return tuple(sample_cameras(desk.document.gaussians, desk.document.edits, VIEWS))
-
-
-def _look(core: Core) -> None:
-    """Scores in a thread; then the slider's first threshold."""
-    desk = core.desk
-    if desk is None:
-        return
-    form, document = desk.forms.clean, desk.document
-    name, detector = form.detector, DETECTORS[form.detector]
-    key = (name, document.versions)
-    cameras = views(core, desk) if detector.renders else ()
-
-    def work(watch: Watch) -> np.ndarray:
-        # The document keeps them for the deletion that may follow.
-        return document.scores(detector(), cameras, watch=watch)
-
-    def done(scores: np.ndarray) -> None:
-        form.scores, form.of, form.threshold = scores, key, detector.threshold
-        set_threshold(desk, detector.threshold)
-
-    desk.start(f"Looking for {detector.label.lower()}", work, done)
-
-
-def set_threshold(desk: Desk, value: float) -> None:
-    """Lights up what scores above it, as far as it may be deleted."""
-    form = desk.forms.clean
-    if form.scores is None:
-        return
-    form.threshold, form.price = value, None
-    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & editable(desk.document)
-    form.count = int(np.count_nonzero(form.mask))
-    desk.highlight = form.mask
 
 
 def threshold(core: Core, desk: Desk) -> None:
@@ -104,7 +55,7 @@ def threshold(core: Core, desk: Desk) -> None:
         "Threshold", form.threshold, low, high, f"In {detector.unit}.", form="%.4g", logarithmic=detector.log
     )
     if value is not None:
-        set_threshold(desk, value)
+        cleaning.set_threshold(desk, value)
     widgets.note(f"{form.count:,} splats are {detector.meaning(form.threshold)}: red on the picture.")
     if not form.count:
         return
@@ -113,13 +64,13 @@ def threshold(core: Core, desk: Desk) -> None:
         widgets.button(
             "What would it cost?",
             f"Draws {VIEWS} views with and without them and compares.",
-            partial(core.post, _price),
+            partial(core.post, cleaning.measure_price),
         )
         widgets.beside(f"Delete {form.count:,}")
     tip = "Undo brings them back." if desk.trainee is None else "From the training; there is no way back."
-    widgets.button(f"Delete {form.count:,}", tip, partial(core.post, _prune))
+    widgets.button(f"Delete {form.count:,}", tip, partial(core.post, cleaning.prune))
     widgets.beside("Leave them")
-    widgets.button("Leave them", "Nothing is deleted.", partial(core.post, _forget))
+    widgets.button("Leave them", "Nothing is deleted.", partial(core.post, cleaning.forget))
 
 
 def show_price(cost: Any) -> None:
@@ -140,43 +91,6 @@ def show_price(cost: Any) -> None:
     )
 
 
-def _price(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
-        return
-    form, document = desk.forms.clean, desk.document
-    mask, before = form.mask, unchanging(document.edits)
-    if mask is None:
-        return
-    after, cameras = with_deleted(before, mask), views(core, desk)
-
-    def work(watch: Watch) -> Any:
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch)
-
-    def done(cost: Any) -> None:
-        if form.mask is mask:
-            form.price = cost
-
-    desk.start("Measuring the price", work, done)
-
-
-def _prune(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
-        return
-    form = desk.forms.clean
-    detector = DETECTORS[form.detector]
-    cameras = views(core, desk) if detector.renders else ()
-    desk.highlight = None
-    desk.apply_slowly(Prune(by=detector(), threshold=form.threshold, cameras=cameras), "Deleting")
-
-
-def _forget(core: Core) -> None:
-    if core.desk is not None:
-        form = core.desk.forms.clean
-        form.scores, form.mask, form.price, core.desk.highlight = None, None, None, None
-
-
 def decimation(core: Core, desk: Desk) -> None:
     """Keeps the splats that matter most to the views."""
     form, counts = desk.forms.clean, desk.document.counts
@@ -192,34 +106,11 @@ def decimation(core: Core, desk: Desk) -> None:
         widgets.button(
             "What would that cost?##keep",
             f"Draws {VIEWS} views with all splats and with the {form.keep:,} that matter most.",
-            partial(core.post, _price_decimation),
+            partial(core.post, cleaning.price_decimation),
         )
         widgets.beside(f"Keep {form.keep:,} of {counts.kept:,}")
     widgets.button(
-        f"Keep {form.keep:,} of {counts.kept:,}", Decimate.summary + ".", partial(core.post, _decimate)
+        f"Keep {form.keep:,} of {counts.kept:,}",
+        Decimate.summary + ".",
+        partial(core.post, cleaning.keep_best),
     )
-
-
-def _price_decimation(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
-        return
-    form, document = desk.forms.clean, desk.document
-    key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(core, desk)
-
-    def work(watch: Watch) -> Any:
-        part = watch.part(0.0, 0.4)
-        mask = Decimate(keep=key[0], cameras=cameras).doomed(document, part)
-        after = with_deleted(before, mask)
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch.part(0.4, 1.0))
-
-    def done(cost: Any) -> None:
-        form.kept_price = (key, cost)
-
-    desk.start("Measuring the price", work, done)
-
-
-def _decimate(core: Core) -> None:
-    if core.desk is not None:
-        keep = core.desk.forms.clean.keep
-        core.desk.apply_slowly(Decimate(keep=keep, cameras=views(core, core.desk)), "Keeping the best")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from .....edit.operations import Select
-from .....edit.operations.cropping import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
+from .....edit.operations.cropping import ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
 from .....edit.operations.operation import Operation
 from .....edit.selecting import Box, Sphere
 from .....scene import Camera
@@ -22,6 +22,7 @@ from ...drawing import point_on_picture
 from ...panels import widgets
 from ...training import held
 from .. import gizmos
+from ..cropping import Shape, add_crop
 from ..desk import Desk
 from ..strokes import mode_of
 from ..turning import angles_of, quat_from_matrix, quat_of
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from ...core import Core
 
 SECTION = "crop"
-
-Shape = Literal["box", "sphere"]
 
 KINDS = ("move", "turn", "size")
 
@@ -52,7 +51,7 @@ def show(core: Core, desk: Desk) -> None:
         widgets.button(
             name,
             "Shows only what is inside; no splat is touched. Several add up; each can also cut out instead.",
-            partial(_post, core, AddCrop(crop=fitting(core, desk, shape))),
+            partial(core.post, partial(add_crop, shape=shape)),
         )
     crops = desk.document.crops
     if not crops:
@@ -91,19 +90,6 @@ def show(core: Core, desk: Desk) -> None:
     else:
         operation = DeleteCropped()
         widgets.button("Delete what is cut away", operation.summary, partial(_post, core, operation))
-
-
-def fitting(core: Core, desk: Desk, shape: Shape) -> Crop:
-    """A first crop: about the bulk of the scene."""
-    number = 1 + len(desk.document.crops)
-    if core.training is not None and desk.trainee is not None:
-        settings = core.training.status.settings
-        number += len(settings.cut) + len(settings.no_growth)
-    if core.scene is None:
-        return Crop(name=f"crop {number}", shape=shape)
-    x, y, z = (float(value) for value in core.scene.centre)
-    half = float(core.scene.radius)
-    return Crop(name=f"crop {number}", shape=shape, centre=(x, y, z), half_extents=(half, half, half))
 
 
 def numbers(core: Core, desk: Desk, index: int) -> None:
@@ -242,8 +228,4 @@ def outline(crop: Crop) -> list[np.ndarray]:
 
 
 def _post(core: Core, operation: Operation) -> None:
-    def run(core: Core) -> None:
-        if core.desk is not None and core.desk.apply(operation) and isinstance(operation, AddCrop):
-            core.desk.forms.crop = len(core.desk.document.crops) - 1
-
-    core.post(run)
+    core.post(lambda core: core.desk.apply(operation) if core.desk else None)

@@ -57,6 +57,9 @@ def show(core: Core) -> None:
             if training is not None and contents not in IN_TRAINING:
                 continue
             flags = imgui.TreeNodeFlags_.default_open if opened else 0
+            if desk.forms.open_section == title:
+                imgui.set_next_item_open(True)
+                desk.forms.open_section = ""
             if imgui.collapsing_header(title, flags):
                 imgui.push_id(title)
                 contents(core, desk)

@@ -9,21 +9,16 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 
 from .....edit.operations import Select
-from .....edit.operations.growing import Grow, Shrink
 from .....edit.selecting import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
 from .....edit.watch import Watch
 from .....scene.edits import DELETED, HIDDEN
 from ... import theme
 from ...panels import widgets
-from ..commands import apply_to_selection
 from ..desk import Desk
 from ..strokes import mode_of
 
 if TYPE_CHECKING:
     from ...core import Core
-
-NEIGHBOURS = 8
-"""Growing and shrinking go by so many nearest splats: about one layer."""
 
 BINS = 96
 
@@ -37,18 +32,12 @@ def show(core: Core, desk: Desk) -> None:
     if counts.hidden or counts.locked or counts.deleted:
         parts = [("hidden", counts.hidden), ("locked", counts.locked), ("deleted", counts.deleted)]
         widgets.fact("Set aside", ", ".join(f"{n:,} {name}" for name, n in parts if n))
-    for number, (name, action) in enumerate(
-        (("All", "select_all"), ("None", "select_none"), ("Invert", "select_inverse"))
-    ):
+    words = ("All", "None", "Invert", "Grow", "Shrink")
+    actions = ("select_all", "select_none", "select_inverse", "grow", "shrink")
+    for number, (name, action) in enumerate(zip(words, actions, strict=True)):
         if number:
             widgets.beside(name)
         widgets.action_button(core, name, action)
-    widgets.beside("Grow")
-    grown = Grow(neighbours=NEIGHBOURS)
-    widgets.button("Grow", grown.summary, partial(_slowly, core, grown, "Grow"))
-    widgets.beside("Shrink")
-    shrunk = Shrink(neighbours=NEIGHBOURS)
-    widgets.button("Shrink", shrunk.summary, partial(_slowly, core, shrunk, "Shrink"))
     for number, (name, action) in enumerate(
         (("Delete", "delete"), ("Hide", "hide"), ("Isolate", "isolate"), ("Lock", "lock"))
     ):
@@ -63,15 +52,6 @@ def show(core: Core, desk: Desk) -> None:
         widgets.action_button(core, "Unlock all", "unlock")
     options(desk)
     by_range(core, desk)
-
-
-def _slowly(core: Core, operation, title: str) -> None:
-    if core.desk is None:
-        return
-    if core.desk.document.counts.selected:
-        core.desk.apply_slowly(operation, title)
-    else:
-        core.post(apply_to_selection, operation)
 
 
 def options(desk: Desk) -> None:
