@@ -140,17 +140,23 @@ class Ladder:
 
 
 def rungs_for(
-    artists: Sequence[Artist], plan: Plan, *, used_sh_degree: int, knobs: Sequence[str] | None = None
+    artists: Sequence[Artist],
+    plan: Plan,
+    *,
+    used_sh_degree: int,
+    knobs: Sequence[str] | None = None,
+    first_only: bool = False,
 ) -> list[Rung]:
     """Each renderer with its defaults, and with each value of each knob that it has and that differs.
 
-    The first is the baseline. `knobs`: names of those wanted; None: all.
+    The first is the baseline. `knobs`: names of those wanted; None: all. `first_only`: knobs of the first
+    renderer alone.
     """
     rungs = []
     for artist in artists:
         options = ("--renderer", artist.name)
         rungs.append(Rung(knob="renderer", value=artist.name, artist=artist, plan=plan, options=options))
-        for knob in KNOBS:
+        for knob in KNOBS if artist is artists[0] or not first_only else ():
             if knobs is not None and knob.name not in knobs:
                 continue
             for value in knob.values_for(artist.name):

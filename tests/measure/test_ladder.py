@@ -74,6 +74,17 @@ def test_each_renderer_has_its_defaults_and_each_value_that_differs(ladder):
     assert found(made, "sh-degree", "1").rung.options == ("--renderer", "cpu", "--sh-degree", "1")
 
 
+def test_knobs_of_the_first_renderer_alone():
+    artists = [Pretender("cpu", 1, 0), Pretender("quads", 1, 0)]
+    rungs = rungs_for(artists, Plan(), used_sh_degree=0, knobs=["resolution"], first_only=True)
+    assert [(rung.artist.name, rung.value) for rung in rungs] == [
+        ("cpu", "cpu"),
+        ("cpu", "1/2"),
+        ("cpu", "1/4"),
+        ("quads", "quads"),
+    ]
+
+
 def test_degrees_that_the_scene_does_not_use_are_no_rungs():
     plan = Plan(settings=RenderSettings(sh_degree=1))
     rungs = rungs_for([Pretender("cpu", 1, 0)], plan, used_sh_degree=1, knobs=["sh-degree"])
