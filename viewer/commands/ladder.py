@@ -135,7 +135,7 @@ def run(arguments: list[str]) -> int:
     first_only = names[0] == "cpu" and args.renderers is None and knobs is None and not args.thorough
     if first_only and len(names) > 1:
         console.print(
-            f"{' and '.join(names[1:])}: their defaults only, as OpenGL is software here; --thorough measures all",
+            f"{' and '.join(names[1:])}: only their defaults, as OpenGL is software here; --thorough: all",
             highlight=False,
             soft_wrap=True,
         )
