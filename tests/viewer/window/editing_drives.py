@@ -166,6 +166,16 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     grey = hand.picture_of_edits()[..., :3]
     found["colourfulness"] = float((grey.max(axis=-1) - grey.min(axis=-1)).max())
 
+    desk.forms.how = "set"
+    hand.frames(2)
+    hand.ctx.item_input_value("Look/##Opacity", 0.25)
+    settle(hand)
+    hand.ctx.item_click("Look/Apply##look")
+    settle(hand)
+    found["opacity_row"] = list(desk.document.palette[-1].opacity)
+    hand.press("Ctrl+Z")
+    settle(hand)
+
     open_section(hand, "Move")
     hand.ctx.item_input_value("Move/##Turn/$$1", 30.0)
     settle(hand)

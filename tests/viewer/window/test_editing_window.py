@@ -121,6 +121,7 @@ def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path)
     assert found["brighter"] > 0.01
     assert found["cancelled"] == 0
     assert found["colourfulness"] < 0.01
+    assert found["opacity_row"][:2] == [0, 0.25]
     half = np.radians(15)
     np.testing.assert_allclose(found["turned"], (np.cos(half), 0, np.sin(half), 0), atol=1e-5)
     assert [title.split()[0] for title in found["history"]] == ["Select", "Grade", "Transform"]

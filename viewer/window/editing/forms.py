@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ....edit.grade import Grade
+from ....edit.operations.looks import How
 from ....edit.operations.scope import Scope
 from ....edit.price import Price
 from ....edit.selecting import Histogram
@@ -34,9 +35,9 @@ class LookForm:
     """Of the looks section."""
 
     opacity: float = 1.0
-    """Factor."""
+    """Factor, or the value."""
     size: float = 1.0
-    """Factor."""
+    """Likewise."""
     grade: Grade = field(default_factory=Grade)
 
 
@@ -82,6 +83,8 @@ class Forms:
     scope: Scope = "selection"
     move: MoveForm = field(default_factory=MoveForm)
     look: LookForm = field(default_factory=LookForm)
+    how: How = "scale"
+    """Whether opacities and sizes are multiplied or set."""
     range: RangeForm = field(default_factory=RangeForm)
     clean: CleanForm = field(default_factory=CleanForm)
     crop: int = -1

@@ -36,21 +36,8 @@ def show(core: Core, desk: Desk) -> None:
     if scope.nothing_to_change(desk):
         return
     form = desk.forms.look
-    opacity = widgets.slider("Opacity x", form.opacity, 0.0, 3.0, "Factor on the opacity of each splat.")
-    if opacity is not None:
-        desk.forms.look = LookForm(opacity=opacity)
-        desk.preview(SECTION, Opacity(value=opacity, scope=desk.forms.scope))
-    size = widgets.slider(
-        "Size x",
-        form.size,
-        0.1,
-        10.0,
-        "Factor on the size of each splat, about its centre.",
-        logarithmic=True,
-    )
-    if size is not None:
-        desk.forms.look = LookForm(size=size)
-        desk.preview(SECTION, Size(value=size, scope=desk.forms.scope))
+    opacity_and_size(core, desk)
+    form = desk.forms.look
     grade = form.grade
     for field, (name, low, high, tip) in GRADES.items():
         value = widgets.slider(name, getattr(grade, field), low, high, tip)
@@ -63,6 +50,34 @@ def show(core: Core, desk: Desk) -> None:
         desk.forms.previewing != SECTION and desk.forms.look != LookForm() and not imgui.is_any_item_active()
     ):
         desk.forms.look = LookForm()
+
+
+def opacity_and_size(core: Core, desk: Desk) -> None:
+    """By a factor, or the same value for all."""
+    how = widgets.combo(
+        "Opacity, size",
+        desk.forms.how,
+        ("scale", "set"),
+        "Multiply what each splat has, or give all of them one value. A set size keeps each splat's shape.",
+        ("times a factor", "set to a value"),
+    )
+    if how is not None:
+        desk.forms.how = how
+        core.post(lambda core: core.desk.cancel_preview() if core.desk else None)
+    form, factor = desk.forms.look, desk.forms.how == "scale"
+    tip = "Factor on the opacity of each splat." if factor else "The opacity that all get, 0 to 1."
+    name, high = ("Opacity x", 3.0) if factor else ("Opacity", 1.0)
+    opacity = widgets.slider(name, form.opacity, 0.0, high, tip)
+    if opacity is not None:
+        desk.forms.look = LookForm(opacity=opacity)
+        desk.preview(SECTION, Opacity(value=opacity, how=desk.forms.how, scope=desk.forms.scope))
+    radius = max(core.scene.radius if core.scene else 1.0, 1e-6)
+    tip = "Factor on the size of each splat, about its centre." if factor else "Mean deviation, world units."
+    name, low, high = ("Size x", 0.1, 10.0) if factor else ("Size", 1e-5 * radius, 0.1 * radius)
+    size = widgets.slider(name, form.size, low, high, tip, form="%.3g", logarithmic=True)
+    if size is not None:
+        desk.forms.look = LookForm(size=size)
+        desk.preview(SECTION, Size(value=size, how=desk.forms.how, scope=desk.forms.scope))
 
 
 def _changed(grade: Grade, field: str, value: float) -> Grade:
