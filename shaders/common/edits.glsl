@@ -16,7 +16,6 @@ Splat unedited(vec3 position, vec4 quat, vec3 scale, float opacity) {
     return Splat(position, from_eye(position), quat, scale, opacity);
 }
 
-#if ADJUSTS
 uniform sampler2D u_palette;       // rows of scene/adjustment.py, in fours
 uniform uint u_last_adjustment;
 
@@ -45,9 +44,7 @@ void adjust(uint entry, inout Splat s) {
     vec4 map = palette_texel(entry, 7u);  // gain, offset, low, high
     if (is_finite(s.opacity)) s.opacity = clamp(map.x * s.opacity + map.y, map.z, map.w);
 }
-#endif
 
-#if CROPS
 uniform sampler2D u_crops;  // rows of scene/crop.py, in fours
 uniform uint u_crop_count;
 
@@ -70,40 +67,30 @@ bool is_cropped_in(vec3 position) {
     }
     return kept || !keeps;
 }
-#endif
 
 // Makes of an unedited splat what the edits make of it; false where they leave it out.
 bool edit(uint splat, inout Splat s) {
-#if HIDES
-    if ((mark_of(splat) & uint(NOT_SHOWN)) != 0u) return false;
-#endif
-#if ADJUSTS
-    uint entry = adjustment_of(splat);
-    if (entry != 0u) adjust(entry, s);
-#endif
-#if CROPS
-    if (!is_cropped_in(s.position)) return false;
-#endif
+    if (HIDES && (mark_of(splat) & uint(NOT_SHOWN)) != 0u) return false;
+    if (ADJUSTS) {
+        uint entry = adjustment_of(splat);
+        if (entry != 0u) adjust(entry, s);
+    }
+    if (CROPS && !is_cropped_in(s.position)) return false;
     return true;
 }
 
 // The direction in which the file's harmonics of `splat` are to be looked up.
 vec3 harmonics_direction(uint splat, vec3 direction) {
-#if ADJUSTS
+    if (!ADJUSTS) return direction;
     uint entry = adjustment_of(splat);
-    if (entry != 0u) return direction * rotation_matrix(palette_texel(entry, 3u), 1.0);
-#endif
-    return direction;
+    return entry != 0u ? direction * rotation_matrix(palette_texel(entry, 3u), 1.0) : direction;
 }
 
 vec3 graded(uint splat, vec3 rgb) {
-#if ADJUSTS
+    if (!ADJUSTS) return rgb;
     uint entry = adjustment_of(splat);
-    if (entry != 0u) {
-        vec4 v = vec4(rgb, 1.0);
-        return vec3(
-            dot(palette_texel(entry, 4u), v), dot(palette_texel(entry, 5u), v), dot(palette_texel(entry, 6u), v));
-    }
-#endif
-    return rgb;
+    if (entry == 0u) return rgb;
+    vec4 v = vec4(rgb, 1.0);
+    return vec3(
+        dot(palette_texel(entry, 4u), v), dot(palette_texel(entry, 5u), v), dot(palette_texel(entry, 6u), v));
 }

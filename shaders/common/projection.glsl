@@ -75,10 +75,10 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     if (!(det > 0.0)) return false;
 
     f.opacity = opacity;
-#if ANTIALIASED
-    f.opacity *= sqrt(det_unblurred / det);
-    if (!(f.opacity >= u_alpha_cut) || !(f.opacity > 0.0)) return false;
-#endif
+    if (ANTIALIASED) {
+        f.opacity *= sqrt(det_unblurred / det);
+        if (!(f.opacity >= u_alpha_cut) || !(f.opacity > 0.0)) return false;
+    }
     float a = sqrt(yy / det) / spread;
     f.conic = vec3(a, -xy / yy * a, 1.0 / (sqrt(yy) * spread));
     if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;

@@ -26,22 +26,20 @@ void place_quad(vec4 shape, vec4 bound, vec4 colour) {
     v_c_cut = vec2(bound.x * ROOT_HALF_LOG2_E, max(u_alpha_cut, u_least_share * colour.a));
     v_colour = colour;
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
-#if POINTS
-    v_shape.zw = vec2(POINT_RADIUS);
-    vec2 position = shape.xy + corner * (POINT_RADIUS + 1.0);
-#else
     vec2 major = bound.zw;
     float major_length = length(major);
     vec2 along = major / major_length;
     vec2 minor = bound.y * vec2(-along.y, along.x);
     vec2 position;
-    if (major_length <= LARGE) {
+    if (POINTS) {
+        v_shape.zw = vec2(POINT_RADIUS);
+        position = shape.xy + corner * (POINT_RADIUS + 1.0);
+    } else if (major_length <= LARGE) {
         // 1/64 px wider: vertices snap to 1/256 px and must not lose a pixel on the edge.
         position = shape.xy + corner.x * (major + along / 64.0) + corner.y * (minor + vec2(-along.y, along.x) / 64.0);
     } else {
         vec2 extent = sqrt(min(major * major + minor * minor, vec2(1e36))) + 0.02;
         position = clamp(shape.xy + corner * extent, vec2(-1.0), u_size + 1.0);
     }
-#endif
     gl_Position = vec4(position / u_size * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -6,28 +6,28 @@ vec3 sh_coefficient(uint splat, int index);  // the includer says where coeffici
 // 0.5 + SH of `splat` in unit direction `d` from the eye; not clamped, so that NaN can still be seen.
 vec3 sh_colour(uint splat, vec3 d) {
     vec3 colour = vec3(0.5) + 0.28209479177387814 * sh_coefficient(splat, 0);
-#if SH_DEGREE >= 1
-    const float C1 = 0.4886025119029199;
-    colour += -C1 * d.y * sh_coefficient(splat, 1);
-    colour += C1 * d.z * sh_coefficient(splat, 2);
-    colour += -C1 * d.x * sh_coefficient(splat, 3);
-#endif
-#if SH_DEGREE >= 2
+    if (SH_DEGREE >= 1) {
+        const float C1 = 0.4886025119029199;
+        colour += -C1 * d.y * sh_coefficient(splat, 1);
+        colour += C1 * d.z * sh_coefficient(splat, 2);
+        colour += -C1 * d.x * sh_coefficient(splat, 3);
+    }
     vec3 dd = d * d;
-    colour += 1.0925484305920792 * d.x * d.y * sh_coefficient(splat, 4);
-    colour += -1.0925484305920792 * d.y * d.z * sh_coefficient(splat, 5);
-    colour += 0.31539156525252005 * (2.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 6);
-    colour += -1.0925484305920792 * d.x * d.z * sh_coefficient(splat, 7);
-    colour += 0.5462742152960396 * (dd.x - dd.y) * sh_coefficient(splat, 8);
-#endif
-#if SH_DEGREE >= 3
-    colour += -0.5900435899266435 * d.y * (3.0 * dd.x - dd.y) * sh_coefficient(splat, 9);
-    colour += 2.890611442640554 * d.x * d.y * d.z * sh_coefficient(splat, 10);
-    colour += -0.4570457994644658 * d.y * (4.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 11);
-    colour += 0.3731763325901154 * d.z * (2.0 * dd.z - 3.0 * dd.x - 3.0 * dd.y) * sh_coefficient(splat, 12);
-    colour += -0.4570457994644658 * d.x * (4.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 13);
-    colour += 1.445305721320277 * d.z * (dd.x - dd.y) * sh_coefficient(splat, 14);
-    colour += -0.5900435899266435 * d.x * (dd.x - 3.0 * dd.y) * sh_coefficient(splat, 15);
-#endif
+    if (SH_DEGREE >= 2) {
+        colour += 1.0925484305920792 * d.x * d.y * sh_coefficient(splat, 4);
+        colour += -1.0925484305920792 * d.y * d.z * sh_coefficient(splat, 5);
+        colour += 0.31539156525252005 * (2.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 6);
+        colour += -1.0925484305920792 * d.x * d.z * sh_coefficient(splat, 7);
+        colour += 0.5462742152960396 * (dd.x - dd.y) * sh_coefficient(splat, 8);
+    }
+    if (SH_DEGREE >= 3) {
+        colour += -0.5900435899266435 * d.y * (3.0 * dd.x - dd.y) * sh_coefficient(splat, 9);
+        colour += 2.890611442640554 * d.x * d.y * d.z * sh_coefficient(splat, 10);
+        colour += -0.4570457994644658 * d.y * (4.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 11);
+        colour += 0.3731763325901154 * d.z * (2.0 * dd.z - 3.0 * dd.x - 3.0 * dd.y) * sh_coefficient(splat, 12);
+        colour += -0.4570457994644658 * d.x * (4.0 * dd.z - dd.x - dd.y) * sh_coefficient(splat, 13);
+        colour += 1.445305721320277 * d.z * (dd.x - dd.y) * sh_coefficient(splat, 14);
+        colour += -0.5900435899266435 * d.x * (dd.x - 3.0 * dd.y) * sh_coefficient(splat, 15);
+    }
     return colour;
 }

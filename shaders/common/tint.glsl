@@ -1,15 +1,10 @@
 // Lights marked splats up, for the eyes of an editor. Flags: TINTS, and those of marks.
 #include "common/marks.glsl"
 
-#if TINTS
 uniform vec4 u_tints[TINT_COUNT];  // colour and strength by state flags
-#endif
 
 vec3 tinted(uint splat, vec3 rgb) {
-#if TINTS
+    if (!TINTS) return rgb;
     vec4 tint = u_tints[mark_of(splat) & uint(TINT_COUNT - 1)];
     return mix(rgb, tint.rgb, tint.a);
-#else
-    return rgb;
-#endif
 }

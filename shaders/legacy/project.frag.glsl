@@ -28,9 +28,7 @@ void main() {
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) discard;
     vec3 rgb = graded(splat, sh_colour(splat, harmonics_direction(splat, f.direction)));
     if (!is_finite(rgb)) discard;
-#if DEPTH
-    rgb = vec3(f.depth);
-#endif
+    if (DEPTH) rgb = vec3(f.depth);
     shape = vec4(f.mean, f.conic.xy);
     bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);
     colour = vec4(max(rgb, vec3(0.0)), f.opacity);

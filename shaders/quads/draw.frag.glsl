@@ -12,11 +12,11 @@ flat in vec4 v_shape;
 flat in vec2 v_c_cut;
 flat in vec4 v_colour;
 layout(location = 0) out vec4 colour;
-#if WEIGHTED
+#if HAS_WEIGHTED
 flat in float v_weight;
 layout(location = 1) out vec4 weights;
 #endif
-#if STOCHASTIC
+#if HAS_STOCHASTIC
 flat in uint v_splat;
 
 // A number in [0, 1) of splat and pixel, always the same (pcg, Jarzynski and Olano 2020).
@@ -34,23 +34,26 @@ float chance(uint splat, uvec2 pixel) {
 
 void main() {
     vec2 d = gl_FragCoord.xy - v_shape.xy;
-#if POINTS
-    float alpha = clamp(v_shape.z + 0.5 - length(d), 0.0, 1.0);
-    if (!(alpha > 0.0)) discard;
-#else
-    vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c_cut.x * d.y);
-    float alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
-    if (!(alpha >= v_c_cut.y)) discard;
+    float alpha;
+    if (POINTS) {
+        alpha = clamp(v_shape.z + 0.5 - length(d), 0.0, 1.0);
+        if (!(alpha > 0.0)) discard;
+    } else {
+        vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c_cut.x * d.y);
+        alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+        if (!(alpha >= v_c_cut.y)) discard;
+    }
+    colour = OVERDRAW ? vec4(1.0, 0.0, 0.0, 0.0) : vec4(v_colour.rgb * alpha, alpha);
+#if HAS_WEIGHTED
+    if (WEIGHTED) {
+        colour.rgb *= v_weight;
+        weights = vec4(alpha * v_weight, 0.0, 0.0, alpha);
+    }
 #endif
-#if OVERDRAW
-    colour = vec4(1.0, 0.0, 0.0, 0.0);
-#elif WEIGHTED
-    colour = vec4(v_colour.rgb * alpha * v_weight, alpha);
-    weights = vec4(alpha * v_weight, 0.0, 0.0, alpha);
-#elif STOCHASTIC
-    if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
-    colour = vec4(v_colour.rgb, 0.0);  // no light comes through
-#else
-    colour = vec4(v_colour.rgb * alpha, alpha);
+#if HAS_STOCHASTIC
+    if (STOCHASTIC) {
+        if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
+        colour = vec4(v_colour.rgb, 0.0);  // no light comes through
+    }
 #endif
 }

@@ -9,16 +9,14 @@ layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
 layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
 layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
-#if DEPTH || STOCHASTIC || WEIGHTED
 layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
 
 float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
-#endif
-#if STOCHASTIC
+#if HAS_STOCHASTIC
 uniform float u_depth_unit;  // world units; depths about it keep the most digits
 flat out uint v_splat;
 #endif
-#if WEIGHTED
+#if HAS_WEIGHTED
 uniform float u_nearest;      // depth at which weights are 1, world units
 uniform float u_weight_fall;  // natural logarithm of the weight that a unit of depth costs
 flat out float v_weight;
@@ -32,25 +30,25 @@ void main() {
     uint splat = slot < slab_starts[u_slab + 1u] ? order[slot] : CULLED;
     if (splat == CULLED) {
         place_nothing();
-#if STOCHASTIC
+#if HAS_STOCHASTIC
         v_splat = CULLED;
 #endif
-#if WEIGHTED
+#if HAS_WEIGHTED
         v_weight = 0.0;
 #endif
         return;
     }
     vec4 colour = colours[splat];
-#if DEPTH
-    colour.rgb = vec3(depth_of(splat));
-#endif
+    if (DEPTH) colour.rgb = vec3(depth_of(splat));
     place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
-#if WEIGHTED
-    v_weight = clamp(exp(-u_weight_fall * (depth_of(splat) - u_nearest)), LEAST_WEIGHT, 1.0);
+#if HAS_WEIGHTED
+    if (WEIGHTED) v_weight = clamp(exp(-u_weight_fall * (depth_of(splat) - u_nearest)), LEAST_WEIGHT, 1.0);
 #endif
-#if STOCHASTIC
-    float depth = depth_of(splat);
-    gl_Position.z = depth / (depth + u_depth_unit) * 2.0 - 1.0;
-    v_splat = splat;
+#if HAS_STOCHASTIC
+    if (STOCHASTIC) {
+        float depth = depth_of(splat);
+        gl_Position.z = depth / (depth + u_depth_unit) * 2.0 - 1.0;
+        v_splat = splat;
+    }
 #endif
 }

@@ -4,9 +4,7 @@ uniform sampler2D u_gathered;  // rgb, T; with DEPTH sums of depth in r, with OV
 uniform vec3 u_background;
 uniform float u_brightest;     // what the picture can hold
 uniform vec2 u_depth_range;    // world units, near and far
-#if WEIGHTED
-uniform sampler2D u_weights;   // sums of alpha times weight in r
-#endif
+uniform sampler2D u_weights;   // with WEIGHTED sums of alpha times weight in r
 out vec4 colour;
 
 const float MOST_OVERDRAW = 512.0;  // splats at one pixel that show as the map's last colour
@@ -14,20 +12,18 @@ const float MOST_OVERDRAW = 512.0;  // splats at one pixel that show as the map'
 void main() {
     vec4 gathered = texelFetch(u_gathered, ivec2(gl_FragCoord.xy), 0);
     float opacity = 1.0 - gathered.a;
-#if WEIGHTED
-    gathered.rgb *= opacity / max(texelFetch(u_weights, ivec2(gl_FragCoord.xy), 0).r, 1e-30);
-#endif
-#if DEPTH
-    // Expected depth: the mean over what the pixel shows, near bright and far dark.
-    float depth = gathered.r / max(opacity, 1e-6);
-    float t = clamp((depth - u_depth_range.x) / (u_depth_range.y - u_depth_range.x), 0.0, 1.0);
-    gathered.rgb = viridis(1.0 - t) * opacity;
-#elif OVERDRAW
-    // Logarithmic: each doubling of the count is the same step of colour.
-    float t = log2(1.0 + gathered.r) / log2(1.0 + MOST_OVERDRAW);
-    gathered = vec4(inferno(min(t, 1.0)), 0.0);
-    opacity = 1.0;
-#endif
+    if (WEIGHTED) gathered.rgb *= opacity / max(texelFetch(u_weights, ivec2(gl_FragCoord.xy), 0).r, 1e-30);
+    if (DEPTH) {
+        // Expected depth: the mean over what the pixel shows, near bright and far dark.
+        float depth = gathered.r / max(opacity, 1e-6);
+        float t = clamp((depth - u_depth_range.x) / (u_depth_range.y - u_depth_range.x), 0.0, 1.0);
+        gathered.rgb = viridis(1.0 - t) * opacity;
+    } else if (OVERDRAW) {
+        // Logarithmic: each doubling of the count is the same step of colour.
+        float t = log2(1.0 + gathered.r) / log2(1.0 + MOST_OVERDRAW);
+        gathered = vec4(inferno(min(t, 1.0)), 0.0);
+        opacity = 1.0;
+    }
     vec3 sum = gathered.rgb + gathered.a * u_background;
     colour = vec4(clamp(sum, -u_brightest, u_brightest), opacity);
 }

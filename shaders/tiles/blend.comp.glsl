@@ -25,7 +25,7 @@ shared float batch_cs[BATCH];
 shared vec4 batch_colours[BATCH];
 shared uint borders[2];
 shared uint open_pixels;
-#if REST
+#if HAS_REST
 const uint WORDS = uint(BATCH) / 32u;
 shared uint hits[WORDS];
 #endif
@@ -48,7 +48,7 @@ void put(uint place, uint splat) {
     batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
 }
 
-#if REST
+#if HAS_REST
 bool touches(uint splat, ivec2 tile) {
     Outline o = outline_of(splat);
     ivec2 rows = rows_of(o);
@@ -90,7 +90,7 @@ ivec2 step_to(int index) { return ivec2(index * WORKGROUP % TILE, index * WORKGR
 void main() {
     uint me = gl_LocalInvocationID.x;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-#if REST
+#if HAS_REST
     uvec2 range = uvec2(plan.rest_first, plan.rest_end);
 #else
     uint number = gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;

@@ -29,18 +29,26 @@ Origin = tuple[str, int]
 def expand(name: str, version: str, flags: Mapping[str, float | bool]) -> tuple[str, list[Origin]]:
     """Full source of shader `name` (a path under ``shaders/``), and where each of its lines came from.
 
-    Writes ``#version``, then one ``#define`` a flag (True and False become 1 and 0), then the file with
-    every ``#include "path"`` replaced by that file, each file once. Errors are traced by the list of
-    origins rather than by ``#line``, whose file number Mesa 22 does not report back.
+    Writes ``#version``, then the flags as ``#define``s, then the file with every ``#include "path"``
+    replaced by that file, each file once. Errors are traced by the list of origins rather than by ``#line``,
+    whose file number Mesa 22 does not report back.
+
+    A flag guards instructions as an expression, ``if (LIT)``: compilers drop what is under ``if (false)``.
+    For declarations, which they may keep, a bool F also comes as HAS_F, 1 or 0: ``#if HAS_LIT``.
     """
     lines = [f"#version {version}"]
-    lines += [f"#define {flag} {_literal(value)}" for flag, value in sorted(flags.items())]
+    for flag, value in sorted(flags.items()):
+        lines.append(f"#define {flag} {_literal(value)}")
+        if isinstance(value, bool):
+            lines.append(f"#define HAS_{flag} {int(value)}")
     origins = [("(flags)", number) for number in range(1, len(lines) + 1)]
     _append(name, "(loader)", set(), lines, origins)
     return "\n".join(lines) + "\n", origins
 
 
 def _literal(value: float | bool) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
     # A float needs its point: GLSL has no implicit conversion from int in every place.
     return repr(float(value)) if isinstance(value, float) else str(int(value))
 

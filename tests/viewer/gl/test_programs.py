@@ -28,13 +28,14 @@ def test_version_flags_and_includes_come_in_order(shader_folder):
     assert source.splitlines() == [
         "#version 330 core",
         "#define COUNT 3",
-        "#define LIT 1",
+        "#define LIT true",
+        "#define HAS_LIT 1",
         "#define WIDE 2.0",
         "// first",
         "float a;",
         "void main() {}",
     ]
-    assert origins[4:] == [("main.glsl", 1), ("common/a.glsl", 1), ("main.glsl", 3)]
+    assert origins[5:] == [("main.glsl", 1), ("common/a.glsl", 1), ("main.glsl", 3)]
 
 
 def test_each_file_comes_once_even_in_a_circle(shader_folder):
@@ -73,7 +74,7 @@ def test_flags_reach_a_compute_shader(ctx, shader_folder):
     (shader_folder / "c.glsl").write_text(
         "layout(local_size_x = 1) in;\n"
         "layout(std430, binding = 0) buffer Out { float values[]; };\n"
-        "void main() {\n#if LIT\n    values[0] = SIZE + float(COUNT);\n#endif\n}\n"
+        "void main() {\n    if (LIT) values[0] = SIZE + float(COUNT);\n}\n"
     )
     result = ctx.buffer(np.zeros(1, np.float32))
     result.bind_to_storage_buffer(0)
