@@ -52,7 +52,7 @@ def test_bands_by_their_size(random_gaussians):
 
 def test_only_stored_bands_are_listed(random_gaussians):
     for degree in range(4):
-        names = [name for name in receipt(random_gaussians(5, sh_degree=degree)) if name.startswith("SH")]
+        names = [name for name in receipt(random_gaussians(5, sh_degree=degree)) if name.startswith("SH band")]
         assert names == [f"SH band {band}" for band in range(1, degree + 1)]
 
 
@@ -154,7 +154,7 @@ def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkey
     scene = random_gaussians(30)
     expected = census(scene)
     findings = check(scene)
-    monkeypatch.setattr("splatview.scene.effects.check", None)
+    monkeypatch.setattr("splatview.scene.effects.census.check", None)
     assert census(scene, findings=findings) == expected
 
 

@@ -1,0 +1,71 @@
+"""Footprints: whether opacity is scaled by their area, and whether splats are flat."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+
+from ..gaussians import Gaussians
+from ..image_model import BLUR
+from .effect import Effect, Saving
+
+MIP_BLUR = 0.1
+"""px²: the kernel of Mip-Splatting (Yu et al. 2024), for files that say they were trained so."""
+
+FLAT_RATIO = 100.0
+"""Middle to shortest axis, from which on a splat is a disc."""
+
+FLAT_SHARE = 0.99
+"""A scene is flat where all but a stray few of its splats are discs."""
+
+ANTIALIASED = "antialiased opacity"
+
+ANTIALIASED_OPERATIONS = 3
+"""A division, a root and a product a splat."""
+
+
+def antialiasing(comments: tuple[str, ...]) -> tuple[bool, float, str]:
+    """Whether the file says that it was trained antialiased; the kernel in px²; the comment that says so.
+
+    Two tags are in use: ``SplatRenderMode: mip`` (Brush, with Mip-Splatting's kernel of 0.1) and
+    ``antialiased 1`` (Postshot, with the usual kernel of 0.3). The last tag counts.
+    """
+    result = False, BLUR, ""
+    for comment in comments:
+        if mode := re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", comment, re.IGNORECASE):
+            mip = mode[1].lower() == "mip"
+            result = mip, MIP_BLUR if mip else BLUR, comment.strip()
+        elif flag := re.match(r"\s*antialiased\s*[:=]?\s*(\w+)\s*$", comment, re.IGNORECASE):
+            result = flag[1].lower() in ("1", "true"), BLUR, comment.strip()
+    return result
+
+
+def antialiased_effect(gaussians: Gaussians) -> Effect:
+    on, blur, comment = antialiasing(gaussians.comments)
+    said = f"the file says {comment!r}" if comment else "the file does not say that it was trained so"
+    return Effect(
+        name=ANTIALIASED,
+        on=on,
+        why=f"{said}; kernel {blur:g} px²",
+        saving=Saving(operations=ANTIALIASED_OPERATIONS * len(gaussians)),
+        # Of splats much smaller than a pixel nothing is left of the opacity.
+        bound=1.0 if on else 0.0,
+        can_override=True,
+    )
+
+
+def flat_effect(gaussians: Gaussians) -> Effect:
+    said = any(
+        re.match(r"\s*SplatRenderMode\s*[:=]\s*2dgs", text, re.IGNORECASE) for text in gaussians.comments
+    )
+    ordered = np.sort(gaussians.log_scales, axis=1)
+    with np.errstate(invalid="ignore"):
+        discs = int((ordered[:, 1] - ordered[:, 0] > math.log(FLAT_RATIO)).sum())
+    share = discs / len(gaussians) if len(gaussians) else 0.0
+    why = f"{discs:,} of {len(gaussians):,} splats ({share:.0%}) are thinner than 1:{FLAT_RATIO:g}"
+    if said:
+        why += "; the file says SplatRenderMode: 2dgs"
+    on = said or share >= FLAT_SHARE
+    return Effect(name="flat 2D splats", on=on, why=f"{why}; they are drawn as very thin 3D Gaussians")
