@@ -1,8 +1,8 @@
 """Which effects a scene calls for, with the evidence: nothing is computed that cannot be seen."""
 
-from .census import census
 from .effect import GREY_LEVEL, VISIBLE, Effect, Saving, grey_levels
 from .overriding import Overrides, overridable, settings_for
+from .receipt import census
 from .sh_bands import sh_degrees, used_sh_degree
 from .shape import antialiasing
 

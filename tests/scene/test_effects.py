@@ -154,7 +154,7 @@ def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkey
     scene = random_gaussians(30)
     expected = census(scene)
     findings = check(scene)
-    monkeypatch.setattr("splatview.scene.effects.census.check", None)
+    monkeypatch.setattr("splatview.scene.effects.receipt.check", None)
     assert census(scene, findings=findings) == expected
 
 
