@@ -3,7 +3,8 @@
 from .effect import GREY_LEVEL, VISIBLE, Effect, Saving, grey_levels
 from .overriding import Overrides, overridable, settings_for
 from .receipt import census
-from .sh_bands import sh_degrees, used_sh_degree
+from .sh_bands import used_sh_degree, visible_degrees
+from .sh_storage import degree_in_use, own_degrees, sh_degrees
 from .shape import antialiasing
 
 __all__ = [
@@ -14,9 +15,12 @@ __all__ = [
     "Saving",
     "antialiasing",
     "census",
+    "degree_in_use",
     "grey_levels",
     "overridable",
+    "own_degrees",
     "settings_for",
     "sh_degrees",
     "used_sh_degree",
+    "visible_degrees",
 ]

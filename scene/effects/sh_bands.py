@@ -10,18 +10,24 @@ from ..gaussians import SH_COEFFICIENTS, Gaussians
 from ..health import sh_reach
 from ..projection import FLOAT32_MAX
 from .effect import VISIBLE, Effect, Saving, grey_levels
-
-SLICE = 1 << 16
-"""Splats looked at together, so that what is made of them stays in the caches."""
+from .sh_storage import (
+    COEFFICIENT_BYTES,
+    SLICE,
+    bytes_alike,
+    bytes_by_degree,
+    degree_counts,
+    pays,
+    sh_degrees,
+)
 
 BASIS_OPERATIONS = (0, 3, 17, 41)
 """Additions and multiplications of the basis functions up to each degree."""
 
-BYTES_A_COEFFICIENT = 12
-"""Three colours in float32."""
+OWN_DEGREES = "own SH degree a splat"
 
-OWN_DEGREE_BYTES = 4
-"""What it costs to know of each splat where its coefficients begin and how many they are."""
+
+def band_name(band: int) -> str:
+    return f"SH band {band}"
 
 
 def used_sh_degree(gaussians: Gaussians) -> int:
@@ -33,49 +39,30 @@ def used_sh_degree(gaussians: Gaussians) -> int:
     return _used_degree(_largest_reach(gaussians))
 
 
-def sh_degrees(sh: np.ndarray, threshold: float = 0.0) -> np.ndarray:
-    """(N, K, 3) -> (N,) uint8: the lowest degree that shows each splat as the stored does, to `threshold`.
-
-    All bands above it together cannot move the splat's colour by more. At the threshold 0 only coefficients
-    that are zero are left out, and pictures stay the same to the bit. A coefficient that is not finite, which
-    culls its splat, is never left out.
-    """
-    most = SH_COEFFICIENTS.index(sh.shape[1])
-    degrees = np.zeros(len(sh), np.uint8)
-    for start in range(0, len(sh), SLICE):
-        part = sh[start : start + SLICE]
-        of_part = degrees[start : start + SLICE]
-        if threshold <= 0:
-            for band in range(1, most + 1):
-                # NaN is not 0 either.
-                of_part[
-                    (part[:, SH_COEFFICIENTS[band - 1] : SH_COEFFICIENTS[band]] != 0).any(axis=(1, 2))
-                ] = band
-            continue
-        dropped = _dropped(part)
-        for band in range(1, most + 1):
-            # Negated, so that an overflow to inf or NaN counts as visible. 1e-5: float32 sums.
-            of_part[~(dropped[:, band] * (1 + 1e-5) <= threshold)] = band
-    return degrees
-
-
-def sh_bytes_by_degree(counts: np.ndarray) -> int:
-    """Bytes of float32 coefficients where each of counts[d] splats keeps those up to its own degree d."""
-    coefficients = sum(int(count) * SH_COEFFICIENTS[degree] for degree, count in enumerate(counts))
-    return coefficients * BYTES_A_COEFFICIENT + int(sum(counts)) * OWN_DEGREE_BYTES
-
-
 def sh_operations(degree: int) -> int:
     """Additions and multiplications that the colour of one splat takes at an SH degree."""
     return BASIS_OPERATIONS[degree] + 2 * 3 * SH_COEFFICIENTS[degree]
 
 
+def visible_degrees(sh: np.ndarray) -> np.ndarray:
+    """(N, K, 3) -> (N,) uint8: the lowest degree that shows each splat as the stored one does, to VISIBLE.
+
+    A coefficient that is not finite, and so culls its splat, is never left out.
+    """
+    degrees = np.zeros(len(sh), np.uint8)
+    for start in range(0, len(sh), SLICE):
+        dropped, found = _dropped(sh[start : start + SLICE]), degrees[start : start + SLICE]
+        for band in range(1, dropped.shape[1]):
+            found[~_invisible(dropped[:, band])] = band
+    return degrees
+
+
 def band_effects(gaussians: Gaussians) -> list[Effect]:
     """An effect a band, as far as the file has them."""
     reach = _largest_reach(gaussians)
-    used = _used_degree(reach)
+    used, stored, n = _used_degree(reach), len(reach) - 1, len(gaussians)
     effects = []
-    for band in range(1, len(reach)):
+    for band in range(1, stored + 1):
         change = (
             f"the coefficients from this band up move a colour by at most {reach[band]:.2g} "
             f"({grey_levels(reach[band])})"
@@ -83,12 +70,17 @@ def band_effects(gaussians: Gaussians) -> list[Effect]:
         if not math.isfinite(reach[band]):
             change = "a coefficient from this band up is infinite, NaN or nearly so"
         limit = "below half a grey level: not computed" if band > used else "above half a grey level"
+        coefficients = SH_COEFFICIENTS[stored] - SH_COEFFICIENTS[band - 1]
         effects.append(
             Effect(
                 name=band_name(band),
                 on=band <= used,
                 why=f"{change}, {limit}",
-                saving=_saved_bands(len(gaussians), band, len(reach) - 1),
+                # Without a band those above it are of no use.
+                saving=Saving(
+                    bytes=n * coefficients * COEFFICIENT_BYTES,
+                    operations=n * (sh_operations(stored) - sh_operations(band - 1)),
+                ),
                 bound=reach[band] if math.isfinite(reach[band]) else math.inf,
                 can_override=True,
             )
@@ -96,66 +88,37 @@ def band_effects(gaussians: Gaussians) -> list[Effect]:
     return effects
 
 
-def band_name(band: int) -> str:
-    return f"SH band {band}"
-
-
 def own_degrees_effect(gaussians: Gaussians) -> Effect:
-    """Whether splats differ in the bands they have, so that each should have and pay for its own only."""
-    n, stored = len(gaussians), gaussians.sh_degree
-    exact = np.bincount(sh_degrees(gaussians.sh), minlength=stored + 1)
-    nearly = np.bincount(sh_degrees(gaussians.sh, VISIBLE), minlength=stored + 1)
-    highest = int(np.flatnonzero(exact).max(initial=0))
-    plain = n * SH_COEFFICIENTS[highest] * BYTES_A_COEFFICIENT
-    on = own_degrees_pay(exact)
-    listed = ", ".join(f"{count:,} of degree {degree}" for degree, count in enumerate(exact) if count)
-    within = ", ".join(f"{count:,} of degree {degree}" for degree, count in enumerate(nearly) if count)
-    why = f"by the coefficients that are not zero {listed or 'there is no splat'}"
-    if within != listed:
-        why += f"; to within half a grey level {within}"
+    """Whether splats differ so much in their bands that each has and pays for its own only."""
+    counts = degree_counts(sh_degrees(gaussians.sh))
+    visible = degree_counts(visible_degrees(gaussians.sh))
+    on = pays(counts)
+    alike, apart = bytes_alike(counts), bytes_by_degree(counts)
+    why = f"highest band that is not all zero: {_listed(counts)}"
+    if not np.array_equal(visible, counts):
+        why += f"; that can be seen: {_listed(visible)}"
     why += (
-        ": each has its own bands only"
+        f": {apart:,} bytes in place of {alike:,}, at the price of a place a splat"
         if on
-        else ": one layout for all takes no more than a degree for each splat"
+        else f": one layout for all takes {alike:,} bytes, each its own {apart:,}, no tenth less"
     )
     return Effect(
-        name="own SH degree a splat",
+        name=OWN_DEGREES,
         on=on,
         why=why,
-        saving=Saving(
-            what=f"nothing; having it saves {plain - sh_bytes_by_degree(exact):,} bytes"
-            if on
-            else f"{n * OWN_DEGREE_BYTES:,} bytes of degrees"
-        ),
+        saving=Saving(what="" if on else "a place to look up a splat"),
     )
 
 
-LEAST_SAVING = 0.1
-"""Of the bytes of harmonics, from which on splats are stored by their own degrees: below it the detour by a
-table of degrees takes as much time as the coefficients that it spares."""
-
-
-def own_degrees_pay(counts: np.ndarray) -> bool:
-    """Whether storing each splat's own bands saves LEAST_SAVING; counts (degrees,): splats of each degree."""
-    highest = int(np.flatnonzero(counts).max(initial=0))
-    plain = int(sum(counts)) * SH_COEFFICIENTS[highest] * BYTES_A_COEFFICIENT
-    return sh_bytes_by_degree(counts) < (1 - LEAST_SAVING) * plain
-
-
-def _saved_bands(splats: int, band: int, stored: int) -> Saving:
-    """Of all bands from `band` up to the stored degree."""
-    coefficients = SH_COEFFICIENTS[stored] - SH_COEFFICIENTS[band - 1]
-    return Saving(
-        bytes=splats * coefficients * BYTES_A_COEFFICIENT,
-        operations=splats * (sh_operations(stored) - sh_operations(band - 1)),
-    )
+def _listed(counts: np.ndarray) -> str:
+    return ", ".join(f"{n:,} of degree {d}" for d, n in enumerate(counts) if n) or "none"
 
 
 def _dropped(sh: np.ndarray) -> np.ndarray:
     """(n, K, 3) -> (n, degree + 1): how far bands d and up together can move a splat's colour."""
     with np.errstate(over="ignore", invalid="ignore"):
-        reach = sh_reach(sh)
-        return np.cumsum(reach[:, ::-1], axis=1)[:, ::-1].max(axis=2)
+        # From the highest band down: what dropping this band and all above it would cost.
+        return np.cumsum(sh_reach(sh)[:, ::-1], axis=1)[:, ::-1].max(axis=2)
 
 
 def _largest_reach(gaussians: Gaussians) -> list[float]:
@@ -179,8 +142,10 @@ def _largest_reach(gaussians: Gaussians) -> list[float]:
 
 
 def _used_degree(reach: list[float]) -> int:
-    for degree in range(len(reach) - 1, 0, -1):
-        # Negated, so that an overflow to inf or NaN counts as visible. 1e-5: float32 sums.
-        if not reach[degree] * (1 + 1e-5) <= VISIBLE:
-            return degree
-    return 0
+    return max((band for band in range(1, len(reach)) if not _invisible(reach[band])), default=0)
+
+
+def _invisible(reach):
+    """Of changes of a colour; an overflow to inf or NaN counts as visible. 1e-5: float32 sums."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return reach * (1 + 1e-5) <= VISIBLE
