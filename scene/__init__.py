@@ -4,6 +4,7 @@ from .camera import Camera, look_at, look_at_matrix
 from .errors import InputError
 from .gaussians import Gaussians, concatenate
 from .image_model import TEXTBOOK, ImageModel, RenderSettings
+from .lens import Lens
 
 __all__ = [
     "TEXTBOOK",
@@ -11,6 +12,7 @@ __all__ = [
     "Gaussians",
     "ImageModel",
     "InputError",
+    "Lens",
     "RenderSettings",
     "concatenate",
     "look_at",

@@ -1,4 +1,8 @@
-"""A pinhole camera: intrinsics in pixels and a world-to-camera matrix, OpenCV axes."""
+"""A camera: intrinsics in pixels, a world-to-camera matrix with OpenCV's axes, and perhaps a lens.
+
+Without a lens it is a pinhole. An orthographic camera has parallel rays instead, along its viewing
+direction: its eye only says where the depth of 0 is.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .lens import Lens, distort, seen_through, undistort
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
@@ -15,7 +21,8 @@ class Camera:
 
     Raises:
         ValueError: a size below 1, a focal length that is not positive and finite, or a matrix that is
-            not finite, not 4x4, or whose upper left 3x3 is no rotation (to 1e-3).
+            not finite, not 4x4, or whose upper left 3x3 is no rotation (to 1e-3), or a lens before parallel
+            rays.
     """
 
     width: int
@@ -28,6 +35,10 @@ class Camera:
     """(4, 4) float64, acts on column vectors."""
     name: str = ""
     """What a camera list calls it, a photo's file name say."""
+    lens: Lens | None = None
+    """None for a pinhole, which is also what a lens that changes nothing becomes."""
+    orthographic: bool = False
+    """Parallel rays: then fx and fy are px per world unit."""
 
     def __post_init__(self) -> None:
         if not (self.width >= 1 and self.height >= 1):
@@ -48,6 +59,10 @@ class Camera:
             raise ValueError("camera world_to_camera must hold a rotation (orthonormal, no mirror, no scale)")
         matrix.flags.writeable = False
         object.__setattr__(self, "world_to_camera", matrix)
+        if self.lens is not None and self.lens.is_pinhole:
+            object.__setattr__(self, "lens", None)
+        if self.lens is not None and self.orthographic:
+            raise ValueError("an orthographic camera has no lens: its rays are parallel")
 
     @property
     def R_camera_world(self) -> np.ndarray:
@@ -72,9 +87,50 @@ class Camera:
     def same_view(self, other: Camera) -> bool:
         """Whether both cameras make the same picture of any scene (names apart)."""
         return (
-            (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
-            == (other.width, other.height, other.fx, other.fy, other.cx, other.cy)
+            (*self._intrinsics, self.lens, self.orthographic)
+            == (*other._intrinsics, other.lens, other.orthographic)
         ) and np.array_equal(self.world_to_camera, other.world_to_camera)
+
+    @property
+    def _intrinsics(self) -> tuple[int, int, float, float, float, float]:
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy
+
+    @property
+    def seen_slopes(self) -> tuple[float, float, float, float]:
+        """Least x/z, least y/z, greatest x/z, greatest y/z of the rays that the picture sees."""
+        if self.lens is not None:
+            return seen_through(self.lens, *self._intrinsics)
+        left, top = -self.cx / self.fx, -self.cy / self.fy
+        return left, top, (self.width - self.cx) / self.fx, (self.height - self.cy) / self.fy
+
+    def slope_limits(self, margin: float | None) -> tuple[float, float, float, float]:
+        """`seen_slopes`, wider by `margin` times half their range (image model, step 2). None: no limits."""
+        if margin is None:
+            return -math.inf, -math.inf, math.inf, math.inf
+        left, top, right, bottom = self.seen_slopes
+        beside, above = margin * (right - left) / 2, margin * (bottom - top) / 2
+        return left - beside, top - above, right + beside, bottom + above
+
+    def image_points(self, t: np.ndarray) -> np.ndarray:
+        """Where points t (..., 3) in camera axes are seen: (..., 2) float64 px. Without meaning where z <= 0
+        and rays are not parallel; NaN where the lens shows nothing."""
+        t = np.asarray(t, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            flat = t[..., :2] if self.orthographic else t[..., :2] / t[..., 2:]
+            if self.lens is not None:
+                beyond = ~((flat * flat).sum(axis=-1) < self.lens.form.reach_squared)
+                flat = distort(flat, self.lens)
+                flat[beyond] = np.nan
+            return flat * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def points_at(self, pixels: ArrayLike, depth: float) -> np.ndarray:
+        """The inverse: points (..., 3) in camera axes at z = `depth` that are seen at pixels (..., 2)."""
+        flat = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        if self.lens is not None:
+            flat = undistort(flat, self.lens)
+        if not self.orthographic:
+            flat = flat * depth
+        return np.concatenate([flat, np.full((*flat.shape[:-1], 1), float(depth))], axis=-1)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on width x height pixels; intrinsics scale by the exact ratios."""

@@ -21,6 +21,7 @@ import numpy as np
 from .camera import Camera
 from .gaussians import Gaussians
 from .image_model import MIN_QUAT_COMPONENT, RenderSettings
+from .lens import distort, distortion_jacobians
 from .sh import sh_colours
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
@@ -104,6 +105,8 @@ def project(
         scales = np.exp(gaussians.log_scales.astype(dtype))
         opacities = sigmoid(gaussians.opacity_logits.astype(dtype))
         keep = t[:, 2] >= model.near
+        if camera.lens is not None:
+            keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
         keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT
         for values in (offsets, t, quats, scales, opacities[:, None], used_sh):
             keep &= _finite(values)
@@ -130,7 +133,7 @@ def project(
         b = -covariances[:, 1] / covariances[:, 2] * a
         c = 1 / (np.sqrt(covariances[:, 2]) * spread)
         conic_factors = np.stack([a, b, c], axis=1)
-        means2d = t[:, :2] / t[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+        means2d = image_points(t, camera)
         real_covariances = covariances * (spread * spread)[:, None]
         if model.alpha_cut > 0:
             reach = 2 * np.log(opacities / model.alpha_cut)
@@ -141,9 +144,7 @@ def project(
             drawn = opacities > 0
     drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d) & _finite(real_covariances)
 
-    # By the largest component first: the squares of 1e20 leave float32's range.
-    directions = offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = viewing_directions(offsets, camera)
     colours = sh_colours(used_sh[indices], directions, degree)
     drawn &= _finite(colours)
     return Footprints(
@@ -158,32 +159,45 @@ def project(
     )
 
 
-def projection_jacobians(t: np.ndarray, camera: Camera, margin: float | None) -> np.ndarray:
-    """J (N, 2, 3) of the pinhole projection at camera-space points `t` (N, 3), in px per world unit.
+def image_points(t: np.ndarray, camera: Camera) -> np.ndarray:
+    """(N, 2) px: where camera-space points `t` (N, 3) are seen, float64 or float32 as they are."""
+    flat = t[:, :2] if camera.orthographic else t[:, :2] / t[:, 2:]
+    if camera.lens is not None:
+        flat = distort(flat, camera.lens)
+    return flat * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
-    `margin` (image model, step 2) keeps the affine approximation tame beside the image; it knows an
-    off-centre principal point. None: no clamp.
+
+def viewing_directions(offsets: np.ndarray, camera: Camera) -> np.ndarray:
+    """(N, 3) unit, world axes: how the camera looks at points that are `offsets` (N, 3) from its eye."""
+    if camera.orthographic:
+        return np.broadcast_to(camera.forward.astype(offsets.dtype), offsets.shape)
+    # By the largest component first: the squares of 1e20 leave float32's range.
+    directions = offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def projection_jacobians(t: np.ndarray, camera: Camera, margin: float | None) -> np.ndarray:
+    """J (N, 2, 3) of the projection at camera-space points `t` (N, 3), in px per world unit.
+
+    `margin` (image model, step 2) keeps the affine approximation tame beside the image. None: no clamp.
     """
-    x, y, z = t.T
-    u, v = x / z, y / z
-    if margin is not None:
-        tan_x, tan_y = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
-        u = np.clip(
-            u,
-            -camera.cx / camera.fx - margin * tan_x,
-            (camera.width - camera.cx) / camera.fx + margin * tan_x,
-        )
-        v = np.clip(
-            v,
-            -camera.cy / camera.fy - margin * tan_y,
-            (camera.height - camera.cy) / camera.fy + margin * tan_y,
-        )
     J = np.zeros((len(t), 2, 3), dtype=t.dtype)
-    J[:, 0, 0] = camera.fx / z
-    J[:, 0, 2] = -camera.fx * u / z
-    J[:, 1, 1] = camera.fy / z
-    J[:, 1, 2] = -camera.fy * v / z
-    return J
+    if camera.orthographic:
+        J[:, 0, 0], J[:, 1, 1] = camera.fx, camera.fy
+        return J
+    x, y, z = t.T
+    u_min, v_min, u_max, v_max = camera.slope_limits(margin)
+    u, v = np.clip(x / z, u_min, u_max), np.clip(y / z, v_min, v_max)
+    if camera.lens is None:
+        J[:, 0, 0] = camera.fx / z
+        J[:, 0, 2] = -camera.fx * u / z
+        J[:, 1, 1] = camera.fy / z
+        J[:, 1, 2] = -camera.fy * v / z
+        return J
+    bent = distortion_jacobians(np.stack([u, v], axis=1), camera.lens)
+    J[:, :, :2] = bent / z[:, None, None]
+    J[:, :, 2] = -(bent @ np.stack([u, v], axis=1)[:, :, None])[:, :, 0] / z[:, None]
+    return J * np.array([camera.fx, camera.fy], dtype=t.dtype)[:, None]
 
 
 def footprint_covariances(

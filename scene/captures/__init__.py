@@ -12,12 +12,12 @@ from ..errors import InputError
 from ..files.progress import LoadCancelled, Watch
 from .assemble import capture_name, capture_of
 from .camera_list import FILE_NAME, read_camera_list
-from .capture import Capture, Photo, Pixels
+from .capture import Capture, LensUse, Photo, Pixels
 from .colmap import find_colmap, read_colmap
 from .posed import PosedPhotos
 from .transforms import find_transforms, read_transforms
 
-__all__ = ["Capture", "LoadCancelled", "Photo", "Pixels", "load_capture"]
+__all__ = ["Capture", "LensUse", "LoadCancelled", "Photo", "Pixels", "load_capture"]
 
 
 def load_capture(
@@ -25,15 +25,16 @@ def load_capture(
     *,
     downscale: int = 1,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    lens: LensUse = "undistort",
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Capture:
     """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
-    Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; lens distortion is taken
-    out; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by sorted name, starting
-    with the first, is held out unless the capture says which. `progress` gets the share done, 0 to 1;
-    `cancelled` is asked after every photo; both are called from this thread.
+    Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; `lens` says what is
+    done about distortion; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by
+    sorted name, starting with the first, is held out unless the capture says which. `progress` gets the
+    share done, 0 to 1; `cancelled` is asked after every photo; both are called from this thread.
 
     Raises:
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
@@ -47,7 +48,12 @@ def load_capture(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         folder, posed = _read_poses(path)
         return capture_of(
-            posed, name=capture_name(folder), downscale=downscale, background=background, watch=watch
+            posed,
+            name=capture_name(folder),
+            downscale=downscale,
+            background=background,
+            lens=lens,
+            watch=watch,
         )
 
 

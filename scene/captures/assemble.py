@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..camera import Camera
 from ..errors import InputError
 from ..files.progress import Watch
-from .capture import Capture, Photo, Pixels
-from .lens import undistort
+from .capture import Capture, LensUse, Photo, Pixels
 from .photos import downscaled_size, read_pixels
 from .posed import PosedPhotos, Shot
 from .start_points import MIN_POINTS, random_points
@@ -42,6 +42,7 @@ def capture_of(
     name: str,
     downscale: int,
     background: tuple[float, float, float],
+    lens: LensUse,
     watch: Watch,
 ) -> Capture:
     """Raises InputError, LoadCancelled."""
@@ -53,7 +54,7 @@ def capture_of(
 
     photos, hidden, transparent, kept = [], [], 0, 0
     for shot, is_held_out, (pixels, is_transparent) in zip(
-        shots, held_out, _read_all(shots, downscale, background, watch), strict=True
+        shots, held_out, _read_all(shots, downscale, background, lens, watch), strict=True
     ):
         if pixels.mask is not None and not pixels.mask.any():
             hidden.append(shot.name)
@@ -63,9 +64,11 @@ def capture_of(
         photos.append(
             Photo(
                 name=shot.name,
-                camera=_resized(shot, downscale),
+                camera=_resized(shot, downscale, lens),
                 held_out=is_held_out,
-                pixels=_in_memory(pixels) if kept <= KEEP_BYTES else _on_demand(shot, downscale, background),
+                pixels=_in_memory(pixels)
+                if kept <= KEEP_BYTES
+                else _on_demand(shot, downscale, background, lens),
             )
         )
 
@@ -85,7 +88,8 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
-    warnings += _lens_notes(shots)
+    if lens == "undistort":
+        warnings += _lens_notes(shots)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
     points, colours = posed.points[usable], posed.point_colours[usable]
     lost = len(usable) - np.count_nonzero(usable)
@@ -139,8 +143,8 @@ def _held_out(shots: Sequence[Shot]) -> list[bool]:
     return [i % HOLD_OUT_EVERY == 0 for i in range(len(shots))]
 
 
-def _resized(shot: Shot, downscale: int):
-    camera = replace(shot.camera, name=shot.name)
+def _resized(shot: Shot, downscale: int, lens: LensUse):
+    camera = replace(shot.camera, name=shot.name, lens=shot.camera.lens if lens == "through" else None)
     width, height = downscaled_size(camera.width, camera.height, downscale)
     if not (width >= 1 and height >= 1):
         raise InputError(
@@ -150,21 +154,29 @@ def _resized(shot: Shot, downscale: int):
     return camera.resized(width, height)
 
 
-def _read_all(shots: Sequence[Shot], downscale: int, background: tuple[float, float, float], watch: Watch):
+def _read_all(
+    shots: Sequence[Shot],
+    downscale: int,
+    background: tuple[float, float, float],
+    lens: LensUse,
+    watch: Watch,
+):
     """Yields `read_pixels` of each shot in turn."""
     for shot in shots:
-        _resized(shot, downscale)
+        _resized(shot, downscale, lens)
     readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
     pool = ThreadPoolExecutor(readers, thread_name_prefix="photos")
     try:
         watch.step(0.0)
         # Only a few ahead: what is read and waits is held in memory.
-        pending = [pool.submit(read_pixels, shot, downscale, background) for shot in shots[: 2 * readers]]
+        pending = [
+            pool.submit(read_pixels, shot, downscale, background, lens) for shot in shots[: 2 * readers]
+        ]
         for i in range(len(shots)):
             result = pending[i].result()
             watch.step((i + 1) / len(shots))
             if len(pending) < len(shots):
-                pending.append(pool.submit(read_pixels, shots[len(pending)], downscale, background))
+                pending.append(pool.submit(read_pixels, shots[len(pending)], downscale, background, lens))
             yield result
     finally:
         pool.shutdown(cancel_futures=True)
@@ -174,8 +186,10 @@ def _in_memory(pixels: Pixels) -> Callable[[], Pixels]:
     return lambda: pixels
 
 
-def _on_demand(shot: Shot, downscale: int, background: tuple[float, float, float]) -> Callable[[], Pixels]:
-    return lambda: read_pixels(shot, downscale, background)[0]
+def _on_demand(
+    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+) -> Callable[[], Pixels]:
+    return lambda: read_pixels(shot, downscale, background, lens)[0]
 
 
 def _some(names: Sequence[str]) -> str:
@@ -186,18 +200,25 @@ def _some(names: Sequence[str]) -> str:
 def _lens_notes(shots: Sequence[Shot]) -> list[str]:
     """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
     notes = []
-    for lens in dict.fromkeys(shot.lens for shot in shots if any(shot.lens.distortion)):
-        x, y = (np.linspace(0.5, size - 0.5, 25) for size in (lens.width, lens.height))
-        grid = np.stack(np.meshgrid((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy), axis=-1)
-        there = undistort(grid, lens) * (lens.fx, lens.fy) + (lens.cx, lens.cy)
+    by_lens = {_intrinsics(shot.camera): shot.camera for shot in shots if shot.camera.lens is not None}
+    for camera in by_lens.values():
+        x, y = (np.linspace(0.5, size - 0.5, 25) for size in (camera.width, camera.height))
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
+        pinhole = replace(camera, lens=None)
+        there = pinhole.image_points(camera.points_at(grid, 1.0))
         with np.errstate(invalid="ignore"):
-            shown = ((there >= 0) & (there <= (lens.width, lens.height))).all(axis=-1)
+            shown = ((there >= 0) & (there <= (camera.width, camera.height))).all(axis=-1)
         lost = 1 - shown.mean()
-        if lost > LOSS_TO_MENTION:
+        if lost > LOSS_TO_MENTION and camera.lens is not None:
             notes.append(
-                f"{lost:.0%} of each {lens.model} photo lies outside its undistorted picture and is not used"
+                f"{lost:.0%} of each {camera.lens.model} photo lies outside its undistorted picture and is "
+                "not used"
             )
     return notes
+
+
+def _intrinsics(camera: Camera) -> tuple:
+    return camera.lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
 def capture_name(path: Path) -> str:

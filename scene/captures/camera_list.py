@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..files import load_cameras
-from ..files.colmap import ColmapCamera
 from .ply_points import first_points
 from .posed import PosedPhotos, Shot, find_mask, find_photo, tidy_name
 
@@ -30,18 +29,7 @@ def read_camera_list(folder: Path, path: Path) -> PosedPhotos:
         if photo is None:
             missing.append(name)
             continue
-        lens = ColmapCamera(
-            model="PINHOLE",
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            distortion=(),
-            is_fisheye=False,
-        )
-        shots.append(Shot(name=name, path=photo, camera=camera, lens=lens, mask=find_mask(folder, name)))
+        shots.append(Shot(name=name, path=photo, camera=camera, mask=find_mask(folder, name)))
     points, colours, warnings = first_points(folder, (), POINTS)
     return PosedPhotos(
         source=path,

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from ..camera import Camera
+
+LensUse = Literal["undistort", "through"]
+"""What is done about photos whose lens is no pinhole: their distortion is taken out when they are read, or
+they stay as they are and are compared with pictures that are rendered through their lens."""
 
 EXTENT_MARGIN = 1.1
 """How far a scene reaches beyond its cameras, by Kerbl et al. 2023."""
@@ -15,7 +20,7 @@ EXTENT_MARGIN = 1.1
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pixels:
-    """A photo as training compares it: through a pinhole, at its final size."""
+    """A photo as training compares it, at its final size."""
 
     image: np.ndarray
     """(H, W, 3) uint8, read-only."""
@@ -28,7 +33,7 @@ class Photo:
     name: str
     """As the capture names it, sub-folders with forward slashes."""
     camera: Camera
-    """A pinhole of the image's size: after undistortion and downscaling. Its name is the photo's."""
+    """Of the image's size: after downscaling, and a pinhole after undistortion. Its name is the photo's."""
     held_out: bool
     """Kept from training, to measure it by."""
     pixels: Callable[[], Pixels]

@@ -56,7 +56,6 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
                 name=name,
                 path=path,
                 camera=image_camera(image, lens, paths[1]),
-                lens=lens,
                 mask=find_mask(root, name),
                 held_out=None if held_out is None else name in held_out,
             )

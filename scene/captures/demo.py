@@ -16,6 +16,7 @@ from ..demo import demo_scene
 from ..errors import InputError
 from ..gaussians import Gaussians
 from ..image_model import RenderSettings
+from ..lens import Lens
 from ..projection import sigmoid
 from ..sh import SH_C0
 from .assemble import HOLD_OUT_EVERY
@@ -65,13 +66,15 @@ def demo_capture(
     height: int = 240,
     splats: int | None = None,
     truth: Gaussians | None = None,
+    lens: Lens | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Capture:
     """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
 
-    `truth` is `demo_truth(splats)` where the caller has it already. `seed` is of the noise alone. A renderer
-    may be anything; this package knows none.
+    `truth` is `demo_truth(splats)` where the caller has it already. `lens` is what pictures are taken
+    through, with the focal length of the pinhole. `seed` is of the noise alone. A renderer may be anything;
+    this package knows none.
 
     Raises:
         InputError: fewer than two photos.
@@ -82,6 +85,7 @@ def demo_capture(
         truth = demo_truth(splats)
     shots = []
     for i, camera in enumerate(demo_cameras(photos, width, height)):
+        camera = replace(camera, lens=lens)
         picture = render(truth, camera, RenderSettings())[..., :3]
         image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
         image.flags.writeable = False
@@ -111,11 +115,10 @@ def _points(
     means = truth.means.astype(np.float64)
     seen = np.zeros(len(means), dtype=np.int64)
     for camera in cameras:
-        x, y, z = (means @ camera.R_camera_world.T + camera.t_camera_world).T
-        ahead = z > 0.1
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-            seen += ahead & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+        t = means @ camera.R_camera_world.T + camera.t_camera_world
+        with np.errstate(invalid="ignore"):
+            x, y = camera.image_points(t).T
+            seen += (t[:, 2] > 0.1) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
     found = np.flatnonzero((seen >= 2) & (sigmoid(truth.opacity_logits) > MIN_OPACITY))
     found = rng.choice(found, min(POINTS, len(found)), replace=False)
 

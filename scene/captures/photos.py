@@ -1,4 +1,4 @@
-"""A photo's file to the pixels that are trained on: decoded, undistorted, masked and downscaled."""
+"""A photo's file to the pixels that are trained on: decoded, perhaps undistorted, masked and downscaled."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
-from .capture import Pixels
+from .capture import LensUse, Pixels
 from .orientation import as_posed, stored_size
 from .posed import Shot
-from .resample import area_averaged, undistorted, wholly_valid
+from .resample import area_averaged, pixels_that_see, undistorted, wholly_valid
 
 MASK_THRESHOLD = 128
 """Of 255: darker pixels of a mask are ignored. Masks saved as JPEG have no clean black."""
@@ -39,27 +39,33 @@ def downscaled_size(width: int, height: int, downscale: int) -> tuple[int, int]:
     return width // downscale, height // downscale
 
 
-def read_pixels(shot: Shot, downscale: int, background: tuple[float, float, float]) -> tuple[Pixels, bool]:
+def read_pixels(
+    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+) -> tuple[Pixels, bool]:
     """The photo as it is trained on, and whether any of the background shows in it. Raises InputError."""
-    lens = shot.lens
-    decoded = _decode(shot.path, (lens.width, lens.height), background)
-    _check_size(shot.path, decoded.rgb, lens.width, lens.height)
+    size = shot.camera.width, shot.camera.height
+    decoded = _decode(shot.path, size, background)
+    _check_size(shot.path, decoded.rgb, *size)
     image, mask = decoded.rgb, None
     if shot.mask is not None:
-        mask = _decode_mask(shot.mask, (lens.width, lens.height))
-        _check_size(shot.mask, mask, lens.width, lens.height)
-    if any(lens.distortion):
+        mask = _decode_mask(shot.mask, size)
+        _check_size(shot.mask, mask, *size)
+    if shot.camera.lens is not None and lens == "undistort":
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
-        image, valid = undistorted(np.concatenate(channels, axis=2), lens)
+        image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
         image, mask = image[..., :3], valid
-    width, height = downscaled_size(lens.width, lens.height, downscale)
+    width, height = downscaled_size(*size, downscale)
     image = np.ascontiguousarray(area_averaged(image, width, height))
     image.flags.writeable = False
     if mask is not None:
         mask = wholly_valid(mask, width, height)
+    if shot.camera.lens is not None and lens == "through":
+        seen = pixels_that_see(shot.camera.resized(width, height))
+        mask = seen if mask is None or seen is None else mask & seen
+    if mask is not None:
         mask.flags.writeable = False
         mask = None if mask.all() else mask
     return Pixels(image=image, mask=mask), decoded.is_transparent

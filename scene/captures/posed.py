@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from ..camera import Camera
-from ..files.colmap import ColmapCamera
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Of photos whose names come without."""
@@ -23,8 +22,7 @@ class Shot:
     name: str
     path: Path
     camera: Camera
-    """The lens without its distortion, at the size of the file."""
-    lens: ColmapCamera
+    """With its lens, at the size of the file."""
     mask: Path | None = None
     held_out: bool | None = None
     """None: the capture does not say."""

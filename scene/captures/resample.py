@@ -11,16 +11,18 @@ megapixel on one core, once.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from ..files.colmap import ColmapCamera
-from .lens import distort, fold_radius
+from ..camera import Camera
+from ..lens import FISHEYE_REACH, Lens, distort, undistort
 
 ROWS_AT_ONCE = 64
 """Of an undistorted photo: bounds the memory for its coordinates."""
 
 
-def undistorted(image: np.ndarray, lens: ColmapCamera) -> tuple[np.ndarray, np.ndarray]:
+def undistorted(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The photo as a pinhole of the same size, focal lengths and principal point would have taken it.
 
     image: (H, W, C) uint8, C <= 4. Returns (H, W, C) uint8, and (H, W) bool: which pixels the photo covers.
@@ -39,19 +41,19 @@ def undistorted(image: np.ndarray, lens: ColmapCamera) -> tuple[np.ndarray, np.n
     def at(indices: np.ndarray) -> np.ndarray:
         return flat.take(indices).view(np.uint8).reshape(-1, 4).astype(np.float32)
 
-    u = (np.arange(width) + 0.5 - lens.cx) / lens.fx
-    v = (np.arange(height) + 0.5 - lens.cy) / lens.fy
-    fold = fold_radius(lens, float(np.hypot(np.abs(u).max(), np.abs(v).max())))
+    u = (np.arange(width) + 0.5 - camera.cx) / camera.fx
+    v = (np.arange(height) + 0.5 - camera.cy) / camera.fy
+    lens = camera.lens or Lens(model="PINHOLE")
     for top in range(0, height, ROWS_AT_ONCE):
         rows = slice(top, min(top + ROWS_AT_ONCE, height))
         rays = np.stack(np.broadcast_arrays(u[None, :], v[rows, None]), axis=-1)
         there = distort(rays, lens)
         # From pixel centres: 0 is the middle of the first pixel.
-        x = there[..., 0] * lens.fx + lens.cx - 0.5
-        y = there[..., 1] * lens.fy + lens.cy - 0.5
+        x = there[..., 0] * camera.fx + camera.cx - 0.5
+        y = there[..., 1] * camera.fy + camera.cy - 0.5
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        if np.isfinite(fold):
-            inside &= np.hypot(rays[..., 0], rays[..., 1]) < fold
+        if np.isfinite(lens.reach):
+            inside &= np.hypot(rays[..., 0], rays[..., 1]) < lens.reach
         valid[rows] = inside
         x, y = x[inside].astype(np.float32), y[inside].astype(np.float32)
         left = np.clip(x.astype(np.int64), 0, max(width - 2, 0))
@@ -64,6 +66,31 @@ def undistorted(image: np.ndarray, lens: ColmapCamera) -> tuple[np.ndarray, np.n
         above += (below - above) * ay
         out[rows][inside] = (above + 0.5).astype(np.uint8)
     return out[..., :channels], valid
+
+
+def pixels_that_see(camera: Camera) -> np.ndarray | None:
+    """(H, W) bool: pixels that the lens shows something at, which corners of a fisheye's picture often are
+    not; None where all are."""
+    lens = camera.lens
+    border = camera.seen_slopes
+    if lens is None or not max(map(abs, border)) >= min(lens.reach, FISHEYE_REACH):
+        return None
+    return _pixels_that_see(
+        lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    ).copy()
+
+
+@lru_cache(maxsize=16)
+def _pixels_that_see(
+    lens: Lens, width: int, height: int, fx: float, fy: float, cx: float, cy: float
+) -> np.ndarray:
+    seen = np.empty((height, width), dtype=bool)
+    x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
+    for top in range(0, height, ROWS_AT_ONCE):
+        rows = slice(top, min(top + ROWS_AT_ONCE, height))
+        points = np.stack(np.broadcast_arrays(x[None, :], y[rows, None]), axis=-1)
+        seen[rows] = np.isfinite(undistort(points, lens)).all(axis=-1)
+    return seen
 
 
 def area_averaged(image: np.ndarray, width: int, height: int) -> np.ndarray:

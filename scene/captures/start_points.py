@@ -73,8 +73,8 @@ def _in_front(
     points = np.empty((count, 3))
     for i, camera in enumerate(cameras):
         mine = slice(i, None, len(cameras))
-        x = (pixel[mine, 0] * camera.width - camera.cx) / camera.fx
-        y = (pixel[mine, 1] * camera.height - camera.cy) / camera.fy
-        rays = np.stack([x, y, np.ones_like(x)], axis=1) * depth[mine, None]
+        rays = camera.points_at(pixel[mine] * (camera.width, camera.height), 1.0)
+        # Pixels that the lens shows nothing at: straight ahead instead.
+        rays = np.where(np.isfinite(rays), rays, (0.0, 0.0, 1.0)) * depth[mine, None]
         points[mine] = (rays - camera.t_camera_world) @ camera.R_camera_world
     return points

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import InputError
-from ..files.colmap import ColmapCamera
 from ..files.excerpt import excerpt
 from ..files.json_values import array, integer, number, read_json
+from ..lens import Lens
 from .photos import image_size
 from .ply_points import first_points
 from .posed import PosedPhotos, Shot, find_mask, find_photo, tidy_name
@@ -94,17 +94,7 @@ def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
 def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None) -> Shot:
     name = tidy_name(values["file_path"])
     try:
-        lens = _lens(values, where, photo)
-        camera = Camera(
-            width=lens.width,
-            height=lens.height,
-            fx=lens.fx,
-            fy=lens.fy,
-            cx=lens.cx,
-            cy=lens.cy,
-            world_to_camera=_world_to_camera(values, where),
-            name=name,
-        )
+        camera = _camera(values, where, photo, name)
     except InputError:
         raise
     except (ValueError, OverflowError) as error:
@@ -113,7 +103,6 @@ def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held
         name=name,
         path=photo,
         camera=camera,
-        lens=lens,
         mask=_mask(values, where, folder, name),
         held_out=held_out,
     )
@@ -142,7 +131,8 @@ def _world_to_camera(values: Mapping[str, Any], where: str) -> np.ndarray:
     return matrix
 
 
-def _lens(values: Mapping[str, Any], where: str, photo: Path) -> ColmapCamera:
+def _camera(values: Mapping[str, Any], where: str, photo: Path, name: str) -> Camera:
+    """Raises InputError, or ValueError of `Camera`."""
     if "w" in values and "h" in values:
         width, height = integer(values, "w", where), integer(values, "h", where)
     else:
@@ -152,6 +142,20 @@ def _lens(values: Mapping[str, Any], where: str, photo: Path) -> ColmapCamera:
     fy = _focal(values, "y", height, where)
     if fx is None and fy is None:
         raise InputError(f"{where}: has neither fl_x nor camera_angle_x; the focal length is unknown")
+    return Camera(
+        width=width,
+        height=height,
+        fx=fx or fy or 0.0,
+        fy=fy or fx or 0.0,
+        cx=_optional(values, "cx", width / 2, where),
+        cy=_optional(values, "cy", height / 2, where),
+        world_to_camera=_world_to_camera(values, where),
+        name=name,
+        lens=_lens(values, where),
+    )
+
+
+def _lens(values: Mapping[str, Any], where: str) -> Lens:
     names = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
     k1, k2, k3, k4, k5, k6, p1, p2 = (_optional(values, name, 0.0, where) for name in names)
     kind = str(values.get("camera_model") or "").upper()
@@ -165,17 +169,7 @@ def _lens(values: Mapping[str, Any], where: str, photo: Path) -> ColmapCamera:
         model, distortion = "RADIAL4", (k1, k2, k3, k4, p1, p2)
     if not all(map(math.isfinite, distortion)):
         raise InputError(f"{where}: the distortion must be finite numbers")
-    return ColmapCamera(
-        model=model,
-        width=width,
-        height=height,
-        fx=fx or fy or 0.0,
-        fy=fy or fx or 0.0,
-        cx=_optional(values, "cx", width / 2, where),
-        cy=_optional(values, "cy", height / 2, where),
-        distortion=distortion,
-        is_fisheye=model == "OPENCV_FISHEYE",
-    )
+    return Lens(model=model, parameters=distortion)
 
 
 def _focal(values: Mapping[str, Any], axis: str, size: int, where: str) -> float | None:

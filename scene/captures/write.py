@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
+from ..lens import Lens
 from .capture import Capture, Photo
 
 POINTS = "sparse_pc.ply"
@@ -28,8 +29,9 @@ def save_capture(
     Masks and what photos were laid over are not written. `progress` gets the share done, 0 to 1.
 
     Raises:
-        InputError: the system refuses.
+        InputError: the system refuses, or the format does not know a photo's lens.
     """
+    lenses = [_lens_values(photo.camera.lens, folder) for photo in capture.photos]
     images = folder / "images"
     try:
         images.mkdir(parents=True, exist_ok=True)
@@ -38,11 +40,10 @@ def save_capture(
             progress((i + 1) / len(capture.photos))
         (folder / POINTS).write_bytes(_point_cloud(capture.points, capture.point_colours))
         content = {
-            "camera_model": "OPENCV",
             "ply_file_path": POINTS,
             "train_filenames": [f"images/{photo.name}" for photo in capture.train],
             "test_filenames": [f"images/{photo.name}" for photo in capture.held_out],
-            "frames": [_frame(photo) for photo in capture.photos],
+            "frames": [{**_frame(photo), **lens} for photo, lens in zip(capture.photos, lenses, strict=True)],
         }
         # Last: a folder with this file is whole.
         (folder / "transforms.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
@@ -63,6 +64,26 @@ def _frame(photo: Photo) -> dict[str, object]:
         "cy": camera.cy,
         "transform_matrix": to_world.tolist(),
     }
+
+
+def _lens_values(lens: Lens | None, folder: Path) -> dict[str, object]:
+    """The keys of a frame that say how its lens distorts. Raises InputError."""
+    if lens is None:
+        return {"camera_model": "OPENCV"}
+    form = lens.form
+    names = ("k1", "k2", "k3", "k4")
+    if form.skew_last or any((form.n5, form.n6, form.s1, form.s2, form.s3, form.s4)):
+        raise InputError(f"{folder}: transforms.json has no lenses of the model {lens.model}")
+    radial = dict(zip(names, (form.n1, form.n2, form.n3, form.n4), strict=True))
+    skew = {"p1": form.p1, "p2": form.p2}
+    if form.slope:
+        if lens.model == "FOV" or form.p1 or form.p2:
+            raise InputError(f"{folder}: transforms.json has no lenses of the model {lens.model}")
+        return {"camera_model": "OPENCV_FISHEYE", **radial}
+    if lens.model == "FULL_OPENCV":
+        keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+        return {"camera_model": lens.model, **dict(zip(keys, lens.parameters, strict=True))}
+    return {"camera_model": "OPENCV", **radial, **skew}
 
 
 def _point_cloud(points: np.ndarray, colours: np.ndarray) -> bytes:

@@ -83,7 +83,7 @@ def load_cameras(
 
     Read are our own JSON (one camera or a list), the ``cameras.json`` that the 3DGS trainer writes, and
     COLMAP models (a folder, or its ``cameras`` or ``images`` file, .bin or .txt; sorted by image name).
-    `on_note` gets a line about whatever a pinhole camera cannot hold, lens distortion say.
+    `on_note` gets a line about each lens that is no pinhole.
 
     Raises:
         InputError: the file is missing, damaged or of another kind.

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import InputError
+from ..lens import Lens
 from .atomic import atomic_write
 from .colmap import is_colmap, load_colmap_cameras
 from .excerpt import excerpt
@@ -40,12 +41,42 @@ def write_camera(camera: Camera, path: Path) -> None:
     """See `save_camera`."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path}: cameras are saved as .json; give it that suffix")
+    with atomic_write(path) as file:
+        file.write((json.dumps(camera_values(camera), indent=1) + "\n").encode())
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """The camera as our JSON has it."""
     values: dict[str, Any] = {name: getattr(camera, name) for name in INTRINSICS}
     values["world_to_camera"] = camera.world_to_camera.tolist()
     if camera.name:
         values["name"] = camera.name
-    with atomic_write(path) as file:
-        file.write((json.dumps(values, indent=1) + "\n").encode())
+    if camera.lens is not None:
+        values["lens"] = {"model": camera.lens.model, "parameters": list(camera.lens.parameters)}
+    if camera.orthographic:
+        values["orthographic"] = True
+    return values
+
+
+def lens_of(entry: dict[str, Any], where: str) -> Lens | None:
+    """The key "lens" of a camera in our JSON; None without one. Raises InputError, ValueError."""
+    lens = entry.get("lens")
+    if lens is None:
+        return None
+    if not (isinstance(lens, dict) and isinstance(lens.get("model"), str)):
+        raise InputError(f"{where}: 'lens' must be an object with the keys model, parameters")
+    parameters = lens.get("parameters", [])
+    if not (isinstance(parameters, list) and all(type(value) in (int, float) for value in parameters)):
+        raise InputError(f"{where}: the 'parameters' of the lens must be a list of numbers")
+    return Lens(model=lens["model"], parameters=tuple(map(float, parameters)))
+
+
+def is_orthographic(entry: dict[str, Any], where: str) -> bool:
+    """The key "orthographic" of a camera in our JSON. Raises InputError."""
+    value = entry.get("orthographic", False)
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: 'orthographic' must be true or false")
+    return value
 
 
 def _load_json(path: Path) -> list[Camera]:
@@ -80,6 +111,8 @@ def _own_camera(entry: dict[str, Any], where: str) -> Camera:
         cy=number(entry, "cy", where),
         world_to_camera=array(entry, "world_to_camera", (4, 4), where),
         name=str(entry.get("name", "")),
+        lens=lens_of(entry, where),
+        orthographic=is_orthographic(entry, where),
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import InputError
+from ..lens import COUNTS, Lens
 from ..projection import rotation_matrices
 from .excerpt import excerpt
 
@@ -24,46 +25,37 @@ MAX_NAME_BYTES = 4096
 """Of an image; longer than any file system's."""
 
 
-@dataclass(frozen=True)
-class _Model:
-    name: str
-    focals: int
-    """1: f, cx, cy; 2: fx, fy, cx, cy; then the distortion."""
-    distortions: int
-    is_fisheye: bool = False
-
-
-# By COLMAP's model number.
-_MODELS = (
-    _Model("SIMPLE_PINHOLE", 1, 0),
-    _Model("PINHOLE", 2, 0),
-    _Model("SIMPLE_RADIAL", 1, 1),
-    _Model("RADIAL", 1, 2),
-    _Model("OPENCV", 2, 4),
-    _Model("OPENCV_FISHEYE", 2, 4, True),
-    _Model("FULL_OPENCV", 2, 8),
-    _Model("FOV", 2, 1, True),
-    _Model("SIMPLE_RADIAL_FISHEYE", 1, 1, True),
-    _Model("RADIAL_FISHEYE", 1, 2, True),
-    _Model("THIN_PRISM_FISHEYE", 2, 8, True),
-    _Model("RAD_TAN_THIN_PRISM_FISHEYE", 2, 12, True),
+MODELS = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
 )
+"""By COLMAP's model number."""
+
+ONE_FOCAL_LENGTH = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
+"""Models that begin with f, cx, cy; the others begin with fx, fy, cx, cy. The distortion follows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapCamera:
     """A row of ``cameras``: intrinsics that several images may share."""
 
-    model: str
     width: int
     height: int
     fx: float
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, ...]
-    """In the order of the model; empty for a pinhole."""
-    is_fisheye: bool
+    lens: Lens
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +76,7 @@ def is_colmap(path: Path) -> bool:
 def load_colmap_cameras(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
     """A camera for each image, sorted by name. `path`: see `is_colmap`.
 
-    Lens distortion is not part of a `Camera`: the pinhole part is used, and `on_note` gets a line about it.
+    `on_note` gets a line about each lens that is no pinhole.
 
     Raises:
         InputError: a file is missing, truncated or holds an unknown camera model.
@@ -115,7 +107,7 @@ def image_lens(
 
 
 def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
-    """The pinhole part of the lens at the image's pose. Raises InputError, naming `path`."""
+    """The lens at the image's pose. Raises InputError, naming `path`."""
     try:
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
@@ -129,6 +121,7 @@ def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
             cy=lens.cy,
             world_to_camera=matrix,
             name=image.name,
+            lens=lens.lens,
         )
     except ValueError as error:
         raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
@@ -136,18 +129,12 @@ def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
 
 def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[ColmapImage]) -> list[str]:
     """A line about each lens in use that is more than a pinhole."""
-    notes = []
-    for number in sorted({image.camera_id for image in images}):
-        lens = intrinsics[number]
-        if lens.is_fisheye:
-            notes.append(
-                f"camera {number} is a fisheye ({lens.model}); it is taken as a pinhole of the same focal "
-                "length, so views differ from the photos, most at the edges"
-            )
-        elif any(lens.distortion):
-            values = ", ".join(f"{value:.4g}" for value in lens.distortion)
-            notes.append(f"camera {number} has lens distortion ({lens.model}: {values}), which is left out")
-    return notes
+    numbers = sorted({image.camera_id for image in images})
+    return [
+        f"camera {number} has the lens {intrinsics[number].lens}; its views are drawn through it"
+        for number in numbers
+        if not intrinsics[number].lens.is_pinhole
+    ]
 
 
 def find_model(path: Path) -> tuple[Path, Path]:
@@ -190,21 +177,31 @@ def _read(path: Path, parse: Callable):
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _lens(model: _Model, width: int, height: int, params: Sequence[float], path: Path) -> ColmapCamera:
+def _focal_lengths(model: str) -> int:
+    return 1 if model in ONE_FOCAL_LENGTH else 2
+
+
+def _parameters(model: str) -> int:
+    """All that a row has: focal lengths, principal point, distortion."""
+    return _focal_lengths(model) + 2 + COUNTS[model]
+
+
+def _lens(model: str, width: int, height: int, params: Sequence[float], path: Path) -> ColmapCamera:
     if not all(map(math.isfinite, params)):
-        raise InputError(f"{path}: a {model.name} camera has parameters that are not finite")
-    fx, fy = params[0], params[model.focals - 1]
-    cx, cy = params[model.focals : model.focals + 2]
+        raise InputError(f"{path}: a {model} camera has parameters that are not finite")
+    focals = _focal_lengths(model)
+    try:
+        lens = Lens(model=model, parameters=tuple(params[focals + 2 :]))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
     return ColmapCamera(
-        model=model.name,
         width=width,
         height=height,
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        distortion=tuple(params[model.focals + 2 :]),
-        is_fisheye=model.is_fisheye,
+        fx=params[0],
+        fy=params[focals - 1],
+        cx=params[focals],
+        cy=params[focals + 1],
+        lens=lens,
     )
 
 
@@ -221,32 +218,31 @@ def _cameras_binary(file: io.BufferedReader, path: Path) -> dict[int, ColmapCame
     (count,) = _unpack(file, "<Q", path)
     for _ in range(count):
         number, model_number, width, height = _unpack(file, "<IiQQ", path)
-        if not 0 <= model_number < len(_MODELS):
+        if not 0 <= model_number < len(MODELS):
             raise InputError(f"{path}: camera {number} has the unknown model {model_number}")
-        model = _MODELS[model_number]
-        params = _unpack(file, f"<{model.focals + 2 + model.distortions}d", path)
+        model = MODELS[model_number]
+        params = _unpack(file, f"<{_parameters(model)}d", path)
         cameras[number] = _lens(model, width, height, params, path)
     return cameras
 
 
 def _cameras_text(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera]:
-    by_name = {model.name: model for model in _MODELS}
     cameras = {}
     for line in file:
         words = line.decode("utf-8", "replace").split()
         if not words or words[0].startswith("#"):
             continue
-        model = by_name.get(words[1]) if len(words) > 1 else None
-        if model is None:
+        model = words[1] if len(words) > 1 else ""
+        if model not in MODELS:
             raise InputError(f"{path}: unknown camera model in the line {excerpt(' '.join(words))}")
         try:
             number, width, height = int(words[0]), int(words[2]), int(words[3])
             params = [float(word) for word in words[4:]]
-            if len(params) != model.focals + 2 + model.distortions:
+            if len(params) != _parameters(model):
                 raise ValueError
         except (ValueError, IndexError):
             line = excerpt(" ".join(words))
-            raise InputError(f"{path}: the line {line} is no {model.name} camera") from None
+            raise InputError(f"{path}: the line {line} is no {model} camera") from None
         cameras[number] = _lens(model, width, height, params, path)
     return cameras
 

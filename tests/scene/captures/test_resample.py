@@ -9,22 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.scene.captures.lens import distort, undistort
+from splatview.scene import Camera, Lens
 from splatview.scene.captures.resample import area_averaged, undistorted, wholly_valid
-from splatview.scene.files.colmap import ColmapCamera
+from splatview.scene.lens import distort, undistort
 
 
-def lens(width: int, height: int, k: float, model: str = "SIMPLE_RADIAL") -> ColmapCamera:
-    return ColmapCamera(
-        model=model,
+def lens(width: int, height: int, k: float, model: str = "SIMPLE_RADIAL") -> Camera:
+    return Camera(
+        lens=Lens(model=model, parameters=(k,)),
+        world_to_camera=np.eye(4),
         width=width,
         height=height,
         fx=0.9 * width,
         fy=0.9 * width,
         cx=width / 2 + 1,
         cy=height / 2 - 2,
-        distortion=(k,),
-        is_fisheye=False,
     )
 
 
@@ -80,10 +79,10 @@ def test_undistorted_shows_what_a_pinhole_would(model, k):
     def scene(rays: np.ndarray) -> np.ndarray:
         return np.stack([128 + 90 * np.sin(4 * rays[..., 0]), 128 + 90 * np.cos(5 * rays[..., 1])], axis=-1)
 
-    rays = undistort(pinhole, a_lens)
+    rays = undistort(pinhole, a_lens.lens)
     photo = np.nan_to_num(scene(rays), nan=0).round().astype(np.uint8)
     result, valid = undistorted(photo, a_lens)
-    there = distort(pinhole, a_lens) * (a_lens.fx, a_lens.fy) + (a_lens.cx, a_lens.cy)
+    there = distort(pinhole, a_lens.lens) * (a_lens.fx, a_lens.fy) + (a_lens.cx, a_lens.cy)
     expected = ((there >= 0.5) & (there <= np.array([width, height]) - 0.5)).all(axis=-1)
     np.testing.assert_array_equal(valid, expected)
     assert valid.mean() > 0.7

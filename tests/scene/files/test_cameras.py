@@ -6,6 +6,7 @@ import json
 import os
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from splatview.scene import Camera, InputError, look_at
+from splatview.scene import Camera, InputError, Lens, look_at
 from splatview.scene.files import load_cameras, save_camera
 
 
@@ -54,6 +55,42 @@ def test_own_json_round_trip(tmp_path):
         *("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
     }
     assert os.listdir(tmp_path) == ["cam.json"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lens": Lens(model="OPENCV", parameters=(0.1, -0.2, 0.001, 0.002))},
+        {"lens": Lens(model="FOV", parameters=(0.9,))},
+        {"orthographic": True},
+    ],
+)
+def test_own_json_keeps_lens_and_parallel_rays(tmp_path, change):
+    camera = replace(some_camera(), **change)
+    save_camera(camera, tmp_path / "cam.json")
+    (loaded,) = load_cameras(tmp_path / "cam.json")
+    assert loaded.same_view(camera) and not loaded.same_view(some_camera())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lens": "OPENCV"}, "'lens' must be an object with the keys model, parameters"),
+        ({"lens": {"model": "OPENCV", "parameters": [1, 2]}}, "a OPENCV lens has 4 parameters, got 2"),
+        ({"lens": {"model": "OPENCV", "parameters": "0,0,0,0"}}, "must be a list of numbers"),
+        ({"lens": {"model": "BOTTLE", "parameters": []}}, "unknown lens model 'BOTTLE'"),
+        ({"orthographic": 1}, "'orthographic' must be true or false"),
+        (
+            {"orthographic": True, "lens": {"model": "FOV", "parameters": [0.9]}},
+            "an orthographic camera has no lens",
+        ),
+    ],
+)
+def test_lenses_that_are_none(tmp_path, change, message):
+    save_camera(some_camera(), tmp_path / "cam.json")
+    values = {**json.loads((tmp_path / "cam.json").read_text()), **change}
+    (tmp_path / "cam.json").write_text(json.dumps(values))
+    assert message in refused(tmp_path / "cam.json")
 
 
 def test_own_json_list(tmp_path):
@@ -176,6 +213,11 @@ MODELS = {
     "OPENCV": (4, (70.0, 80.0, 40.0, 30.0, 0.1, 0.2, 0.3, 0.4)),
     "OPENCV_FISHEYE": (5, (70.0, 80.0, 40.0, 30.0, 0.1, 0.2, 0.3, 0.4)),
     "FULL_OPENCV": (6, (70.0, 80.0, 40.0, 30.0, *(0.1,) * 8)),
+    "FOV": (7, (70.0, 80.0, 40.0, 30.0, 0.9)),
+    "SIMPLE_RADIAL_FISHEYE": (8, (70.0, 40.0, 30.0, 0.1)),
+    "RADIAL_FISHEYE": (9, (70.0, 40.0, 30.0, 0.1, 0.2)),
+    "THIN_PRISM_FISHEYE": (10, (70.0, 80.0, 40.0, 30.0, *(0.1,) * 8)),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (11, (70.0, 80.0, 40.0, 30.0, *(0.01,) * 12)),
 }
 
 Image = tuple[str, int, Camera]
@@ -224,9 +266,11 @@ def test_colmap_models(tmp_path, text, model):
         assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == expected
     if model.endswith("PINHOLE"):
         assert notes == []
+        assert [camera.lens for camera in cameras] == [None] * 3
     else:
         assert len(notes) == 1 and "camera 7" in notes[0] and model in notes[0]
-        assert ("fisheye" in notes[0]) == ("FISHEYE" in model)
+        parameters = MODELS[model][1][4 if two_focals else 3 :]
+        assert [camera.lens for camera in cameras] == [Lens(model=model, parameters=parameters)] * 3
 
 
 def test_colmap_by_any_of_its_paths(tmp_path):
