@@ -4,6 +4,8 @@ Every rung draws the same views. Its accuracy is measured against a float64 trut
 baseline's, a pair at a time and rung after rung in an order that changes, so that a machine that grows
 slower or is shared cannot favour one. The baseline is also measured against itself: that is the noise
 floor, and below it no claim is made.
+
+The time for all of it is given. Rungs for which it does not suffice are left out, by rank, and named.
 """
 
 from __future__ import annotations
@@ -11,170 +13,45 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from ..scene import Camera
-from .knobs import KNOBS, Plan
 from .metrics import largest_error, psnr, ssim
+from .noise import LEAST_PAIRS, floor_of_self, noise_of
+from .rungs import Ladder, Measured, Rung, TimedArtist, mark_front
 
 SSIM_SIDE = 11
 """SSIM is undefined on smaller pictures."""
 
-LEAST_ROUNDS = 3
-"""Pairs a rung at least, so that there is a spread."""
-
 NUDGED = 1
 """Number of the camera that differs least from a view but for 0; timed frames have larger ones."""
 
-SELF = "noise"
-"""The rung that is the baseline again."""
+SHARE_FOR_JUDGING = 0.5
+"""Of the progress shown: comparing with the truth, before timing."""
 
 
-class Artist(Protocol):
-    """A renderer with a scene, handed in: this package knows none."""
-
-    name: str
-
-    def prepare(self, camera: Camera, plan: Plan) -> None:
-        """What must be there before `camera` is drawn, such as the scene stored in the plan's way: no part of
-        a frame's time."""
-        ...
-
-    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        """The picture (H, W, 4) float32; never one that was kept from an earlier call."""
-        ...
-
-    def memory(self, plan: Plan) -> int:
-        """Bytes that scene and picture take in this renderer."""
-        ...
+class TooDear(Exception):
+    """There is no time for a rung."""
 
 
-@runtime_checkable
-class TimedArtist(Protocol):
-    """One that has to wait for its turn, and knows what of the time was its own."""
+class Budget:
+    """How long the ladder may take, and what is promised of it."""
 
-    def timed(self, camera: Camera, plan: Plan) -> float:
-        """ms of a frame up to its pixels in memory."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rung:
-    """One way to draw."""
-
-    knob: str
-    """Name of the knob that differs from the renderer's own defaults, "renderer" for none."""
-    value: str
-    artist: Artist
-    plan: Plan
-    options: tuple[str, ...]
-    """What makes `splatview render` draw so."""
-
-
-@dataclass(kw_only=True)
-class Measured:
-    """A rung and what is known of it so far."""
-
-    rung: Rung
-    psnr: float = math.nan
-    """dB, mean over the views; inf where every one is the truth to the bit."""
-    ssim: float = math.nan
-    max_error: float = math.nan
-    """The largest of any pixel, colour and view."""
-    popping: float = math.nan
-    """The largest change of any pixel and colour when the camera turns a little: splats change places."""
-    memory: int = 0
-    times: list[float] = field(default_factory=list)
-    """ms a frame, and..."""
-    ratios: list[float] = field(default_factory=list)
-    """... each over that of the baseline's frame beside it."""
-    pareto: bool = False
-    """No other rung is both as fast and more accurate, or as accurate and faster."""
+    def __init__(self, seconds: float | None):
+        self._begun = time.perf_counter()
+        self.seconds = seconds
+        self.promised = 0.0
+        """Seconds that will be needed for the rungs that were accepted."""
+        self.frame: dict[str, float] = {}
+        """Seconds of a frame, by renderer, with its defaults."""
 
     @property
-    def ms(self) -> float:
-        return float(np.median(self.times)) if self.times else math.nan
+    def spent(self) -> float:
+        return time.perf_counter() - self._begun
 
-    @property
-    def spread(self) -> tuple[float, float]:
-        """Quartiles of the times, ms."""
-        if not self.times:
-            return math.nan, math.nan
-        low, high = np.percentile(self.times, [25, 75])
-        return float(low), float(high)
-
-    @property
-    def ratio(self) -> float:
-        """Of the baseline's time: below 1 is faster."""
-        return float(np.median(self.ratios)) if self.ratios else math.nan
-
-
-def is_clear(one: Measured, noise: float) -> bool:
-    """Whether it may be said that a rung takes another time than the baseline: the ratio is out of the
-    noise, and three quarters of its own pairs agree on the side."""
-    if not abs(one.ratio - 1) > noise:
-        return False
-    if not one.ratios:
-        return False
-    low, high = np.percentile(one.ratios, [25, 75])
-    return bool(low > 1 or high < 1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ladder:
-    """The whole measurement."""
-
-    baseline: Measured
-    rungs: tuple[Measured, ...]
-    """Baseline first."""
-    noise: float
-    """How far from 1 the baseline's ratio to itself may be found by chance: smaller differences of a ratio
-    mean nothing."""
-    views: int
-    rounds: int
-    complete: bool
-    """False where it was cancelled: what there is was measured, with fewer rounds."""
-
-
-def rungs_for(
-    artists: Sequence[Artist],
-    plan: Plan,
-    *,
-    used_sh_degree: int,
-    knobs: Sequence[str] | None = None,
-    first_only: bool = False,
-) -> list[Rung]:
-    """Each renderer with its defaults, and with each value of each knob that it has and that differs.
-
-    The first is the baseline. `knobs`: names of those wanted; None: all. `first_only`: knobs of the first
-    renderer alone.
-    """
-    rungs = []
-    for artist in artists:
-        options = ("--renderer", artist.name)
-        rungs.append(Rung(knob="renderer", value=artist.name, artist=artist, plan=plan, options=options))
-        for knob in KNOBS if artist is artists[0] or not first_only else ():
-            if knobs is not None and knob.name not in knobs:
-                continue
-            for value in knob.values_for(artist.name):
-                changed = value.apply(plan)
-                degree = changed.settings.sh_degree
-                if knob.name == "sh-degree" and (degree is None or degree >= used_sh_degree):
-                    continue
-                if changed != plan:
-                    rungs.append(
-                        Rung(
-                            knob=knob.name,
-                            value=value.text,
-                            artist=artist,
-                            plan=changed,
-                            options=(*options, knob.option, value.text),
-                        )
-                    )
-    return rungs
+    def reaches(self, more: float) -> bool:
+        return self.seconds is None or self.spent + self.promised + more <= self.seconds
 
 
 def climb(
@@ -192,81 +69,182 @@ def climb(
     """Measures `rungs`, the first being the baseline.
 
     `truths`: the true picture (H, W, 4) of each of `views`. `moved(view, n)`: a camera that differs a
-    little from view `view`, and from those of other n, so that each timed frame is drawn anew. Rounds of
-    timing go on until `seconds` are over since the call, at least LEAST_ROUNDS (or exactly `rounds`).
+    little from view `view`, and from those of other n, so that each timed frame is drawn anew. All is over
+    `seconds` after the call, but for a baseline that alone takes longer: rungs that would not get LEAST_PAIRS
+    by then are left out. With `rounds` all are measured, with exactly so many pairs.
     """
-    begun = time.perf_counter()
-    baseline, *others = (Measured(rung=rung) for rung in rungs)
-    itself = Measured(rung=baseline.rung)
-    measured = [baseline, *others]
+    budget = Budget(seconds if rounds is None else None)
+    measured: dict[int, Measured] = {}
+    left_out: list[Rung] = []
     complete = True
-    for number, one in enumerate(measured):
+    for rung in sorted(rungs, key=lambda each: each.rank):
         if cancelled():
             complete = False
-            measured = measured[:number]
             break
-        on_progress(0.4 * number / len(measured), f"{one.rung.knob} {one.rung.value}: against the truth")
-        judge(one, views, truths, [moved(view, NUDGED) for view in range(len(views))])
-    timed = [itself, *(one for one in measured if one is not baseline)] if measured else []
-    rng = np.random.default_rng(seed)
-    done, frame = 0, 0
-    while measured and complete and _goes_on(done, rounds, begun, seconds):
-        for place in rng.permutation(len(timed)):
-            if cancelled():
-                complete = False
-                break
-            one, view = timed[place], frame % len(views)
-            frame += 1
-            # Two frames each: whoever comes second finds the other's camera in no cache of its own.
-            pair = [baseline, one] if frame % 2 else [one, baseline]
-            spent = {
-                id(who): timed_draw(who.rung, moved(view, 2 * frame + turn)) for turn, who in enumerate(pair)
-            }
-            one.times.append(spent[id(one)])
-            baseline.times.append(spent[id(baseline)])
-            one.ratios.append(spent[id(one)] / spent[id(baseline)])
-            share = max((time.perf_counter() - begun) / seconds, 0.4) if rounds is None else done / rounds
-            on_progress(min(share, 0.99), f"{one.rung.knob} {one.rung.value}: {spent[id(one)]:.0f} ms")
+        share = min(SHARE_FOR_JUDGING, budget.spent / seconds)
+        on_progress(share, f"{rung.artist.name}, {rung.knob} {rung.value}: against the truth")
+        try:
+            judged = _judged_within(budget, rung, rungs[0], views, truths, moved)
+        except TooDear:
+            left_out.append(rung)
         else:
-            done += 1
-    baseline.ratios = [1.0]
-    mark_pareto(measured)
+            measured[id(rung)] = judged
+    if not measured:  # cancelled before anything was known
+        measured[id(rungs[0])] = Measured(rung=rungs[0])
+    baseline = measured[id(rungs[0])]
+    itself = Measured(rung=baseline.rung)
+    timed = [itself, *(one for one in measured.values() if one is not baseline)]
+    if complete:
+        complete = _time(timed, baseline, views, moved, budget, rounds, on_progress, cancelled, seed)
+    for one in list(measured.values()):
+        if complete and one not in timed and one is not baseline:
+            left_out.append(measured.pop(id(one.rung)).rung)
+        one.noise = noise_of(one.ratios, itself.ratios)
+    baseline.ratios, baseline.noise = [1.0], 0.0
+    mark_front(list(measured.values()))
     return Ladder(
         baseline=baseline,
-        rungs=tuple(measured),
-        noise=noise_floor(itself.ratios),
+        rungs=tuple(measured[id(rung)] for rung in rungs if id(rung) in measured),
+        noise=floor_of_self(itself.ratios),
         views=len(views),
-        rounds=done,
+        rounds=len(itself.ratios),
         complete=complete,
+        left_out=tuple(rung for rung in rungs if rung in left_out),
+        needed=budget.spent + sum(_price(budget, rung, len(views)) for rung in left_out),
     )
 
 
-def _goes_on(done: int, rounds: int | None, begun: float, seconds: float) -> bool:
-    if rounds is not None:
-        return done < rounds
-    if done < LEAST_ROUNDS:
-        return True
-    spent = time.perf_counter() - begun
-    return spent + spent / (done + 1) / 2 < seconds
+def _price(budget: Budget, rung: Rung, views: int) -> float:
+    """Seconds that a rung takes, as far as that is known before: as long as its renderer's defaults."""
+    frame = budget.frame.get(rung.artist.name, 0.0)
+    base = min(budget.frame.values(), default=0.0)
+    return (views + 1) * frame + LEAST_PAIRS * (frame + base)
+
+
+def _judged_within(
+    budget: Budget,
+    rung: Rung,
+    first: Rung,
+    views: Sequence[Camera],
+    truths: Sequence[np.ndarray],
+    moved: Callable[[int, int], Camera],
+) -> Measured:
+    """Raises TooDear as soon as it is known that there is no time for it."""
+    base = budget.frame.get(first.artist.name, 0.0)
+    frames: list[float] = []
+
+    def took(frame: float, left: int) -> None:
+        frames.append(frame)
+        best = min(frames)  # the first may have waited for a compiler
+        # A second frame is worth its time where it decides.
+        decided = len(frames) > 1 or not budget.reaches(2 * best)
+        if rung is not first and decided and not budget.reaches(left * best + LEAST_PAIRS * (best + base)):
+            raise TooDear
+
+    if rung is not first and not budget.reaches(_price(budget, rung, len(views))):
+        raise TooDear
+    one = Measured(rung=rung)
+    judge(one, views, truths, moved(0, NUDGED), took)
+    frame = min(frames)
+    if rung.knob == "renderer":
+        budget.frame[rung.artist.name] = frame
+    budget.promised += LEAST_PAIRS * (frame + (base or frame))
+    return one
+
+
+def _time(
+    timed: list[Measured],
+    baseline: Measured,
+    views: Sequence[Camera],
+    moved: Callable[[int, int], Camera],
+    budget: Budget,
+    rounds: int | None,
+    on_progress: Callable[[float, str], None],
+    cancelled: Callable[[], bool],
+    seed: int,
+) -> bool:
+    """Pair after pair of each of `timed` with the baseline; False where it was cancelled.
+
+    Every rung gets LEAST_PAIRS; where frames take longer than they did, some are taken out of `timed`
+    instead. After that those take part that have had no more than their share of the time, so that costly
+    ones do not take it all.
+    """
+    rng = np.random.default_rng(seed)
+    spent = {id(one): 0.0 for one in timed}
+    done = frame = 0
+    while rounds is None or done < rounds:
+        if rounds is None and 0 < done < LEAST_PAIRS:
+            _drop_dearest(timed, spent, budget, (LEAST_PAIRS - done) / done)
+        fair = float(np.mean([spent[id(one)] for one in timed]))
+        for one in (timed[place] for place in rng.permutation(len(timed))):
+            view = frame % len(views)
+            if budget.seconds is not None and done >= LEAST_PAIRS:
+                if budget.spent + spent[id(one)] / len(one.ratios) > budget.seconds:
+                    return True
+                if spent[id(one)] > fair:
+                    continue
+            if cancelled():
+                return False
+            frame += 1
+            begun = time.perf_counter()
+            # Two frames each: whoever comes second finds the other's camera in no cache of its own.
+            pair = [baseline, one] if frame % 2 else [one, baseline]
+            ms = {
+                id(who): timed_draw(who.rung, moved(view, 2 * frame + turn)) for turn, who in enumerate(pair)
+            }
+            spent[id(one)] += time.perf_counter() - begun
+            one.times.append(ms[id(one)])
+            baseline.times.append(ms[id(baseline)])
+            one.ratios.append(ms[id(one)] / ms[id(baseline)])
+            share = max(budget.spent / budget.seconds, 0.0) if budget.seconds else done / max(rounds or 1, 1)
+            name = f"{one.rung.artist.name}, {one.rung.knob} {one.rung.value}"
+            on_progress(min(share, 0.99), f"{name}: {ms[id(one)]:.0f} ms")
+        done += 1
+    return True
+
+
+def _drop_dearest(timed: list[Measured], spent: dict[int, float], budget: Budget, more: float) -> None:
+    """Takes rungs out of `timed`, those of highest rank first and of these the costliest, until `more` times
+    what was spent on the others is within the budget."""
+    left = (budget.seconds or 0.0) - budget.spent
+    order = sorted(timed[1:], key=lambda one: (one.rung.rank, spent[id(one)]))
+    while order and more * sum(spent[id(one)] for one in timed) > left:
+        timed.remove(order.pop())
 
 
 def judge(
-    one: Measured, views: Sequence[Camera], truths: Sequence[np.ndarray], nudged: Sequence[Camera]
+    one: Measured,
+    views: Sequence[Camera],
+    truths: Sequence[np.ndarray],
+    nudged: Camera,
+    took: Callable[[float, int], None] = lambda frame, left: None,
 ) -> None:
-    """Draws every view and compares it with the truth; and from cameras `nudged` a little, for popping."""
-    decibels, similarities, worst, popping = [], [], 0.0, 0.0
-    for camera, truth, beside in zip(views, truths, nudged, strict=True):
-        one.rung.artist.prepare(camera, one.rung.plan)
-        picture = one.rung.artist.draw(camera, one.rung.plan)
+    """Draws every view and compares it with the truth; and from `nudged`, a little beside the first, for
+    popping. `took` hears the seconds of each frame, and how many are to come."""
+    artist, plan = one.rung.artist, one.rung.plan
+    decibels, similarities, worst = [], [], 0.0
+    left = len(views) + 1
+
+    def drawn(camera: Camera) -> np.ndarray:
+        nonlocal left
+        artist.prepare(camera, plan)
+        begun = time.perf_counter()
+        picture = artist.draw(camera, plan)
+        left -= 1
+        took(time.perf_counter() - begun, left)
+        return picture
+
+    for number, (camera, truth) in enumerate(zip(views, truths, strict=True)):
+        picture = drawn(camera)
         decibels.append(psnr(picture, truth))
         if min(truth.shape[:2]) >= SSIM_SIDE:
             similarities.append(ssim(picture, truth))
         worst = max(worst, largest_error(picture, truth))
-        one.rung.artist.prepare(beside, one.rung.plan)
-        popping = max(popping, largest_error(one.rung.artist.draw(beside, one.rung.plan), picture))
-    one.psnr, one.max_error, one.popping = float(np.mean(decibels)), worst, popping
+        if number == 0:
+            one.popping = largest_error(drawn(nudged), picture)
+    one.psnr, one.max_error = float(np.mean(decibels)), worst
     one.ssim = float(np.mean(similarities)) if similarities else math.nan
-    one.memory = one.rung.artist.memory(one.rung.plan)
+    one.memory = artist.memory(plan)
 
 
 def timed_draw(rung: Rung, camera: Camera) -> float:
@@ -277,34 +255,3 @@ def timed_draw(rung: Rung, camera: Camera) -> float:
     begun = time.perf_counter()
     rung.artist.draw(camera, rung.plan)
     return 1e3 * (time.perf_counter() - begun)
-
-
-def noise_floor(ratios: Sequence[float]) -> float:
-    """Half width of the interval in which the median of so many equal pairs lies 19 times out of 20.
-
-    The median of n ratios scatters 1.25 times as much as a mean: 1.96·1.25·sd/sqrt(n), sd from the
-    quartiles so that one stall does not decide. Never below a hundredth: no one should read more into
-    times of a shared machine. inf where there are too few pairs to tell.
-    """
-    if len(ratios) < LEAST_ROUNDS:
-        return math.inf
-    low, high = np.percentile(ratios, [25, 75])
-    deviation = (high - low) / 1.349
-    off_centre = abs(float(np.median(ratios)) - 1)
-    return max(0.01, 1.96 * 1.2533 * deviation / math.sqrt(len(ratios)), off_centre)
-
-
-def mark_pareto(measured: Sequence[Measured]) -> None:
-    """Sets `pareto` where no other rung has both time and accuracy at least as good and one better.
-
-    Time is the ratio to the baseline's frames beside it: medians of times that were taken at different
-    moments compare the moments.
-    """
-    for one in measured:
-        one.pareto = not any(
-            other.ratio <= one.ratio
-            and other.psnr >= one.psnr
-            and (other.ratio < one.ratio or other.psnr > one.psnr)
-            for other in measured
-            if other is not one
-        )

@@ -31,18 +31,21 @@ def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
         if rung["renderer"] != last:
             last = rung["renderer"]
             rows.append([f"**drawn by `{last}`**", *[""] * (len(LADDER_COLUMNS) - 1)])
-        rows.append(_row(rung, results["noise"]))
+        rows.append(_row(rung, rung["noise"] or results["noise"]))
+    left_out = results["left_out"]
     return {
         "columns": list(LADDER_COLUMNS),
         "rows": rows,
         "note": f"{results['scene']}, {results['splats']:,} splats at {width}x{height}, "
-        f"{results['views']} views, {results['rounds']} rounds. Time: of `{base}` with its defaults, drawn "
-        "in turn with it, and the noise floor, which is that of "
+        f"{results['views']} views, up to {results['rounds']} pairs a row. Time: of `{base}` with its "
+        "defaults, drawn in turn with it, and the noise floor for so many pairs, never below that of "
         f'`{base}` against itself; "same" where no difference may be claimed. Errors: against a float64 '
         "truth that agrees with the reference to "
         f"{results['truth']['largest_difference_from_reference']:.0e} in sampled blocks. "
         "Popping: the largest change of a pixel when the eye turns a little. "
-        "Front: nothing else in the table is both faster and nearer to the truth.",
+        "Front: faster, by more than the noise, than all on the front that are nearer to the truth; nothing "
+        "else in the table is both faster and nearer."
+        + (f" Left out for want of time: {len(left_out)} rows." if left_out else ""),
     }
 
 

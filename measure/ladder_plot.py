@@ -8,17 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from .ladder import Ladder, Measured
-from .ladder_report import rung_name
+from .ladder_report import EXACT_DB, VISIBLE_DB, rung_name
+from .rungs import Ladder, Measured
 
 MARKERS = ("o", "s", "^", "D", "v")
 """By renderer."""
-
-VISIBLE_DB = 40.0
-"""About where differences become hard to see: a dotted line."""
-
-EXACT_DB = 60.0
-"""From here on errors are below what an 8-bit screen can show."""
 
 FRONT, INK, FAINT = "#1f6f8b", "0.15", "0.5"
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .ladder import Measured
+from .rungs import Measured
 
 SCALES = tuple(2 ** (-k / 12) for k in range(25))
 """Of the picture's sides, from 1 to 1/4; times of neighbours are at most 11 % apart, so that one of them is

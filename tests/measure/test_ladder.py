@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from splatview.measure.knobs import Plan
-from splatview.measure.ladder import NUDGED, Measured, climb, mark_pareto, noise_floor, rungs_for
+from splatview.measure.ladder import NUDGED, climb
 from splatview.measure.ladder_plot import plot
-from splatview.measure.ladder_report import COLUMNS, as_json, cells, ratio_text
+from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text, ratio_text
+from splatview.measure.noise import noise_floor, noise_of
+from splatview.measure.rungs import Ladder, Measured, mark_front, rungs_for
 from splatview.scene import Camera, RenderSettings
 
 SIZE = (24, 16)
@@ -74,17 +76,6 @@ def test_each_renderer_has_its_defaults_and_each_value_that_differs(ladder):
     assert found(made, "sh-degree", "1").rung.options == ("--renderer", "cpu", "--sh-degree", "1")
 
 
-def test_knobs_of_the_first_renderer_alone():
-    artists = [Pretender("cpu", 1, 0), Pretender("quads", 1, 0)]
-    rungs = rungs_for(artists, Plan(), used_sh_degree=0, knobs=["resolution"], first_only=True)
-    assert [(rung.artist.name, rung.value) for rung in rungs] == [
-        ("cpu", "cpu"),
-        ("cpu", "1/2"),
-        ("cpu", "1/4"),
-        ("quads", "quads"),
-    ]
-
-
 def test_degrees_that_the_scene_does_not_use_are_no_rungs():
     plan = Plan(settings=RenderSettings(sh_degree=1))
     rungs = rungs_for([Pretender("cpu", 1, 0)], plan, used_sh_degree=1, knobs=["sh-degree"])
@@ -140,10 +131,11 @@ def test_no_timed_frame_is_drawn_twice(ladder):
         assert len(set(timed)) == len(timed) > 0
 
 
-def test_the_pareto_front_has_no_rung_that_another_beats():
-    def rung(ratio: float, psnr: float) -> Measured:
-        return Measured(rung=None, psnr=psnr, ratios=[ratio])  # type: ignore[arg-type]
+def rung(ratio: float, psnr: float, noise: float = 0.0) -> Measured:
+    return Measured(rung=None, psnr=psnr, ratios=[ratio] * 3, noise=noise)  # type: ignore[arg-type]
 
+
+def test_the_front_has_no_rung_that_another_beats():
     measured = [
         rung(1, math.inf),
         rung(0.5, 60),
@@ -151,8 +143,18 @@ def test_the_pareto_front_has_no_rung_that_another_beats():
         rung(0.6, 60),
         rung(1.1, 90),
     ]
-    mark_pareto(measured)
+    mark_front(measured)
     assert [one.pareto for one in measured] == [True, True, True, False, False]
+
+
+def test_what_is_no_faster_beyond_the_noise_is_not_on_the_front():
+    base, tie, faster, chain = rung(1, 100), rung(0.97, 90, 0.04), rung(0.9, 80, 0.04), rung(0.88, 70, 0.04)
+    mark_front([chain, faster, tie, base])
+    assert [one.pareto for one in (base, tie, faster, chain)] == [True, False, True, False]
+    # A rung that was measured so badly that nothing can be said is no better either.
+    vague = rung(0.3, 60, math.inf)
+    mark_front([base, vague])
+    assert base.pareto and not vague.pareto
 
 
 def test_the_noise_floor_follows_scatter_and_number():
@@ -168,10 +170,18 @@ def test_the_noise_floor_follows_scatter_and_number():
     assert 0.85 < np.mean(medians[:, None] <= floors[None]) < 1
 
 
+def test_few_pairs_that_agree_by_chance_are_as_noisy_as_the_machine():
+    selves = np.random.default_rng(1).normal(1, 0.1, 100).tolist()
+    assert noise_of([0.8, 0.8, 0.8], selves) > 0.1 > noise_of([0.8] * 100, selves)
+    scattered = np.random.default_rng(2).normal(5, 2, 100).tolist()
+    assert noise_of(scattered, selves) > 2 * noise_of([5.0] * 100, selves)
+    assert noise_of([0.8] * 2, selves) == math.inf
+
+
 def test_differences_within_the_noise_are_no_claim(ladder):
     made, _ = ladder
-    close = Measured(rung=made.baseline.rung, ratios=[1 + made.noise / 2])
-    far = Measured(rung=made.baseline.rung, ratios=[1 + 2 * made.noise])
+    close = Measured(rung=made.baseline.rung, ratios=[1.02] * 5, noise=0.04)
+    far = Measured(rung=made.baseline.rung, ratios=[1.08] * 5, noise=0.04)
     assert ratio_text(close, made).startswith("same")
     assert not ratio_text(far, made).startswith("same")
 
@@ -184,6 +194,39 @@ def test_a_cancelled_ladder_says_so():
     )
     assert not made.complete
     assert made.rounds < 9
+
+
+def test_a_ladder_is_over_in_time_and_names_what_it_left_out():
+    artists = [Pretender("cpu", 10, 1e-6), Pretender("quads", 300, 1e-3)]
+    rungs = rungs_for(artists, Plan(), used_sh_degree=0, knobs=["resolution", "blend", "keep"])
+    begun = time.perf_counter()
+    made = climb(rungs, [CAMERA], [TRUTH], moved=moved, seconds=4)
+    assert time.perf_counter() - begun < 8, "it was promised half of that"
+    shown = [(one.rung.artist.name, one.rung.value) for one in made.rungs]
+    assert ("cpu", "1/4") in shown and ("quads", "quads") in shown
+    assert made.left_out and len(made.rungs) + len(made.left_out) == len(rungs)
+    assert {rung.artist.name for rung in made.left_out} == {"quads"}
+    assert all(len(one.ratios) >= 3 for one in made.rungs[1:]) and made.needed > 4
+    text = left_out_text(made)
+    assert "quads: " in text and "--seconds" in text
+    assert as_json(made, {})["left_out"]
+
+
+def test_the_best_buys_are_said_in_words():
+    artist = Pretender("cpu", 1, 0)
+    rungs = rungs_for([artist], Plan(), used_sh_degree=3, knobs=["sh-degree"])
+    prices = ((1.0, 120.0), (0.8, 70.0), (0.6, 45.0), (0.3, 25.0))
+    measured = tuple(
+        Measured(rung=each, ratios=[ratio] * 3, noise=0.02, psnr=psnr)
+        for each, (ratio, psnr) in zip(rungs, prices, strict=True)
+    )
+    mark_front(measured)
+    made = Ladder(baseline=measured[0], rungs=measured, noise=0.02, views=1, rounds=3, complete=True)
+    fine, fair = bargains(made)
+    assert "sh-degree 2 takes 20% less time" in fine and "70 dB" in fine
+    assert "sh-degree 1 takes 40% less time" in fair
+    none = Ladder(baseline=measured[0], rungs=measured[:1], noise=0.02, views=1, rounds=3, complete=True)
+    assert bargains(none)[0].startswith("No shortcut here saves time")
 
 
 def test_json_has_what_scripts_rely_on_and_no_infinities(ladder):

@@ -46,6 +46,7 @@ def test_figures_have_the_noise_floor_beside_them():
         "ms": 20.0,
         "ms_quartiles": [18.0, 24.0],
         "ratio": 0.8,
+        "noise": 0.06,
         "psnr": 61.23,
         "ssim": None,
         "max_error": 0.0123,
@@ -64,13 +65,14 @@ def test_figures_have_the_noise_floor_beside_them():
         "rounds": 9,
         "truth": {"largest_difference_from_reference": 2e-15},
         "rungs": [rung, {**rung, "clear": False}],
+        "left_out": [],
     }
     header, row, same = ladder_table(results)["rows"]
     assert header[0] == "**drawn by `cpu`**"
     assert row == [
         "`--cut 3-sigma`",
         "20.0 ±3.0",
-        "0.80 ±5%",
+        "0.80 ±6%",
         "61.2",
         "-",
         "0.012",
@@ -78,7 +80,7 @@ def test_figures_have_the_noise_floor_beside_them():
         "3",
         "yes",
     ]
-    assert same[2] == "same ±5%"
+    assert same[2] == "same ±6%"
 
 
 def test_fill_replaces_only_its_section(tmp_path):

@@ -12,7 +12,8 @@ import numpy as np
 from .... import raster
 from ....measure.bill import Bill, bill_of
 from ....measure.knobs import Plan
-from ....measure.ladder import Ladder, climb, rungs_for
+from ....measure.ladder import climb
+from ....measure.rungs import Ladder, rungs_for
 from ....raster.counting import count_work
 from ....scene import Camera
 from ....scene.effects import used_sh_degree

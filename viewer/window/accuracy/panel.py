@@ -8,7 +8,7 @@ from imgui_bundle import ImVec4, imgui
 
 from ....measure.bill import rows, sums
 from ....measure.knobs import knob
-from ....measure.ladder import Ladder, Measured, is_clear
+from ....measure.rungs import Ladder, Measured, is_clear
 from .. import theme
 from ..core import Core
 from ..panels import widgets
@@ -111,7 +111,7 @@ def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
     widgets.tooltip(f"{name} {value}: {price_of(one, ladder)}.{best} Click to draw by it, again for exact.")
     if clicked:
         core.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
-    known = is_clear(one, ladder.noise)
+    known = is_clear(one)
     saved = ladder.baseline.ms * (1 - one.ratio)
     cells = (
         f"{-saved:+.1f} ms" if known else "same",

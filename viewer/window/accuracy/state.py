@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ....measure.governor import Governor, Watch
 from ....measure.knobs import Plan, apply_choices
-from ....measure.ladder import Ladder, Measured, is_clear
+from ....measure.rungs import Ladder, Measured, is_clear
 from ....measure.steps import Shortcut, priced, unpriced
 from ....scene import Camera, Gaussians, RenderSettings
 from ..picture import CpuPicture, scaled_camera
@@ -176,7 +176,7 @@ class Accuracy:
 def price_of(one: Measured, ladder: Ladder) -> str:
     """What a rung saves and costs, in a line: "saves 3.1 ms, 41.2 dB, largest error 0.031"."""
     saved = ladder.baseline.ms * (1 - one.ratio)
-    if not is_clear(one, ladder.noise):
+    if not is_clear(one):
         time = "no faster"
     else:
         time = f"saves {saved:.1f} ms" if saved > 0 else f"costs {-saved:.1f} ms"
