@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .camera import Camera
+from .discs import Discs, check_discs, project_discs
 from .gaussians import Gaussians
 from .image_model import MIN_QUAT_COMPONENT, RenderSettings
 from .lens import distort, distortion_jacobians
@@ -38,7 +39,7 @@ class Footprints:
     means2d: np.ndarray
     """(V, 2) px."""
     covariances: np.ndarray
-    """(V, 3) px²: S'xx, S'xy, S'yy, blur included."""
+    """(V, 3) px²: S'xx, S'xy, S'yy, blur included. Of discs it is an ellipse around what is seen of them."""
     conic_factors: np.ndarray
     """(V, 3) 1/px: a, b, c with q = (a·dx + b·dy)² + (c·dy)² = dᵀ S'⁻¹ d."""
     opacities: np.ndarray
@@ -47,6 +48,8 @@ class Footprints:
     """(V, 3) RGB, at least 0."""
     half_extents: np.ndarray
     """(V, 2) px: beyond mean ± this, alpha is below the cut; inf where there is no cut."""
+    discs: Discs | None = None
+    """Where the image model has discs, what decides alpha; the conic is around it."""
 
 
 def rotation_matrices(quats: np.ndarray) -> np.ndarray:
@@ -88,13 +91,17 @@ def _finite(values: np.ndarray) -> np.ndarray:
 def project(
     gaussians: Gaussians, camera: Camera, settings: RenderSettings, *, dtype: type[np.floating] = np.float64
 ) -> Footprints:
-    """Projects a scene by the table in `image_model`, steps 1 to 3, 5 and 6.
+    """Projects a scene by the table in `image_model`, steps 1 to 3 or 2d and 3d, 5 and 6.
 
     `dtype` float64 defines truth; float32 shows what the same formulas lose in single precision.
     Positions are taken relative to the eye in float64 in both, as all renderers do, so that scenes far
     from the origin do not lose digits.
+
+    Raises:
+        InputError: the model has discs and the camera a lens.
     """
     model = settings.model
+    check_discs(camera, model)
     degree = min(gaussians.sh_degree, 3 if settings.sh_degree is None else settings.sh_degree)
     used_sh = gaussians.sh[:, : (degree + 1) ** 2]
 
@@ -116,14 +123,21 @@ def project(
     indices = indices[np.argsort(t[indices, 2], kind="stable")]
     t, offsets, opacities = t[indices], offsets[indices], opacities[indices]
 
-    axes_world = rotation_matrices(quats[indices]) * scales[indices][:, None, :]
-    # Scales just within float32's range leave it here; what does is dropped below.
-    with np.errstate(over="ignore", invalid="ignore"):
-        M = projection_jacobians(t, camera, model.jacobian_margin) @ (
-            camera.R_camera_world.astype(dtype) @ axes_world
-        )
+    discs = None
+    if model.footprint == "disc":
+        axes = camera.R_camera_world.astype(dtype) @ rotation_matrices(quats[indices])
+        with np.errstate(divide="ignore"):
+            reach = 2 * np.log(opacities / model.alpha_cut)
+        discs, M = project_discs(t, axes, scales[indices], reach, camera, model)
+    else:
+        axes_world = rotation_matrices(quats[indices]) * scales[indices][:, None, :]
+        # Scales just within float32's range leave it here; what does is dropped below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            M = projection_jacobians(t, camera, model.jacobian_margin) @ (
+                camera.R_camera_world.astype(dtype) @ axes_world
+            )
     covariances, det, det_unblurred, spread = footprint_covariances(M, model.blur)
-    if model.antialiased:
+    if model.antialiased and discs is None:
         with np.errstate(invalid="ignore", divide="ignore"):
             opacities = opacities * np.sqrt(det_unblurred / det)
 
@@ -156,6 +170,7 @@ def project(
         opacities=opacities[drawn],
         colours=colours[drawn],
         half_extents=half_extents[drawn],
+        discs=None if discs is None else discs.take(drawn),
     )
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .background import seen
 from .camera import Camera
+from .discs import squared_distances
 from .gaussians import Gaussians
 from .image_model import RenderSettings
 from .projection import Footprints, project
@@ -27,6 +29,7 @@ def render(
     settings = settings or RenderSettings()
     footprints = project(gaussians, camera, settings, dtype=dtype)
     image = np.empty((camera.height, camera.width, 4), dtype=dtype)
+    behind = np.broadcast_to(seen(settings.background, camera, dtype), (camera.height, camera.width, 3))
     for top in range(0, camera.height, BLOCK):
         for left in range(0, camera.width, BLOCK):
             block = image[top : top + BLOCK, left : left + BLOCK]
@@ -36,7 +39,8 @@ def render(
             )
             reaching = splats_reaching(footprints, x.min(), x.max(), y.min(), y.max())
             colour, transmittance = composite(footprints, reaching, x.ravel(), y.ravel(), settings)
-            colour += transmittance[:, None] * np.asarray(settings.background, dtype=dtype)
+            here = behind[top : top + BLOCK, left : left + BLOCK].reshape(-1, 3)
+            colour += transmittance[:, None] * here
             block[..., :3] = colour.reshape(*block.shape[:2], 3)
             block[..., 3] = 1 - transmittance.reshape(block.shape[:2])
     return image
@@ -53,13 +57,16 @@ def splats_reaching(
 
 
 def alphas(footprints: Footprints, which: np.ndarray, x: np.ndarray, y: np.ndarray, settings: RenderSettings):
-    """Alpha of splats `which` (R,) at pixel centres x, y (P,) px -> (R, P). Image model: step 4."""
+    """Alpha of splats `which` (R,) at pixel centres x, y (P,) px -> (R, P). Image model: step 4 or 4d."""
     dx = x - footprints.means2d[which, 0:1]
     dy = y - footprints.means2d[which, 1:2]
-    a, b, c = (footprints.conic_factors[which, i : i + 1] for i in range(3))
-    # Far outside a tiny splat the square overflows to inf: exp gives the right 0.
-    with np.errstate(over="ignore"):
-        q = (a * dx + b * dy) ** 2 + (c * dy) ** 2
+    if footprints.discs is not None:
+        q = squared_distances(footprints.discs, which, np.stack([dx, dy], axis=-1), settings.model.blur)
+    else:
+        a, b, c = (footprints.conic_factors[which, i : i + 1] for i in range(3))
+        # Far outside a tiny splat the square overflows to inf: exp gives the right 0.
+        with np.errstate(over="ignore"):
+            q = (a * dx + b * dy) ** 2 + (c * dy) ** 2
     alpha = np.minimum(settings.model.max_alpha, footprints.opacities[which, None] * np.exp(-q / 2))
     return np.where(alpha >= settings.model.alpha_cut, alpha, 0)
 
