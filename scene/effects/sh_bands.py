@@ -12,6 +12,7 @@ from ..projection import FLOAT32_MAX
 from .effect import VISIBLE, Effect, Saving, grey_levels
 from .sh_storage import (
     COEFFICIENT_BYTES,
+    SAMPLE,
     SLICE,
     bytes_alike,
     bytes_by_degree,
@@ -36,7 +37,10 @@ def used_sh_degree(gaussians: Gaussians) -> int:
     All bands above it together cannot move the colour of any splat by more; blending is a weighted mean
     of colours, so no pixel moves by more either.
     """
-    return _used_degree(_largest_reach(gaussians))
+    sample = gaussians.sh[:: max(1, len(gaussians) // SAMPLE)]
+    if _used_degree(_largest_reach(sample)) == gaussians.sh_degree:
+        return gaussians.sh_degree  # the others can add nothing to that
+    return _used_degree(_largest_reach(gaussians.sh))
 
 
 def sh_operations(degree: int) -> int:
@@ -59,7 +63,7 @@ def visible_degrees(sh: np.ndarray) -> np.ndarray:
 
 def band_effects(gaussians: Gaussians) -> list[Effect]:
     """An effect a band, as far as the file has them."""
-    reach = _largest_reach(gaussians)
+    reach = _largest_reach(gaussians.sh)
     used, stored, n = _used_degree(reach), len(reach) - 1, len(gaussians)
     effects = []
     for band in range(1, stored + 1):
@@ -121,15 +125,15 @@ def _dropped(sh: np.ndarray) -> np.ndarray:
         return np.cumsum(sh_reach(sh)[:, ::-1], axis=1)[:, ::-1].max(axis=2)
 
 
-def _largest_reach(gaussians: Gaussians) -> list[float]:
-    """Per degree d: how far bands d and up together can move the colour of any splat.
+def _largest_reach(all_sh: np.ndarray) -> list[float]:
+    """Per degree d of (N, K, 3): how far bands d and up together can move the colour of any splat.
 
     A coefficient that is not finite culls its splat, and leaving out its band would bring the splat back:
     that gives inf or NaN, unless a lower band culls the splat all the same.
     """
-    largest = np.zeros(gaussians.sh_degree + 1, np.float32)
-    for start in range(0, len(gaussians), SLICE):
-        sh = gaussians.sh[start : start + SLICE]
+    largest = np.zeros(SH_COEFFICIENTS.index(all_sh.shape[1]) + 1, np.float32)
+    for start in range(0, len(all_sh), SLICE):
+        sh = all_sh[start : start + SLICE]
         dropped = _dropped(sh)
         with np.errstate(invalid="ignore"):
             finite = np.abs(sh) <= FLOAT32_MAX

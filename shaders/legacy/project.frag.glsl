@@ -1,6 +1,7 @@
 // One fragment a splat: footprint and colour, into textures that the draw fetches from. A culled splat
 // is discarded: its texels stay 0, and the query of samples passed counts the others.
-// Flags: TEXTURE_WIDTH, SH_DEGREE, ANTIALIASED, DEPTH (the depth in place of the colour), and those of edits.
+// Flags: TEXTURE_WIDTH, SH_DEGREE, OWN_DEGREES (see u_sh), ANTIALIASED, DEPTH (the depth in place of the
+// colour), and those of edits.
 #include "common/texels.glsl"
 #include "common/edits.glsl"
 #include "common/sh.glsl"
@@ -8,14 +9,29 @@
 uniform sampler2D u_positions;  // xyz relative to the scene's centre, opacity
 uniform sampler2D u_quats;      // wxyz, raw
 uniform sampler2D u_scales;     // standard deviations
-uniform sampler2DArray u_sh;    // one layer a coefficient
+uniform sampler2DArray u_sh;    // one layer a coefficient; or, by degrees, one coefficient after the other
+#if HAS_OWN_DEGREES
+uniform usampler2D u_places;    // where a splat's coefficients begin, times four, plus its degree
+uniform int u_sh_layer;         // texels of one layer
+#endif
 uniform int u_splats;
 
 layout(location = 0) out vec4 shape;   // mean.xy, a, b
 layout(location = 1) out vec4 bounds;  // c, minor axis, major axis.xy
 layout(location = 2) out vec4 colour;  // rgb, opacity
 
-vec3 sh_coefficient(uint splat, int index) { return texelFetch(u_sh, ivec3(texel_of(splat), index), 0).rgb; }
+#if HAS_OWN_DEGREES
+uint sh_place(uint splat) { return texelFetch(u_places, texel_of(splat), 0).r; }
+int sh_own_degree(uint place) { return int(place & 3u); }
+vec3 sh_coefficient(uint place, int index) {
+    uint at = (place >> 2u) + uint(index), layer = at / uint(u_sh_layer);
+    return texelFetch(u_sh, ivec3(texel_of(at - layer * uint(u_sh_layer)), layer), 0).rgb;
+}
+#else
+uint sh_place(uint splat) { return splat; }
+int sh_own_degree(uint place) { return 3; }
+vec3 sh_coefficient(uint place, int index) { return texelFetch(u_sh, ivec3(texel_of(place), index), 0).rgb; }
+#endif
 
 void main() {
     ivec2 texel = ivec2(gl_FragCoord.xy);

@@ -5,10 +5,13 @@ from __future__ import annotations
 import moderngl
 
 from .edit_textures import EditTextures
-from .programs import RenderPrograms
 from .scene_textures import SceneTextures
 from .texel_array import TEXTURE_WIDTH
+from .variants import Variants
 from .view_uniforms import Uniform, set_uniforms
+
+PLACES_UNIT = 4
+"""The texture unit after those of the attributes."""
 
 
 class ProjectionPass:
@@ -18,9 +21,9 @@ class ProjectionPass:
     every new order of the same view: 1.02 times the frame of large splats, 1.10 of 500,000 small ones.
     """
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
-        self._programs = RenderPrograms(ctx)
+        self._variants = variants
         self._textures: tuple[moderngl.Texture, ...] = ()
         self._framebuffer: moderngl.Framebuffer | None = None
         self._passed = ctx.query(samples=True)
@@ -50,9 +53,10 @@ class ProjectionPass:
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
             "ANTIALIASED": antialiased,
             "DEPTH": depth,
+            **scene.flags(),
             **edits.now.flags(),
         }
-        program, triangle = self._programs.get(
+        program, triangle = self._variants.drawing(
             "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
         )
         set_uniforms(program, uniforms)
@@ -67,6 +71,9 @@ class ProjectionPass:
         ):
             texture.use(unit)
             set_uniforms(program, {f"u_{name}": unit})
+        if scene.places is not None:
+            scene.places.use(PLACES_UNIT)
+            set_uniforms(program, {"u_places": PLACES_UNIT, "u_sh_layer": scene.sh_layer})
         set_uniforms(program, {"u_splats": scene.splats})
         self._framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
@@ -100,4 +107,3 @@ class ProjectionPass:
 
     def release(self) -> None:
         self._release_sized()
-        self._programs.release()

@@ -20,6 +20,7 @@ from .projector import RECORD_BYTES, DepthKeys, Projector, short_keys
 from .renderer import Renderer
 from .resolving import depth_range
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
+from .variants import Variants
 from .view_uniforms import view_uniforms
 
 EARLY_STOP = 1.2e-4
@@ -40,11 +41,17 @@ class QuadsRenderer(Renderer):
     name = "quads"
     orders: tuple[Order, ...] = ("32-bit", "16-bit", "weighted", "stochastic")
 
-    def __init__(self, ctx: moderngl.Context, *, gathering: Gathering | None = None) -> None:
-        super().__init__(ctx)
-        self._projector = Projector(ctx)
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        *,
+        gathering: Gathering | None = None,
+        variants: Variants | None = None,
+    ) -> None:
+        super().__init__(ctx, variants)
+        self._projector = Projector(ctx, self._variants)
         self._scene: SceneBuffers | None = None
-        self._gathering = gathering or Gathering(ctx)
+        self._gathering = gathering or Gathering(ctx, self._variants)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
         self._box = np.zeros((2, 3))
@@ -67,7 +74,7 @@ class QuadsRenderer(Renderer):
         self._early_stop = transmittance
 
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32"
+        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
     ) -> Generator[float, None, None]:
         n = len(gaussians)
         limit = storage_limit(self._ctx)
@@ -77,7 +84,7 @@ class QuadsRenderer(Renderer):
                 f"{limit >> 20} MiB; use --renderer cpu or fewer splats"
             )
         try:
-            for step in upload_steps(self._ctx, gaussians, attributes=attributes):
+            for step in upload_steps(self._ctx, gaussians, attributes=attributes, every_band=every_band):
                 if isinstance(step, SceneBuffers):
                     self._use(step, gaussians)
                 else:
@@ -86,9 +93,14 @@ class QuadsRenderer(Renderer):
             raise InputError(f"{n:,} splats do not fit into this GPU's memory ({error})") from error
 
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
+        try:
+            # The old scene stays as it is until there is room for the new one.
+            self._projector.resize(scene.splats)
+        except InputError:
+            scene.release()
+            raise
         if self._scene is not None:
             self._scene.release()
-        self._projector.resize(scene.splats)
         self._edits.load(scene.placement, source.means)
         self._scene, self._source = scene, source
         self._box = finite_box(source.means)
@@ -107,6 +119,9 @@ class QuadsRenderer(Renderer):
             raise RuntimeError("load() comes before draw()")
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
+        if self._source is not None and scene.harmonics.lacks(sh_degree):
+            self.load(self._source, scene.attributes, every_band=True)
+            scene = self._scene
         editing = self._edits.update(edits, overlay)
         if settings.order not in self.orders:
             raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
@@ -165,6 +180,7 @@ class QuadsRenderer(Renderer):
                 self._targets.gathered,
                 self._targets.shown,
                 background=settings.background,
+                camera=camera,
                 depths=depth_range(self._edits.placement, camera) if mode == "depth" else None,
                 weighted=order == "weighted",
             )

@@ -29,6 +29,7 @@ from .resolving import depth_range
 from .scene_textures import SceneTextures, upload_steps
 from .sort_worker import DepthOrder, SortWorker, ViewLine
 from .texel_array import TexelArray
+from .variants import Variants
 from .view_uniforms import Uniform, view_uniforms
 
 OLDEST = 330
@@ -83,19 +84,19 @@ class LegacyQuadsRenderer(Renderer):
 
     name = "quads (OpenGL 3.3)"
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants | None = None) -> None:
         if not ctx.version_code >= OLDEST:
             raise InputError(
                 f"OpenGL {ctx.version_code / 100:.1f} is too old, 3.3 is needed: use --renderer cpu"
             )
-        super().__init__(ctx)
-        self._projection = ProjectionPass(ctx)
+        super().__init__(ctx, variants)
+        self._projection = ProjectionPass(ctx, self._variants)
         self._scene: SceneTextures | None = None
         self._sorter: SortWorker | None = None
         self._order_texels = TexelArray(ctx, 1, "u4", "splats")
         self._order: DepthOrder | None = None
         """What `_order_texels` holds."""
-        self._gathering = LegacyGathering(ctx)
+        self._gathering = LegacyGathering(ctx, self._variants)
         self._projected: _Wish | None = None
         self._drawn: _Wish | None = None
         self._wanted: _Wish | None = None
@@ -103,11 +104,11 @@ class LegacyQuadsRenderer(Renderer):
     # ---- loading
 
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32"
+        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
     ) -> Generator[float, None, None]:
         if attributes != "float32":
             raise InputError(f"attributes in {attributes} need OpenGL 4.3; use float32 or --renderer cpu")
-        for step in upload_steps(self._ctx, gaussians):
+        for step in upload_steps(self._ctx, gaussians, every_band=every_band):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)
             else:
@@ -152,7 +153,12 @@ class LegacyQuadsRenderer(Renderer):
         overlay: Overlay | None,
     ) -> None:
         # For `render` this is all: to draw would be to draw in the order of an earlier view first.
-        _, sorter = self._loaded()
+        scene, sorter = self._loaded()
+        if self._source is not None and scene.harmonics.lacks(
+            3 if settings.sh_degree is None else settings.sh_degree
+        ):
+            self.load(self._source, every_band=True)
+            _, sorter = self._loaded()
         editing = self._edits.update(edits, overlay)
         if settings.order != "32-bit":
             raise InputError(f"{settings.order} order needs OpenGL 4.3; use 32-bit")
@@ -187,6 +193,7 @@ class LegacyQuadsRenderer(Renderer):
                 self._targets.gathered,
                 self._targets.shown,
                 background=settings.background,
+                camera=wish.camera,
                 depths=depth_range(self._edits.placement, wish.camera) if wish.mode == "depth" else None,
             )
         self._drawn = wish

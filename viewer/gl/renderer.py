@@ -17,6 +17,7 @@ from .overlay import Overlay
 from .resolving import Resolving, float16_blending_truncates
 from .targets import PictureTargets
 from .timers import StageTimers
+from .variants import Variants
 
 
 class Renderer(ABC):
@@ -25,28 +26,34 @@ class Renderer(ABC):
     Nothing is projected, sorted or drawn again while scene, camera, settings, mode and edits stay the same.
     """
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants | None = None) -> None:
         self._ctx = ctx
+        self._variants = variants or Variants(ctx)
         self._timers = StageTimers(ctx)
         self._edits = EditTextures(ctx)
-        self._resolving = Resolving(ctx)
+        self._resolving = Resolving(ctx, self._variants)
         self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._source: Gaussians | None = None
         """The scene that is loaded."""
         self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
-    def load(self, gaussians: Gaussians, attributes: Attributes = "float32") -> None:
+    def load(
+        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
+    ) -> None:
         """Replaces the scene, all at once; stored as `attributes` (`scene.stored`).
+
+        `every_band`: with the bands of spherical harmonics that nobody can see too. They are uploaded anyway
+        once settings ask for them, but that takes as long as loading does.
 
         Raises:
             InputError: the scene does not fit into the GPU's memory, buffers or textures.
         """
-        for _ in self.load_steps(gaussians, attributes):
+        for _ in self.load_steps(gaussians, attributes, every_band=every_band):
             pass
 
     @abstractmethod
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32"
+        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
     ) -> Generator[float, None, None]:
         """Replaces the scene in steps of a few milliseconds: yields the share done after each.
 
@@ -148,3 +155,4 @@ class Renderer(ABC):
         self._targets.release()
         self._edits.release()
         self._resolving.release()
+        self._variants.release()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import partial
 
 import moderngl
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from ...scene import Gaussians
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
-from ...scene.stored import FORMATS, Attributes, half, sh_levels, stored_quats
+from ...scene.stored import FORMATS, Attributes, half, stored_quats
+from .harmonics import StoredHarmonics, own_words, places, sh_words, stored_harmonics, words_by_degree
+from .memory import reserve
 from .placement import Placement, placement_of
 
 GROUP_SIZE = 256
@@ -19,6 +22,9 @@ GROUP_SIZE = 256
 
 UPLOAD_SLICE = 65_536
 """Splats prepared and uploaded between two steps of `upload_steps`: a few milliseconds of work."""
+
+MOST_ADDRESSED = 1 << 31
+"""Bytes of a buffer that `places` can count through, whatever the driver allows."""
 
 BYTES_A_SPLAT = (3 + 4 + 4) * 4
 """Positions, quaternions, scales and opacity in float32; spherical harmonics come on top."""
@@ -38,7 +44,8 @@ class Page:
     """count x 4 float32: standard deviations in world units, opacity; activated here, where exp is exact.
     Or float16, the scales as logarithms, whose range they need."""
     sh: moderngl.Buffer
-    """count x K x 3 float32, K of the degree in use; or what `sh_words` makes of them."""
+    """count x K x 3 float32, K of the scene's degree, or what `sh_words` makes of them. Where splats have
+    their own degrees, count `places` first and then the words of each."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,8 +54,7 @@ class SceneBuffers:
 
     splats: int
     placement: Placement
-    sh_degree: int
-    """Highest degree with a coefficient that is not zero: higher bands are not uploaded."""
+    harmonics: StoredHarmonics
     attributes: Attributes
     pages: tuple[Page, ...]
 
@@ -56,9 +62,14 @@ class SceneBuffers:
         """Of ``quads/attributes.glsl`` and ``quads/harmonics.glsl``."""
         return {
             "ATTRIBUTES": FORMATS.index(self.attributes),
-            "SH_STORED": SH_COEFFICIENTS[self.sh_degree],
-            "SH_WORDS": sh_bytes(SH_COEFFICIENTS[self.sh_degree], self.attributes) // 4,
+            "SH_WORDS": int(words_by_degree(self.attributes)[self.sh_degree]),
+            "OWN_DEGREES": self.harmonics.own_degrees is not None,
         }
+
+    @property
+    def sh_degree(self) -> int:
+        """The highest that is uploaded."""
+        return self.harmonics.sh_degree
 
     def release(self) -> None:
         for page in self.pages:
@@ -71,100 +82,65 @@ def storage_limit(ctx: moderngl.Context) -> int:
     return int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
 
 
-def degree_in_use(sh: np.ndarray) -> int:
-    """The lowest degree that shows `sh` (N, K, 3) unchanged: bands that are all zero do not count."""
-    for degree in range(SH_COEFFICIENTS.index(sh.shape[1]), 0, -1):
-        if sh[:, SH_COEFFICIENTS[degree - 1] :].any():
-            return degree
-    return 0
-
-
 def upload_steps(
     ctx: moderngl.Context,
     gaussians: Gaussians,
     *,
     attributes: Attributes = "float32",
+    every_band: bool = False,
     limit: int | None = None,
 ) -> Generator[float | SceneBuffers, None, None]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
 
-    Closing the generator early releases what it had uploaded. `limit` is bytes a buffer may have.
+    Closing the generator early releases what it had uploaded. `every_band`: see `stored_harmonics`. `limit`
+    is bytes a buffer may have.
+
+    Raises:
+        InputError: there is not enough graphics memory.
     """
     n = len(gaussians)
-    degree = degree_in_use(gaussians.sh)
-    coefficients = SH_COEFFICIENTS[degree]
+    harmonics = stored_harmonics(gaussians, every_band=every_band)
     placement = placement_of(gaussians.means)
-    sh_size = sh_bytes(coefficients, attributes)
+    words = words_by_degree(attributes)
     row = 16 if attributes == "float32" else 8
-    largest = max(16, sh_size)
-    fitting = (limit or storage_limit(ctx)) // largest
+    place = 0 if harmonics.own_degrees is None else 4
+    largest = max(16, 4 * int(words[harmonics.sh_degree]) + place)
+    fitting = min(limit or storage_limit(ctx), MOST_ADDRESSED) // largest
     page_size = max(GROUP_SIZE, fitting // GROUP_SIZE * GROUP_SIZE)
     pages: list[Page] = []
     done = False
+    scene = partial(SceneBuffers, splats=n, placement=placement, harmonics=harmonics, attributes=attributes)
     try:
         for first in range(0, n, page_size):
             count = min(page_size, n - first)
+            degrees = harmonics.of(slice(first, first + count))
+            sh_size = 4 * int(words[degrees].sum()) + count * place
+            sizes = (count * 12, count * row, count * row, sh_size)
+            positions, quats, scales_opacity, sh = reserve(ctx, sizes, f"{n:,} splats")
             page = Page(
                 first=first,
                 count=count,
-                positions=ctx.buffer(reserve=count * 12),
-                quats=ctx.buffer(reserve=count * row),
-                scales_opacity=ctx.buffer(reserve=count * row),
-                sh=ctx.buffer(reserve=count * sh_size),
+                positions=positions,
+                quats=quats,
+                scales_opacity=scales_opacity,
+                sh=sh,
             )
             pages.append(page)
+            sh_at = count * place
             for start in range(first, first + count, UPLOAD_SLICE):
                 part = slice(start, min(start + UPLOAD_SLICE, first + count))
-                _fill(page, gaussians, part, placement.centre, coefficients, attributes)
+                _fill(page, gaussians, part, placement.centre, attributes)
+                sh_at = _fill_harmonics(page, gaussians, part, harmonics, attributes, sh_at)
                 yield part.stop / n
         done = True
-        yield _scene(n, placement, degree, attributes, pages)
+        yield scene(pages=tuple(pages))
     finally:
         if not done:
-            _scene(n, placement, degree, attributes, pages).release()
+            scene(pages=tuple(pages)).release()
 
 
-def _scene(
-    splats: int, placement: Placement, sh_degree: int, attributes: Attributes, pages: list[Page]
-) -> SceneBuffers:
-    return SceneBuffers(
-        splats=splats, placement=placement, sh_degree=sh_degree, attributes=attributes, pages=tuple(pages)
-    )
-
-
-def sh_bytes(coefficients: int, attributes: Attributes) -> int:
-    """Bytes of a splat's harmonics; whole words of 4."""
-    if attributes == "float32":
-        return coefficients * 12
-    if attributes == "float16":
-        return -(-coefficients * 3 // 2) * 4
-    return 8 + -(-(coefficients - 1) * 3 // 4) * 4
-
-
-def sh_words(sh: np.ndarray, attributes: Attributes) -> np.ndarray:
-    """(n, K, 3) float32 as the shader reads it: (n, bytes). 8-bit: the constant band and the step in float16,
-    then a signed byte a number."""
-    n = len(sh)
-    words = np.zeros((n, sh_bytes(sh.shape[1], attributes)), np.uint8)
-    if attributes == "float16":
-        words[:, : sh.shape[1] * 6] = half(sh).reshape(n, -1).view(np.uint8)
-        return words
-    levels, steps = sh_levels(sh)
-    words[:, :6] = half(np.ascontiguousarray(sh[:, 0])).view(np.uint8)
-    words[:, 6:8] = steps[:, None].view(np.uint8)
-    rest = (sh.shape[1] - 1) * 3
-    words[:, 8 : 8 + rest] = levels.reshape(n, rest).view(np.uint8)
-    return words
-
-
-def _fill(
-    page: Page,
-    gaussians: Gaussians,
-    part: slice,
-    centre: np.ndarray,
-    coefficients: int,
-    attributes: Attributes,
-) -> None:
+def _fill(page: Page, gaussians: Gaussians, part: slice, centre: np.ndarray, attributes: Attributes) -> None:
+    """Writes all but the harmonics of some splats."""
     at = part.start - page.first
     with np.errstate(over="ignore", invalid="ignore"):
         positions = (gaussians.means[part].astype(np.float64) - centre).astype(np.float32)
@@ -173,12 +149,30 @@ def _fill(
         activated[:, :3] = np.exp(scales) if attributes == "float32" else scales
         activated[:, 3] = sigmoid(gaussians.opacity_logits[part])
     page.positions.write(positions, offset=at * 12)
-    sh = np.ascontiguousarray(gaussians.sh[part, :coefficients])
-    if attributes != "float32":
-        page.quats.write(stored_quats(gaussians.quats[part]), offset=at * 8)
-        page.scales_opacity.write(half(activated), offset=at * 8)
-        page.sh.write(sh_words(sh, attributes), offset=at * sh_bytes(coefficients, attributes))
+    if attributes == "float32":
+        page.quats.write(np.ascontiguousarray(gaussians.quats[part]), offset=at * 16)
+        page.scales_opacity.write(activated, offset=at * 16)
         return
-    page.quats.write(np.ascontiguousarray(gaussians.quats[part]), offset=at * 16)
-    page.scales_opacity.write(activated, offset=at * 16)
-    page.sh.write(sh, offset=at * coefficients * 12)
+    page.quats.write(stored_quats(gaussians.quats[part]), offset=at * 8)
+    page.scales_opacity.write(half(activated), offset=at * 8)
+
+
+def _fill_harmonics(
+    page: Page,
+    gaussians: Gaussians,
+    part: slice,
+    harmonics: StoredHarmonics,
+    attributes: Attributes,
+    at: int,
+) -> int:
+    """Writes those of some splats from byte `at` of the page on; returns where the next ones begin."""
+    sh = gaussians.sh[part, : SH_COEFFICIENTS[harmonics.sh_degree]]
+    if harmonics.own_degrees is None:
+        words = sh_words(sh, attributes)
+    else:
+        degrees = harmonics.of(part)
+        words = own_words(sh, degrees, attributes)
+        own = places(degrees, attributes, at // 4)[:-1]
+        page.sh.write(own, offset=(part.start - page.first) * 4)
+    page.sh.write(words, offset=at)
+    return at + words.nbytes

@@ -11,8 +11,8 @@ import numpy as np
 from ...scene import Gaussians, InputError
 from ...scene.gaussians import SH_COEFFICIENTS
 from ...scene.projection import sigmoid
+from .harmonics import DEGREE_BITS, StoredHarmonics, stored_harmonics
 from .placement import Placement, placement_of
-from .scene_buffers import degree_in_use
 from .texel_array import TEXTURE_WIDTH, rows_for
 
 ROWS_AT_ONCE = 32
@@ -26,8 +26,7 @@ class SceneTextures:
     splats: int
     rows: int
     placement: Placement
-    sh_degree: int
-    """Highest degree with a coefficient that is not zero."""
+    harmonics: StoredHarmonics
     positions: moderngl.Texture
     """xyz relative to the centre, opacity."""
     quats: moderngl.Texture
@@ -35,27 +34,49 @@ class SceneTextures:
     scales: moderngl.Texture
     """Standard deviations, world units."""
     sh: moderngl.TextureArray
-    """One layer a coefficient."""
+    """One layer a coefficient. Where splats have their own degrees, all coefficients one after the other, row
+    by row and layer by layer."""
+    places: moderngl.Texture | None
+    """uint32, where splats have their own degrees: see `harmonics.places`, counted in coefficients."""
+
+    @property
+    def sh_degree(self) -> int:
+        """The highest that is uploaded."""
+        return self.harmonics.sh_degree
+
+    @property
+    def sh_layer(self) -> int:
+        """Texels of one layer."""
+        return TEXTURE_WIDTH * self.rows
+
+    def flags(self) -> dict[str, float | bool]:
+        """Of ``legacy/project.frag.glsl``."""
+        return {"OWN_DEGREES": self.places is not None}
 
     def release(self) -> None:
-        for texture in (self.positions, self.quats, self.scales, self.sh):
-            texture.release()
+        for texture in (self.positions, self.quats, self.scales, self.sh, self.places):
+            if texture is not None:
+                texture.release()
 
 
-def upload_steps(ctx: moderngl.Context, gaussians: Gaussians) -> Iterator[float | SceneTextures]:
+def upload_steps(
+    ctx: moderngl.Context, gaussians: Gaussians, *, every_band: bool = False
+) -> Iterator[float | SceneTextures]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneTextures`.
 
-    Closing the generator early releases what it had made.
+    Closing the generator early releases what it had made. `every_band`: see `stored_harmonics`.
 
     Raises:
         InputError: the scene does not fit into the driver's textures or memory.
     """
-    scene = _allocate(ctx, gaussians)
+    scene = _allocate(ctx, gaussians, stored_harmonics(gaussians, every_band=every_band))
+    coefficients = 0
     done = False
     try:
         for row in range(0, scene.rows, ROWS_AT_ONCE):
             rows = min(ROWS_AT_ONCE, scene.rows - row)
             _fill(scene, gaussians, row, rows)
+            coefficients += _fill_harmonics(scene, gaussians, row, rows, coefficients)
             yield (row + rows) / scene.rows
         done = True
         yield scene
@@ -64,28 +85,30 @@ def upload_steps(ctx: moderngl.Context, gaussians: Gaussians) -> Iterator[float 
             scene.release()
 
 
-def _allocate(ctx: moderngl.Context, gaussians: Gaussians) -> SceneTextures:
+def _allocate(ctx: moderngl.Context, gaussians: Gaussians, harmonics: StoredHarmonics) -> SceneTextures:
     n = len(gaussians)
     rows = rows_for(ctx, n, f"{n:,} splats")
-    degree = degree_in_use(gaussians.sh)
-    coefficients = SH_COEFFICIENTS[degree]
     size = (TEXTURE_WIDTH, rows)
+    layers, own = SH_COEFFICIENTS[harmonics.sh_degree], harmonics.own_degrees
+    if own is not None:
+        layers = -(-int(np.array(SH_COEFFICIENTS)[own].sum()) // (TEXTURE_WIDTH * rows))
     try:
         scene = SceneTextures(
             splats=n,
             rows=rows,
             placement=placement_of(gaussians.means),
-            sh_degree=degree,
+            harmonics=harmonics,
             positions=ctx.texture(size, 4, dtype="f4"),
             quats=ctx.texture(size, 4, dtype="f4"),
             scales=ctx.texture(size, 3, dtype="f4"),
-            sh=ctx.texture_array((*size, coefficients), 3, dtype="f4"),
+            sh=ctx.texture_array((*size, layers), 3, dtype="f4"),
+            places=None if own is None else ctx.texture(size, 1, dtype="u4"),
         )
         if ctx.error == "GL_OUT_OF_MEMORY":
             scene.release()
             raise MemoryError
     except (moderngl.Error, MemoryError) as error:
-        needed = TEXTURE_WIDTH * rows * 4 * (4 + 4 + 3 + 3 * coefficients)
+        needed = TEXTURE_WIDTH * rows * 4 * (4 + 4 + 3 + 3 * layers)
         raise InputError(
             f"{n:,} splats need {needed >> 20:,} MiB of graphics memory, more than there is:"
             " use --renderer cpu or fewer splats"
@@ -111,9 +134,37 @@ def _fill(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int) -> No
         (scene.scales, scales),
     ):
         texture.write(_whole_rows(values, rows), viewport=viewport)
-    for layer in range(scene.sh.layers):
-        values = _whole_rows(gaussians.sh[part, layer], rows)
-        scene.sh.write(values, viewport=(0, row, layer, TEXTURE_WIDTH, rows, 1))
+
+
+def _fill_harmonics(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int, first: int) -> int:
+    """Writes those of some rows of splats, which, where splats have their own degrees, begin with coefficient
+    `first`; returns how many they are."""
+    part = slice(row * TEXTURE_WIDTH, min((row + rows) * TEXTURE_WIDTH, scene.splats))
+    if scene.places is None:
+        for layer in range(scene.sh.layers):
+            values = _whole_rows(gaussians.sh[part, layer], rows)
+            scene.sh.write(values, viewport=(0, row, layer, TEXTURE_WIDTH, rows, 1))
+        return 0
+    degrees = scene.harmonics.of(part)
+    counts = np.array(SH_COEFFICIENTS)[degrees]
+    starts = (first + np.cumsum(counts) - counts).astype(np.uint32)
+    own = np.zeros(rows * TEXTURE_WIDTH, np.uint32)
+    own[: len(degrees)] = starts << DEGREE_BITS | degrees
+    scene.places.write(own, viewport=(0, row, TEXTURE_WIDTH, rows))
+    coefficients = SH_COEFFICIENTS[scene.sh_degree]
+    values = gaussians.sh[part, :coefficients][np.arange(coefficients) < counts[:, None]]
+    at = 0
+    while at < len(values):
+        # Runs within a row, whole rows where there are any.
+        line, column = divmod(first + at, TEXTURE_WIDTH)
+        layer, line = divmod(line, scene.rows)
+        whole = min((len(values) - at) // TEXTURE_WIDTH, scene.rows - line) if column == 0 else 0
+        width = TEXTURE_WIDTH if whole else min(TEXTURE_WIDTH - column, len(values) - at)
+        size = width * max(whole, 1)
+        run = np.ascontiguousarray(values[at : at + size])
+        scene.sh.write(run, viewport=(column, line, layer, width, max(whole, 1), 1))
+        at += size
+    return len(values)
 
 
 def _whole_rows(values: np.ndarray, rows: int) -> np.ndarray:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from splatview.scene import InputError, RenderSettings, look_at
+from splatview.scene.effects import degree_in_use
 from splatview.viewer.gl import quads, scene_buffers
 from splatview.viewer.gl.placement import placement_of
 from splatview.viewer.gl.quads import QuadsRenderer
-from splatview.viewer.gl.scene_buffers import GROUP_SIZE, SceneBuffers, degree_in_use, upload_steps
+from splatview.viewer.gl.scene_buffers import GROUP_SIZE, SceneBuffers, upload_steps
 
 CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)
 
