@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.background import seen
 from ..scene.projection import Footprints, project
 from ..scene.reference import alphas, composite, splats_reaching
 
@@ -34,7 +35,9 @@ class Ambiguity:
 def ambiguity_at(
     footprints: Footprints, x: int, y: int, settings: RenderSettings, *, slack: float = RELATIVE_SLACK
 ) -> Ambiguity:
-    """Evaluates pixel (x, y) with the cut moved either way by `slack` and with tied depths swapped."""
+    """Evaluates pixel (x, y) with the cut moved either way by `slack` and with tied depths swapped.
+
+    The background of the settings must be a colour: what is behind this pixel."""
     px, py = np.array([x + 0.5]), np.array([y + 0.5])
     which = splats_reaching(footprints, px[0], px[0], py[0], py[0])
     model = settings.model
@@ -82,9 +85,11 @@ def unexplained_pixels(
     # With a lower cut, or splats whose peak is just below it would be culled before they are looked at.
     lenient = replace(settings.model, alpha_cut=settings.model.alpha_cut * (1 - RELATIVE_SLACK))
     footprints = project(gaussians, camera, replace(settings, model=lenient))
+    behind = np.broadcast_to(seen(settings.background, camera), (camera.height, camera.width, 3))
     unexplained: list[tuple[int, int]] = []
     for x, y in zip(columns.tolist(), rows.tolist(), strict=True):
-        swing = ambiguity_at(footprints, x, y, settings).swing
+        r, g, b = behind[y, x].tolist()
+        swing = ambiguity_at(footprints, x, y, replace(settings, background=(r, g, b))).swing
         if not error[y, x] <= bound + swing:
             unexplained.append((x, y))
     return unexplained, len(rows) - len(unexplained)

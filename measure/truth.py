@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.background import seen
 from ..scene.projection import project
 from ..scene.reference import composite, splats_reaching
 
@@ -32,6 +33,8 @@ def disagreement(
     """The largest difference of any number of `picture` (H, W, 4) float64 from the reference, in `blocks`
     blocks of SIDE² pixels chosen at random. NaN where either is."""
     footprints = project(gaussians, camera, settings, dtype=np.float64)
+    shape = camera.height, camera.width, 3
+    behind = np.broadcast_to(seen(settings.background, camera), shape)
     rng = np.random.default_rng(seed)
     worst = 0.0
     for _ in range(blocks):
@@ -43,7 +46,7 @@ def disagreement(
         )
         reaching = splats_reaching(footprints, x.min(), x.max(), y.min(), y.max())
         colour, light = composite(footprints, reaching, x.ravel(), y.ravel(), settings)
-        colour += light[:, None] * np.asarray(settings.background)
+        colour += light[:, None] * behind[top : top + SIDE, left : left + SIDE].reshape(-1, 3)
         true = np.concatenate([colour, 1 - light[:, None]], axis=1).reshape(part.shape)
         worst = float(np.maximum(worst, np.abs(part - true).max()))
     return worst

@@ -9,12 +9,16 @@ from functools import partial
 import numpy as np
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.background import lay_over
 from ..scene.edits import SceneEdits
+from ..scene.resorting import keeps_order
 from .compiling import will_compile
 from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import Frame, draw
 from .gradients import Gradients, differentiate
+from .kept_order import in_kept_order
+from .optics import make_optics
 from .parameters import Parameters, check_parameters, parameters_of, used_degree
 from .per_pixel import depth_slopes
 from .pool import available_threads
@@ -98,8 +102,8 @@ def draw_frame(
 ) -> Frame:
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
-    `edits` are seen in the picture, which then has no gradients. `background` (3,) stands for that of the
-    settings. `early_stop`: the light below which a pixel ends.
+    `edits` are seen in the picture, which then has no gradients; nor has one over more than a colour.
+    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -112,7 +116,11 @@ def draw_frame(
         raise ValueError(f"early_stop must be in [0, 1), got {early_stop}")
     if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
         raise ValueError(f"dtype must be float32 or float64, got {np.dtype(dtype)}")
-    behind = np.array(settings.background if background is None else background, dtype)
+    # More than a colour is laid behind the finished picture: the kernels know nothing of it.
+    plain = background is not None or isinstance(settings.background, tuple)
+    if background is None:
+        background = np.array(settings.background if plain else (0.0, 0.0, 0.0))
+    behind = np.array(background, dtype)
     if behind.shape != (3,) or not np.isfinite(behind).all():
         raise ValueError(f"background must be 3 finite numbers, got {behind}")
     if settings.order not in ORDERS:
@@ -122,15 +130,29 @@ def draw_frame(
         if edits is not None and edits.adjusts:
             raise ValueError("per-pixel order needs the scene itself: bake its adjustments first")
         slopes_of = partial(depth_slopes, splats, camera=camera, settings=settings)
-    return draw(
+    view = make_view(camera, settings, np.dtype(dtype))
+    threads = threads or available_threads()
+    edited = edit_arrays(edits, len(splats.means))
+    key_bits = 16 if settings.order == "16-bit" else 32
+    order_of = None
+    if keeps_order(settings):
+        order_of = partial(
+            in_kept_order, splats, camera, settings, view, workspace, edited, key_bits, threads
+        )
+    frame = draw(
         splats,
-        make_view(camera, settings, np.dtype(dtype)),
+        view,
         behind,
         workspace,
         sh_degree=used_degree(splats, settings),
         early_stop=early_stop,
-        edits=edit_arrays(edits, len(splats.means)),
-        key_bits=16 if settings.order == "16-bit" else 32,
+        optics=make_optics(camera),
+        edits=edited,
+        key_bits=key_bits,
+        order_of=order_of,
         slopes_of=slopes_of,
-        threads=threads or available_threads(),
+        threads=threads,
     )
+    if not plain:
+        lay_over(frame.image, settings.background, camera)
+    return frame

@@ -6,13 +6,11 @@ import math
 
 import numpy as np
 
+from .background import WORLD_UP
 from .camera import Camera, look_at
 from .gaussians import Gaussians
 from .image_model import NEAR
 from .projection import FLOAT32_MAX
-
-WORLD_UP = (0.0, -1.0, 0.0)
-"""Trainers keep the axes of the first photos, x right, y down: -y is up, nearly or exactly."""
 
 VIEW_OFFSET = (0.4, -0.4, -1.0)
 """From the scene to the eye: in front (photos look along +z), a little above and beside."""

@@ -147,11 +147,21 @@ class RenderSettings:
     weighted: not sorted; nearer splats count more in a sum, and the light that comes through is right.
     stochastic: not sorted; each pixel shows one splat, by chance, as often as the image model would.
     """
+    resort_frames: int = 1
+    """While the camera moves, the order is made anew in every so many frames only: pictures then depend on
+    those before. At rest it is that of the view."""
+    resort_degrees: float = 0.0
+    """Above 0: instead, when the camera has turned or moved by so much, by `resorting.turned_by`."""
     sigma_cut: float | None = None
     """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut decides."""
 
     def __post_init__(self) -> None:
         if self.sigma_cut is not None and not self.sigma_cut > 0:
             raise ValueError(f"sigma_cut must be above 0, got {self.sigma_cut}")
+        if not self.resort_frames >= 1 or not self.resort_degrees >= 0:
+            raise ValueError(
+                f"resort_frames must be at least 1 and resort_degrees at least 0, got {self.resort_frames} "
+                f"and {self.resort_degrees}"
+            )
         if self.early_stop is not None and not 0 <= self.early_stop < 1:
             raise ValueError(f"early_stop must be in [0, 1), got {self.early_stop}")

@@ -14,10 +14,13 @@ from typing import Any
 import numpy as np
 
 from ...measure.knobs import Plan
-from ...scene import Gaussians, InputError, RenderSettings
+from ...scene import Camera, Gaussians, InputError, RenderSettings
+from ...scene.aperture import Aperture, check_camera, mean_picture
 from ...scene.effects import settings_for
 from ...scene.files import load_scene
-from .arguments import Parser, colour, count, not_negative, number, positive
+from .arguments import Parser, count, not_negative, number, positive
+from .backgrounds import HELP as BACKGROUND_HELP
+from .backgrounds import background, chosen_background
 from .cameras import Orbit, add_camera_options, check_camera_options, chosen_orbit
 from .knob_options import add_knob_options, check_knob_options, chosen_plan
 from .pictures import check_output, write_picture
@@ -28,6 +31,9 @@ MODES = ("splats", "points", "ellipsoids", "depth", "overdraw")
 
 WARM_UP_TURN = -1.0
 """Degrees by which the frame before the measured ones differs, so that nothing of it can be kept."""
+
+LENS_SAMPLES = 64
+"""A blur of twenty pixels is then within two grey levels of the limit."""
 
 
 def make_parser() -> Parser:
@@ -41,7 +47,7 @@ def make_parser() -> Parser:
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
     add_camera_options(parser)
     group = parser.add_argument_group("picture")
-    group.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default: 0,0,0)")
+    group.add_argument("--background", type=background, metavar="BACK", help=BACKGROUND_HELP)
     group.add_argument(
         "--alpha", action="store_true", help="a .png with transparency instead of a background"
     )
@@ -54,6 +60,15 @@ def make_parser() -> Parser:
     )
     group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
     group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
+    group = parser.add_argument_group("depth of field (off where no aperture is given)")
+    group.add_argument("--aperture", type=positive, metavar="A", help="diameter of the lens, world units")
+    group.add_argument("--focus", type=positive, metavar="D", help="distance that is sharp, world units")
+    group.add_argument(
+        "--lens-samples",
+        type=count,
+        metavar="N",
+        help=f"pictures averaged, each from a point of the lens (default: {LENS_SAMPLES})",
+    )
     add_knob_options(parser)
     group = parser.add_argument_group("measuring")
     group.add_argument("--stats", action="store_true", help="print times and counts as one JSON object")
@@ -70,11 +85,14 @@ def run(arguments: list[str]) -> int:
         return 0
     check_camera_options(args)
     check_picture_options(args)
+    behind = chosen_background(args.background, args.up)
     gaussians = load_scene(args.scene)
     orbit = chosen_orbit(args, gaussians)
+    aperture = chosen_aperture(args, orbit.camera)
     renderer = make_headless(args.renderer, mode=args.mode)
-    plan = chosen_plan(args, chosen_settings(args, gaussians), renderer.name)
-    image, stats = render_frames(args, renderer, gaussians, orbit, plan)
+    settings = replace(chosen_settings(args, gaussians), background=behind)
+    plan = chosen_plan(args, settings, renderer.name)
+    image, stats = render_frames(args, renderer, gaussians, orbit, plan, aperture)
     if args.output:
         write_picture(image, args.output, alpha=args.alpha)
         print(f"{args.output}: {image.shape[1]}x{image.shape[0]}, by {renderer.name}", file=sys.stderr)
@@ -94,13 +112,17 @@ def check_picture_options(args: argparse.Namespace) -> None:
             raise InputError("--alpha is for .png files; a .npy always has alpha")
         if args.background is not None:
             raise InputError("--alpha leaves the background out; drop --background or --alpha")
+    if args.aperture is not None and args.focus is None:
+        raise InputError("--aperture needs --focus, the distance that is sharp")
+    if args.aperture is None and (args.focus is not None or args.lens_samples is not None):
+        raise InputError("--focus and --lens-samples go with --aperture, the diameter of the lens")
     if args.mode != "splats" and args.renderer not in ("auto", "quads"):
         raise InputError(f"--mode {args.mode} needs --renderer quads")
     check_knob_options(args)
 
 
 def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSettings:
-    """What the scene calls for, with the options' changes."""
+    """What the scene calls for, with the options' changes; the background apart."""
     settings = settings_for(gaussians)
     changes: dict[str, Any] = {
         name: value
@@ -115,7 +137,15 @@ def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSet
     # The truth leaves out nothing, not even what cannot be seen.
     if args.sh_degree is not None or args.renderer == "reference":
         settings = replace(settings, sh_degree=None)
-    return replace(settings, background=args.background or (0.0, 0.0, 0.0))
+    return settings
+
+
+def chosen_aperture(args: argparse.Namespace, camera: Camera) -> Aperture | None:
+    """The lens that was asked for, or None. Raises InputError where this camera can have none."""
+    if args.aperture is None:
+        return None
+    check_camera(camera)
+    return Aperture(diameter=args.aperture, focus=args.focus)
 
 
 def render_frames(
@@ -124,13 +154,19 @@ def render_frames(
     gaussians: Gaussians,
     orbit: Orbit,
     plan: Plan,
+    aperture: Aperture | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The last picture, and the figures of all. Times are wall-clock up to the pixels in memory.
 
+    Of a picture through a lens, counts and stages are those of its last part.
     With --stats one frame is drawn first and not counted: it compiles and allocates.
     """
+
+    def draw(camera: Camera) -> np.ndarray:
+        return draw_plan(renderer, gaussians, camera, plan, args.mode)
+
     if args.stats:
-        draw_plan(renderer, gaussians, orbit.turned(WARM_UP_TURN), plan, args.mode)
+        draw(orbit.turned(WARM_UP_TURN))
     image = np.empty(0, np.float32)
     totals: list[float] = []
     stages: dict[str, list[float]] = {}
@@ -138,7 +174,10 @@ def render_frames(
     for frame in range(1, args.frames + 1):
         camera = orbit.turned(args.turn * frame) if args.turn else orbit.camera
         start = time.perf_counter()
-        image = draw_plan(renderer, gaussians, camera, plan, args.mode)
+        if aperture is None:
+            image = draw(camera)
+        else:
+            image = mean_picture(draw, camera, aperture, args.lens_samples or LENS_SAMPLES)
         totals.append(1e3 * (time.perf_counter() - start))
         if args.stats:
             visible, milliseconds = renderer.stats()
