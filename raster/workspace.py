@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from .kept_order import KeptOrder
 
 GROWTH = 1.25
 """A buffer that has become too small is replaced by one so much larger than asked for."""
@@ -15,6 +19,8 @@ class Workspace:
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
+        self.kept_order: KeptOrder | None = None
+        """Of the picture before, where `RenderSettings.resort_frames` lets it serve more than one."""
 
     def take(self, name: str, shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
         """An array with any contents, aligned to a cache line; the one taken before by this name is lost."""
