@@ -12,6 +12,7 @@ from ..scene import Camera, Gaussians, RenderSettings
 from ..scene.background import lay_over
 from ..scene.edits import SceneEdits
 from ..scene.resorting import keeps_order
+from .bands import Bands, bands_of
 from .compiling import will_compile
 from .edited import edit_arrays
 from .forward import EARLY_STOP
@@ -34,6 +35,7 @@ __all__ = [
     "Weights",
     "Workspace",
     "available_threads",
+    "bands_of",
     "check_parameters",
     "contributions",
     "differentiate",
@@ -81,6 +83,7 @@ def render(
         settings or RenderSettings(),
         _workspaces.of_thread,
         edits=edits,
+        bands=bands_of(gaussians),
         threads=threads,
     )
     if stages is not None:
@@ -95,6 +98,7 @@ def draw_frame(
     workspace: Workspace,
     *,
     edits: SceneEdits | None = None,
+    bands: Bands | None = None,
     background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
     early_stop: float | None = None,
@@ -103,6 +107,7 @@ def draw_frame(
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
     `edits` are seen in the picture, which then has no gradients; nor has one over more than a colour.
+    `bands`: those of the scene that are not zero (`bands_of`), if that is known; no picture depends on it.
     `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
 
     Raises:
@@ -148,6 +153,7 @@ def draw_frame(
         early_stop=early_stop,
         optics=make_optics(camera),
         edits=edited,
+        bands=bands,
         key_bits=key_bits,
         order_of=order_of,
         slopes_of=slopes_of,

@@ -1,8 +1,8 @@
 """How kernels are compiled: without the GIL, cached on disk, and with a word to the user first.
 
 numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
-into. Here all sources of this package, and of the package that a kernel is in, are part of the cache's
-path, so a kernel can never be stale.
+into. Here all sources of this package, of the package that a kernel is in, and what else kernels compile
+are part of the cache's path, so a kernel can never be stale.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ KEEP_DAYS = 30
 
 _HERE = Path(__file__).parent
 
+SHARED_SOURCES = (_HERE.parent / "scene" / "lens_formula.py",)
+"""Files of other packages with functions that kernels here compile."""
+
 
 def _cache_root() -> Path:
     """NUMBA_CACHE_DIR where it is set, else the user's cache folder by the platform's custom."""
@@ -44,9 +47,9 @@ def _cache_root() -> Path:
 def _cache_folder(package: Path) -> Path | None:
     """Where kernels of exactly these sources lie; None where the disk may not be written."""
     stamp = hashlib.sha256(str((numba.__version__, BOUNDSCHECK)).encode())
-    for folder in dict.fromkeys((_HERE, package)):
-        for file in sorted(folder.glob("*.py")):
-            stamp.update(file.read_bytes())
+    files = [file for folder in dict.fromkeys((_HERE, package)) for file in sorted(folder.glob("*.py"))]
+    for file in (*files, *SHARED_SOURCES):
+        stamp.update(file.read_bytes())
     try:
         folder = _cache_root() / stamp.hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,7 @@ from .compiling import kernel
 from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import draw, tile_ranges
+from .optics import make_optics
 from .parameters import Parameters, used_degree
 from .pool import TASKS_PER_THREAD, available_threads, run
 from .project import LOG2_OPACITY, RX, RY, X_REST, Y_REST, A, B, C, X, Y
@@ -60,6 +61,7 @@ def count_work(
         workspace,
         sh_degree=degree,
         early_stop=early_stop,
+        optics=make_optics(camera),
         edits=edit_arrays(edits, len(splats.means)),
         threads=threads,
     )

@@ -38,7 +38,7 @@ EXP2_DEGREE = {32: 5, 64: 11}
 save a twentieth of the inner loop; gradients through many layers keep a digit more with 5."""
 
 
-def _emit_polynomial(builder: Any, vector: Vector, x: Any, coefficients: list[float]) -> Any:
+def emit_polynomial(builder: Any, vector: Vector, x: Any, coefficients: list[float]) -> Any:
     """Estrin's scheme: pairs of terms side by side, so that latencies overlap where Horner's add up."""
     terms: list[Any] = [constant(x.type, coefficient) for coefficient in coefficients]
     while len(terms) > 1:
@@ -68,7 +68,7 @@ def exp2(typingctx: Any, x: Any) -> Any:
         shifted = builder.fadd(args[0], magic)
         fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
         coefficients = exp2_coefficients(EXP2_DEGREE[x.element.bitwidth])
-        power = _emit_polynomial(builder, x, fraction, coefficients)
+        power = emit_polynomial(builder, x, fraction, coefficients)
         exponent = builder.shl(builder.bitcast(shifted, ints), ir.Constant(ints, [mantissa] * LANES))
         return builder.bitcast(builder.add(builder.bitcast(power, ints), exponent), llvm_type)
 
@@ -105,7 +105,7 @@ def log2_lanes(typingctx: Any, x: Any) -> Any:
         one = constant(llvm_type, 1.0)
         s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
         series = [2 / math.log(2) / (2 * term + 1) for term in range(11)]
-        log2_m = builder.fmul(s, _emit_polynomial(builder, x, builder.fmul(s, s), series))
+        log2_m = builder.fmul(s, emit_polynomial(builder, x, builder.fmul(s, s), series))
         return builder.fadd(builder.sitofp(exponent, llvm_type), log2_m)
 
     return x(x), codegen

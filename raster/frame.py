@@ -10,9 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from .bands import Bands
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from .edited import EditArrays
 from .forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
+from .optics import PINHOLE, Optics
 from .parameters import Parameters
 from .per_pixel import draw_tiles_by_pixel
 from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
@@ -101,6 +103,7 @@ class Frame:
     """What drawing leaves behind. All but the image lives in the workspace until its next picture."""
 
     view: View
+    optics: Optics
     background: np.ndarray
     """(3,) in the picture's dtype."""
     retirement: Retirement
@@ -143,13 +146,17 @@ def draw(
     sh_degree: int,
     early_stop: float,
     threads: int,
+    optics: Optics = PINHOLE,
     edits: EditArrays | None = None,
+    bands: Bands | None = None,
     key_bits: int = 32,
+    order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
     slopes_of: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Frame:
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid.
 
-    `slopes_of` makes `per_pixel.depth_slopes` of visible splats, for a picture in per-pixel order.
+    `order_of` puts what is found visible (N,), in runs, in order, where no new order is to be made.
+    `bands` are those of the scene that are not zero. `slopes_of` makes `per_pixel.depth_slopes` of visible splats, for a picture in per-pixel order.
     """
     clock = StageClock()
     dtype = background.dtype
@@ -160,13 +167,26 @@ def draw(
         workspace,
         sh_degree=sh_degree,
         threads=threads,
+        optics=optics,
         edits=edits,
+        bands=bands,
         clock=clock,
         key_bits=key_bits,
+        order_of=order_of,
     )
     if slopes_of is not None:
         return _draw_by_pixel(
-            arranged, view, background, workspace, sh_degree, early_stop, threads, edits, slopes_of, clock
+            arranged,
+            view,
+            optics,
+            background,
+            workspace,
+            sh_degree,
+            early_stop,
+            threads,
+            edits,
+            slopes_of,
+            clock,
         )
     records, bins = arranged.records, arranged.bins
     image = np.empty((view.height, view.width, 4), dtype)
@@ -202,6 +222,7 @@ def draw(
             )
     return Frame(
         view=view,
+        optics=optics,
         background=background,
         retirement=retirement,
         sh_degree=sh_degree,
@@ -226,6 +247,7 @@ def draw(
 def _draw_by_pixel(
     arranged: Arrangement,
     view: View,
+    optics: Optics,
     background: np.ndarray,
     workspace: Workspace,
     sh_degree: int,
@@ -259,6 +281,7 @@ def _draw_by_pixel(
     nothing = np.empty(0, background.dtype)
     return Frame(
         view=view,
+        optics=optics,
         background=background,
         retirement=retirement,
         sh_degree=sh_degree,
@@ -288,18 +311,24 @@ def arrange(
     *,
     sh_degree: int,
     threads: int,
+    optics: Optics,
     edits: EditArrays | None,
     clock: StageClock,
+    bands: Bands | None = None,
     key_bits: int = 32,
+    order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
 ) -> Arrangement:
     """All that comes before pixels: project, sort, bin."""
     with clock.stage("project"):
         pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
         records, depths, visible, runs, bounds = _project(
-            splats, pieces, view, dtype, workspace, sh_degree, threads, edits
+            splats, pieces, view, optics, dtype, workspace, sh_degree, threads, edits, bands
         )
     with clock.stage("sort"):
-        order = _sort(runs, bounds, visible, depths, workspace, threads, key_bits)
+        if order_of is None:
+            order = _sort(runs, bounds, visible, depths, workspace, threads, key_bits)
+        else:
+            order = order_of(visible, runs)
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
     return Arrangement(records=records, depths=depths, pieces=pieces, runs=runs, visible=visible, bins=bins)
@@ -309,21 +338,26 @@ def _project(
     splats: Parameters,
     pieces: Runs,
     view: View,
+    optics: Optics,
     dtype: np.dtype,
     workspace: Workspace,
     sh_degree: int,
     threads: int,
     edits: EditArrays | None,
+    bands: Bands | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
     count = len(splats.means)
     records = workspace.take("records", (count, RECORD), dtype)
     depths = workspace.take("depths", (count,), np.float64)
     visible = workspace.take("visible", (count,), np.int32)
     bounds = np.empty((len(pieces), 2))
+    own_degrees = None
+    if bands is not None:
+        sh_degree, own_degrees = min(sh_degree, bands.in_use), bands.own_degrees
     found = run(
         project,
         [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
-        (*splats, sh_degree, view, records, depths, visible, edits),
+        (*splats, sh_degree, view, optics, records, depths, visible, edits, own_degrees),
         threads,
     )
     if min(found) < 0:

@@ -157,6 +157,7 @@ def _parameters(
             *splats,
             frame.sh_degree,
             frame.view,
+            frame.optics,
             splat_sums,
             *gradients,
             means2d,

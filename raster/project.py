@@ -39,6 +39,7 @@ from .edited import (
     turned_back,
 )
 from .exp import exp_lanes, log2_lanes
+from .optics import image_axes, image_point, viewing_direction, within_reach
 from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
 from .view import HALF_LOG2_E
 
@@ -97,24 +98,6 @@ def sigmoid_lanes(logit):
     decay = exp_lanes(-abs(logit))
     one, zero = fill(logit, 1.0), fill(logit, 0.0)
     return (keep_if_at_least(one, logit, zero) + keep_if_below(decay, logit, zero)) / (one + decay)
-
-
-@inline
-def image_axes(view, tx, ty, tz):
-    """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
-    r = view.rotation
-    nearness = 1.0 / tz
-    u = min(max(tx * nearness, view.min_u), view.max_u)
-    v = min(max(ty * nearness, view.min_v), view.max_v)
-    fx, fy = view.fx * nearness, view.fy * nearness
-    return (
-        fx * (r[0, 0] - u * r[2, 0]),
-        fx * (r[0, 1] - u * r[2, 1]),
-        fx * (r[0, 2] - u * r[2, 2]),
-        fy * (r[1, 0] - v * r[2, 0]),
-        fy * (r[1, 1] - v * r[2, 1]),
-        fy * (r[1, 2] - v * r[2, 2]),
-    )
 
 
 @inline
@@ -264,16 +247,17 @@ def if_three_finite(drawn, x, y, z):
 
 
 @inline
-def project_group(view, lanes):
+def project_group(view, optics, lanes):
     """Fills the columns from FOOTPRINT on from the loaded ones."""
     ox, oy, oz = three_columns(lanes, OFFSET)
     tx, ty, tz = camera_point(view, ox, oy, oz)
     nothing, one = fill(tx, 0.0), fill(tx, 1.0)
     drawn = keep_if_at_least(one, tz, fill(tz, view.near))
     drawn = if_three_finite(if_three_finite(drawn, ox, oy, oz), tx, ty, tz)
-    nearness, away = one / tz, one / math.sqrt(ox * ox + oy * oy + oz * oz)
+    drawn = within_reach(drawn, optics, tx, ty, tz)
     set_column(lanes, DEPTH, tz)
-    set_three(lanes, TOWARDS, ox * away, oy * away, oz * away)
+    towards_x, towards_y, towards_z, _ = viewing_direction(view, optics, ox, oy, oz)
+    set_three(lanes, TOWARDS, towards_x, towards_y, towards_z)
 
     qw, qx, qy, qz = four_columns(lanes, QUAT)
     largest = max(max(abs(qw), abs(qx)), max(abs(qy), abs(qz)))  # noqa: PLW3301 vectors come in twos
@@ -285,7 +269,7 @@ def project_group(view, lanes):
     drawn = if_three_finite(drawn, sx, sy, sz)
 
     rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
-    axes = splat_axes(image_axes(view, tx, ty, tz), rotation, sx, sy, sz)
+    axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
     xx, xy, yy, det, unblurred = covariance(axes, view.blur)
     drawn = if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)
     opacity = sigmoid_lanes(column(lanes, LOGIT))
@@ -298,7 +282,7 @@ def project_group(view, lanes):
     a, c = math.sqrt(yy / det), math.sqrt(inverse_yy)
     b = -(xy * inverse_yy * a)
     drawn = if_three_finite(drawn, a, b, c)
-    x, y = tx * nearness * view.fx + view.cx, ty * nearness * view.fy + view.cy
+    x, y = image_point(view, optics, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
     # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
@@ -334,10 +318,12 @@ def project(
     sh,
     degree,
     view,
+    optics,
     records,
     depths,
     visible,
     edits,
+    own_degrees,
 ):
     """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
     `visible` from `start` on. Or -1, if one's mark names what is not in the palette of the edits.
@@ -345,10 +331,10 @@ def project(
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written
     for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written;
-    edits an `EditArrays` or None.
+    edits an `EditArrays` or None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros,
+    or None.
     """
     basis = np.empty(16, np.float64)
-    coefficients = (degree + 1) * (degree + 1)
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
     least, greatest = np.inf, -np.inf
@@ -359,7 +345,7 @@ def project(
             load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
-        project_group(view, lanes)
+        project_group(view, optics, lanes)
         for lane in range(min(LANES, stop - first)):
             if not lanes[DRAWN * LANES + lane] > 0:
                 continue
@@ -368,8 +354,11 @@ def project(
             dx, dy, dz = lanes[towards], lanes[towards + LANES], lanes[towards + 2 * LANES]
             if edits is not None:
                 dx, dy, dz = turned_back(edits.palette[palette_row(edits, i)], dx, dy, dz)
-            sh_basis(dx, dy, dz, degree, basis)
-            red, green, blue = sh_sum(sh, i, basis, coefficients)
+            own = degree
+            if own_degrees is not None:
+                own = min(degree, np.int64(own_degrees[i]))
+            sh_basis(dx, dy, dz, own, basis)
+            red, green, blue = sh_sum(sh, i, basis, (own + 1) * (own + 1))
             if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
                 continue
             if edits is not None:

@@ -14,6 +14,8 @@ from ..scene.sh import SH_C1, SH_C2, SH_C3
 from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
 from .compiling import inline, kernel
 from .exp import exp_lanes
+from .optics import image_axes, viewing_direction
+from .optics_backward import point_gradient
 from .pool import SPLATS_PER_TASK
 from .project import (
     CONIC_SCALE,
@@ -25,7 +27,6 @@ from .project import (
     column,
     covariance,
     four_columns,
-    image_axes,
     load_splat,
     rotation_matrix,
     set_column,
@@ -36,7 +37,7 @@ from .project import (
     splat_axes,
     three_columns,
 )
-from .simd import LANES, aligned, fill, keep_if_at_least
+from .simd import LANES, aligned
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
@@ -143,7 +144,7 @@ COLUMNS = 36
 
 
 @inline
-def differentiate_group(view, sums, lanes):
+def differentiate_group(view, optics, sums, lanes):
     """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too."""
     ox, oy, oz = three_columns(lanes, OFFSET)
     x, y, z = camera_point(view, ox, oy, oz)
@@ -153,7 +154,7 @@ def differentiate_group(view, sums, lanes):
     r = rotation_matrix(qw, qx, qy, qz)
     sx, sy, sz = three_columns(lanes, LOG_SCALE)
     sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
-    p = image_axes(view, x, y, z)
+    p = image_axes(view, optics, x, y, z)
     m = splat_axes(p, r, sx, sy, sz)
     _, xy, yy, det, unblurred = covariance(m, view.blur)
 
@@ -201,7 +202,7 @@ def differentiate_group(view, sums, lanes):
         q3 * r[6] + q4 * r[7] + q5 * r[8],
     )
 
-    # Mean in the image.
+    # Mean in the image, and J.
     inverse_yy = 1.0 / yy
     a, tu = math.sqrt(yy / det), column(sums, TU)
     d_x2 = a * tu * PER_SCALE
@@ -210,45 +211,18 @@ def differentiate_group(view, sums, lanes):
     set_column(lanes, D_MEAN2D + 1, d_y2)
     set_column(lanes, ABS_MEAN2D, a * column(sums, ABS_X) * PER_SCALE)
     set_column(lanes, ABS_MEAN2D + 1, column(sums, ABS_Y) * (PER_SCALE * PER_SCALE))
-    nearness = 1.0 / z
-    fx, fy = view.fx * nearness, view.fy * nearness
-    x_by_z, y_by_z = x * nearness, y * nearness
-    tx, ty = fx * d_x2, fy * d_y2
-    tz = -(x_by_z * tx + y_by_z * ty)
 
     # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
-    px0, px1, px2 = camera_point(view, d_p[0], d_p[1], d_p[2])
-    py0, py1, py2 = camera_point(view, d_p[3], d_p[4], d_p[5])
-    u = min(max(x_by_z, view.min_u), view.max_u)
-    v = min(max(y_by_z, view.min_v), view.max_v)
-    # J = [fx/z, 0, -fx·u/z; 0, fy/z, -fy·v/z]; u and v follow x/z and y/z where they are not clamped.
-    d_u, d_v = -fx * px2, -fy * py2
-    tz = tz - (fx * px0 + fy * py1 + u * d_u + v * d_v) * nearness
-    d_u, d_v = if_within(d_u, x_by_z, view.min_u, view.max_u), if_within(d_v, y_by_z, view.min_v, view.max_v)
-    tx, ty = tx + d_u * nearness, ty + d_v * nearness
-    tz = tz - (d_u * u + d_v * v) * nearness
+    d_j = *camera_point(view, d_p[0], d_p[1], d_p[2]), *camera_point(view, d_p[3], d_p[4], d_p[5])
+    tx, ty, tz, turn_x, turn_y, turn_z = point_gradient(view, optics, x, y, z, d_x2, d_y2, d_j)
     wx, wy, wz = camera_to_world(view, tx, ty, tz)
     set_three(lanes, D_POSITION, wx, wy, wz)
-
     # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
-    # K = Jᵀ·dL/dP·Wᵀ; its antisymmetric part turns.
     set_three(lanes, D_SHIFT, tx, ty, tz)
-    set_three(
-        lanes,
-        D_TURN,
-        y * tz - z * ty - fx * u * px1 - fy * v * py1 - fy * py2,
-        z * tx - x * tz + fx * px2 + fx * u * px0 + fy * v * py0,
-        x * ty - y * tx + fy * py0 - fx * px1,
-    )
-    away = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
-    set_three(lanes, DIRECTION, ox * away, oy * away, oz * away)
+    set_three(lanes, D_TURN, turn_x, turn_y, turn_z)
+    nx, ny, nz, away = viewing_direction(view, optics, ox, oy, oz)
+    set_three(lanes, DIRECTION, nx, ny, nz)
     set_column(lanes, AWAY, away)
-
-
-@inline
-def if_within(value, x, least, most):
-    """`value` where least <= x <= most, else 0."""
-    return keep_if_at_least(keep_if_at_least(value, x, fill(x, least)), fill(x, most), x)
 
 
 @kernel
@@ -265,6 +239,7 @@ def project_backward(
     sh,
     degree,
     view,
+    optics,
     splat_sums,
     d_means,
     d_quats,
@@ -295,7 +270,7 @@ def project_backward(
             load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes)
             for index in range(ABS_Y + 1):
                 sums[index * LANES + lane] = splat_sums[i, index]
-        differentiate_group(view, sums, lanes)
+        differentiate_group(view, optics, sums, lanes)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])
             zero_rows(
@@ -332,13 +307,18 @@ def project_backward(
                 d_sh[i, k, 0] = d_sh[i, k, 1] = d_sh[i, k, 2] = 0
             radial = nx * dx + ny * dy + nz * dz
             away = lanes[AWAY * LANES + lane]
-            dx, dy, dz = (dx - nx * radial) * away, (dy - ny * radial) * away, (dz - nz * radial) * away
+            dx, dy, dz = dx - nx * radial, dy - ny * radial, dz - nz * radial
+            pose = pose_sums[i // POSE_BLOCK]
+            if optics.parallel is not None:  # the direction is the camera's own and turns with it
+                cx, cy, _ = camera_point(view, dx, dy, dz)
+                pose[3] += cy
+                pose[4] -= cx
+            dx, dy, dz = dx * away, dy * away, dz * away
 
             at = D_POSITION * LANES + lane
             d_means[i, 0] = lanes[at] + dx
             d_means[i, 1] = lanes[at + LANES] + dy
             d_means[i, 2] = lanes[at + 2 * LANES] + dz
-            pose = pose_sums[i // POSE_BLOCK]
             cx, cy, cz = camera_point(view, dx, dy, dz)
             at = D_SHIFT * LANES + lane
             pose[0] += lanes[at] + cx

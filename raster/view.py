@@ -54,8 +54,7 @@ class View(NamedTuple):
 def make_view(camera: Camera, settings: RenderSettings, dtype: np.dtype) -> View:
     """`dtype` is that of the pictures; it decides what a cut of 0 means (the smallest normal number)."""
     model = settings.model
-    margin = math.inf if model.jacobian_margin is None else model.jacobian_margin
-    tan_x, tan_y = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
+    min_u, min_v, max_u, max_v = camera.slope_limits(model.jacobian_margin)
     smallest = float(np.finfo(dtype).minexp)
     return View(
         rotation=np.ascontiguousarray(camera.R_camera_world),
@@ -64,10 +63,10 @@ def make_view(camera: Camera, settings: RenderSettings, dtype: np.dtype) -> View
         fy=float(camera.fy),
         cx=float(camera.cx),
         cy=float(camera.cy),
-        min_u=-camera.cx / camera.fx - margin * tan_x,
-        max_u=(camera.width - camera.cx) / camera.fx + margin * tan_x,
-        min_v=-camera.cy / camera.fy - margin * tan_y,
-        max_v=(camera.height - camera.cy) / camera.fy + margin * tan_y,
+        min_u=min_u,
+        max_u=max_u,
+        min_v=min_v,
+        max_v=max_v,
         width=int(camera.width),
         height=int(camera.height),
         near=float(model.near),

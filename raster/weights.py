@@ -40,6 +40,7 @@ from .forward import (
     touched_blocks,
 )
 from .frame import Arrangement, StageClock, arrange, tile_ranges
+from .optics import make_optics
 from .parameters import parameters_of, used_degree
 from .pool import TASKS_PER_THREAD, available_threads, run
 from .simd import (
@@ -160,6 +161,7 @@ def _weigh(
         workspace,
         sh_degree=used_degree(splats, settings),
         threads=threads,
+        optics=make_optics(camera),
         edits=edit_arrays(edits, len(splats.means)),
         clock=StageClock(),
     )

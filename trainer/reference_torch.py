@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..scene import Camera, Gaussians, RenderSettings
+from ..scene.lens_formula import LEAST_RADIUS_SQUARED, LensForm, lens_jacobian, lens_point
 from ..scene.projection import project
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
@@ -43,22 +44,7 @@ def render(
         W = W + torch.linalg.cross(turn.expand(3, 3), W.T, dim=1).T
     offsets = means - eye
     t = offsets @ W.T
-    x, y, z = t.unbind(1)
-
-    u, v = x / z, y / z
-    if model.jacobian_margin is not None:
-        tan_x, tan_y = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
-        margin_x, margin_y = model.jacobian_margin * tan_x, model.jacobian_margin * tan_y
-        u = u.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
-        v = v.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
-    zero = torch.zeros_like(z)
-    J = torch.stack(
-        [
-            torch.stack([camera.fx / z, zero, -camera.fx * u / z], dim=1),
-            torch.stack([zero, camera.fy / z, -camera.fy * v / z], dim=1),
-        ],
-        dim=1,
-    )
+    J = _jacobians(t, camera, model.jacobian_margin)
     M = J @ W @ rotation_matrices(quats) * log_scales.exp()[:, None, :]
     m0, m1 = M.unbind(1)
     xy, xx, yy = (m0 * m1).sum(1), (m0 * m0).sum(1), (m1 * m1).sum(1)
@@ -70,15 +56,18 @@ def render(
     opacities = opacity_logits.sigmoid()
     if model.antialiased:
         opacities = opacities * (unblurred / det).sqrt()
-    colours = (0.5 + sh_sum(sh, offsets / offsets.norm(dim=1, keepdim=True), settings)).clamp_min(0)
+    directions = (
+        W[2].expand(len(t), 3) if camera.orthographic else offsets / offsets.norm(dim=1, keepdim=True)
+    )
+    colours = (0.5 + sh_sum(sh, directions, settings)).clamp_min(0)
 
     px, py = torch.meshgrid(
         torch.arange(camera.width, dtype=dtype) + 0.5,
         torch.arange(camera.height, dtype=dtype) + 0.5,
         indexing="xy",
     )
-    dx = px.reshape(1, -1) - (camera.fx * x / z + camera.cx)[:, None]
-    dy = py.reshape(1, -1) - (camera.fy * y / z + camera.cy)[:, None]
+    mean_x, mean_y = _image_points(t, camera)
+    dx, dy = px.reshape(1, -1) - mean_x[:, None], py.reshape(1, -1) - mean_y[:, None]
     q = (a[:, None] * dx + b[:, None] * dy) ** 2 + (c[:, None] * dy) ** 2
     alpha = (opacities[:, None] * (-q / 2).exp()).clamp_max(model.max_alpha)
     alpha = torch.where(alpha >= model.alpha_cut, alpha, 0)
@@ -86,6 +75,45 @@ def render(
     colour = (alpha * light[:-1]).T @ colours + light[-1][:, None] * background
     picture = torch.cat([colour, 1 - light[-1][:, None]], dim=1)
     return picture.reshape(camera.height, camera.width, 4)
+
+
+def _magnifications(form: LensForm, u: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """r, g and g_r of `scene.lens_formula`."""
+    r = (u * u + v * v).clamp_min(LEAST_RADIUS_SQUARED).sqrt()
+    if not form.slope:
+        return r, torch.ones_like(r), torch.ones_like(r)
+    return (
+        r,
+        (form.slope * r).atan() / (form.unit * r),
+        form.slope / (form.unit * (1 + (form.slope * r) ** 2)),
+    )
+
+
+def _image_points(t: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+    """px, of camera points (V, 3)."""
+    x, y, z = t.unbind(1)
+    u, v = (x, y) if camera.orthographic else (x / z, y / z)
+    if camera.lens is not None:
+        _, g, _ = _magnifications(camera.lens.form, u, v)
+        u, v = lens_point(camera.lens.form, u, v, g)
+    return camera.fx * u + camera.cx, camera.fy * v + camera.cy
+
+
+def _jacobians(t: torch.Tensor, camera: Camera, margin: float | None) -> torch.Tensor:
+    """J (V, 2, 3) of the projection at camera points (V, 3)."""
+    x, y, z = t.unbind(1)
+    zero, one = torch.zeros_like(z), torch.ones_like(z)
+    focal = torch.tensor([camera.fx, camera.fy], dtype=t.dtype)[:, None]
+    if camera.orthographic:
+        return focal * torch.eye(3, dtype=t.dtype)[:2].expand(len(t), 2, 3)
+    u_min, v_min, u_max, v_max = camera.slope_limits(margin)
+    u, v = (x / z).clamp(u_min, u_max), (y / z).clamp(v_min, v_max)
+    rows = torch.stack([one, zero, -u, zero, one, -v], dim=1).reshape(-1, 2, 3) / z[:, None, None]
+    if camera.lens is not None:
+        form = camera.lens.form
+        bent = torch.stack(lens_jacobian(form, u, v, *_magnifications(form, u, v)), dim=1)
+        rows = bent.reshape(-1, 2, 2) @ rows
+    return focal * rows
 
 
 def _visible(means, quats, log_scales, opacity_logits, sh, camera, settings) -> np.ndarray:

@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
-from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at, reference
+from splatview.scene import Camera, Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
+from splatview.scene.lens import COUNTS
 from splatview.scene.projection import project
 from splatview.trainer import reference_torch
 from splatview.trainer.render import GRADIENT_EARLY_STOP, Visibility, render
@@ -24,6 +25,16 @@ BOUNDS = {torch.float32: 1e-4, torch.float64: 1e-9}
 NEGLIGIBLE = 1e-6
 """A group whose gradient is below this share of the largest one's counts as that large: some cancel to
 nothing, a round splat's by its quaternion say, and only rounding is left of them."""
+
+LENSES = {
+    "RADIAL": (-0.2, 0.05),
+    "FULL_OPENCV": (0.1, -0.05, 0.01, -0.02, 0.02, 0.2, 0.05, 0.01),
+    "OPENCV_FISHEYE": (0.05, -0.02, 0.01, 0.003),
+    "FOV": (1.2,),
+    "THIN_PRISM_FISHEYE": (0.03, 0.01, 0.01, -0.02, 0.0, 0.01, 0.02, -0.01),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (0.03, 0.01, -0.01, 0.02, 0.0, 0.01, 0.01, -0.02, 0.02, 0.01, -0.01, 0.02),
+}
+"""Strong ones, each with a part of the formula that the others lack."""
 
 NEAR_CUT, NEAR_CAP = 1e-6, 1e-5
 """An alpha so close to the cut or the cap may fall on the other side of it in float32."""
@@ -154,6 +165,44 @@ def test_many_opaque_layers(random_gaussians):
     scene = random_gaussians(300, seed=32, sh_degree=0)
     scene = replace(scene, opacity_logits=np.full(300, 3.0, np.float32))
     assert_gradients(scene, look_at((0, 0, -2), (0, 0, 0), width=40, height=40))
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_every_group_through_a_lens(random_gaussians, model):
+    lens = Lens(model=model, parameters=LENSES[model])
+    camera = replace(look_at((0.4, 0.3, -1.8), (0, 0, 0), width=45, height=38, fov_y=80), lens=lens, cx=20.0)
+    assert_gradients(random_gaussians(150, sh_degree=1, seed=51), camera)
+
+
+def test_clamped_jacobian_through_a_lens(random_gaussians):
+    """The eye among the splats: many lie beside the image, where the Jacobian no longer follows them."""
+    lens = Lens(model="OPENCV", parameters=(0.1, 0.02, 0.01, -0.01))
+    camera = replace(look_at((0, 0, -0.2), (0, 0, 1), width=40, height=30), cx=5.0, lens=lens)
+    assert_gradients(random_gaussians(200, seed=31, sh_degree=1), camera)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_parallel_rays(random_gaussians, antialiased):
+    camera = replace(
+        look_at((0.4, 0.3, -2.4), (0, 0, 0), width=45, height=38), orthographic=True, fx=17.0, fy=14.0
+    )
+    chosen = RenderSettings(model=ImageModel(antialiased=antialiased), background=(0.2, 0.5, 0.8))
+    assert_gradients(random_gaussians(150, sh_degree=3, seed=52), camera, chosen)
+
+
+@given(seed=st.integers(0, 2**31), model=st.sampled_from(sorted(COUNTS)), strength=st.floats(0, 0.15))
+@settings(
+    max_examples=12,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_any_lens(random_gaussians, seed, model, strength):
+    rng = np.random.default_rng(seed)
+    parameters = rng.uniform(-strength, strength, COUNTS[model]) if model != "FOV" else [7 * strength]
+    lens = Lens(model=model, parameters=tuple(map(float, parameters)))
+    camera = replace(look_at((0.1, 0, -1.5), (0, 0, 0), width=30, height=24, fov_y=100), lens=lens)
+    assert_gradients(random_gaussians(60, sh_degree=1, seed=seed), camera)
 
 
 @given(
