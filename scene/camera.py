@@ -55,7 +55,13 @@ class Camera:
         if not (matrix[3] == (0, 0, 0, 1)).all():
             raise ValueError("camera world_to_camera must have the last row 0 0 0 1")
         rotation = matrix[:3, :3]
-        if not (np.abs(rotation @ rotation.T - np.eye(3)) <= 1e-3).all() or not np.linalg.det(rotation) > 0:
+        # Products of larger entries may overflow.
+        is_rotation = (
+            (np.abs(rotation) <= 2).all()
+            and (np.abs(rotation @ rotation.T - np.eye(3)) <= 1e-3).all()
+            and np.linalg.det(rotation) > 0
+        )
+        if not is_rotation:
             raise ValueError("camera world_to_camera must hold a rotation (orthonormal, no mirror, no scale)")
         matrix.flags.writeable = False
         object.__setattr__(self, "world_to_camera", matrix)

@@ -44,7 +44,8 @@ class Crop:
                 raise ValueError(f"{name} must be {length} finite numbers, got {getattr(self, name)}")
         if not min(self.half_extents) > 0:
             raise ValueError(f"half_extents must be above 0, got {self.half_extents}")
-        if not abs(float(np.linalg.norm(self.rotation)) - 1) <= 1e-6:
+        # Not by its norm alone: squares of large numbers overflow.
+        if not (max(map(abs, self.rotation)) <= 2 and abs(float(np.linalg.norm(self.rotation)) - 1) <= 1e-6):
             raise ValueError(f"rotation must be a quaternion of length 1, got {self.rotation}")
 
     @property

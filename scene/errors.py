@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+LONGEST_MESSAGE = 900
+"""Characters, which leaves room for two long paths."""
+
 
 class InputError(ValueError):
     """Something the user gave cannot be used.
@@ -10,3 +13,19 @@ class InputError(ValueError):
     after ``splatview:`` and exits with code 2, the window shows it in a dialog. Anything else
     that escapes is a defect of ours and keeps its traceback.
     """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
+
+
+def one_line(text: str) -> str:
+    """`text` as a terminal can show it: messages quote names and values of files that may hold anything.
+
+    Line breaks, what a terminal would obey and what UTF-8 cannot hold are written as escapes; of a text
+    beyond `LONGEST_MESSAGE` the middle is left out.
+    """
+    if not text.isprintable():
+        text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+    if len(text) > LONGEST_MESSAGE:
+        text = f"{text[: LONGEST_MESSAGE * 2 // 3]} ... {text[-LONGEST_MESSAGE // 4 :]}"
+    return text

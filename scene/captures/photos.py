@@ -53,7 +53,9 @@ def read_pixels(
     if shot.camera.lens is not None and lens == "undistort":
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
-        image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
+        # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
         image, mask = image[..., :3], valid

@@ -25,7 +25,9 @@ INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 def read_cameras_file(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
     """See `load_cameras`."""
-    cameras = load_colmap_cameras(path, on_note) if is_colmap(path) else _load_json(path)
+    # What numbers out of all bounds make of a pose is told by `Camera`.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        cameras = load_colmap_cameras(path, on_note) if is_colmap(path) else _load_json(path)
     if not cameras:
         raise InputError(f"{path}: holds no cameras")
     for camera in cameras:

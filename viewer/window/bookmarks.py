@@ -51,7 +51,10 @@ def load_bookmarks(scene: Path) -> list[Bookmark]:
             raise InputError(f"{path}: cannot read the bookmarks ({error})") from None
         try:
             found += [_bookmark(entry) for entry in json.loads(text)["bookmarks"]]
-        except (ValueError, KeyError, TypeError, RecursionError, np.linalg.LinAlgError) as error:
+        except (
+            *(ValueError, KeyError, TypeError, OverflowError, RecursionError),
+            np.linalg.LinAlgError,
+        ) as error:
             raise InputError(f"{path}: not a bookmarks file ({error}); move it away to start anew") from None
     return found
 
@@ -101,7 +104,12 @@ def _bookmark(entry: dict[str, Any]) -> Bookmark:
         raise ValueError("a number is not finite")
     if not (distance > 0 and squeeze > 0 and MIN_FOV <= fov_y <= MAX_FOV):
         raise ValueError("a distance or field of view is out of range")
-    if not (abs(rotation @ rotation.T - np.eye(3)) <= 1e-3).all() or not np.linalg.det(rotation) > 0:
+    # Large entries first, whose products overflow.
+    if not (
+        (abs(rotation) <= 2).all()
+        and (abs(rotation @ rotation.T - np.eye(3)) <= 1e-3).all()
+        and np.linalg.det(rotation) > 0
+    ):
         raise ValueError("a rotation is not one")
     return Bookmark(
         name=str(entry["name"]),

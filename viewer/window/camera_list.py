@@ -7,6 +7,7 @@ import json
 import numpy as np
 
 from ...scene import Camera
+from ...scene.errors import one_line
 from .core import Core
 from .navigation import view_from_camera
 
@@ -78,3 +79,5 @@ def camera_from_text(text: str) -> Camera:
         raise ValueError(f"{error} is missing") from None
     except (TypeError, RecursionError, OverflowError):
         raise ValueError("it is not an object with the numbers of a camera") from None
+    except ValueError as error:
+        raise ValueError(one_line(str(error))) from None
