@@ -220,7 +220,7 @@ def step_once(user: Soaked, rng: np.random.Generator) -> str:
 
 def change_recipe(user: Soaked, rng: np.random.Generator) -> str:
     limit = int(rng.integers(300, 1500 if user.small else 4000))
-    user.post(training.change_settings, max_splats=limit, opacity_rate=float(rng.uniform(0.01, 0.1)))
+    user.post(training.change_settings, max_splats=limit, means_rate=float(rng.uniform(1e-4, 3e-4)))
     return f"at most {limit}"
 
 
@@ -323,4 +323,3 @@ ACTIONS: dict[str, tuple[float, Callable[[Soaked, np.random.Generator], Any]]] =
     **EDITING,
 }
 """Name -> weight and what is done."""
-

@@ -167,7 +167,9 @@ def slowly(user: Soaked, rng: np.random.Generator) -> str | None:
     desk = user.core.desk
     if not user.at_rest or desk is None or desk.job is not None:
         return None
-    choice = str(rng.choice(["grow", "shrink", "merge", "split", "find", "find", "prune", "duplicate", "decimate"]))
+    choice = str(
+        rng.choice(["grow", "shrink", "merge", "split", "find", "find", "prune", "duplicate", "decimate"])
+    )
     document = desk.document
     large = len(document.gaussians) > (3000 if user.small else 40_000)
     if choice in ("grow", "shrink"):

@@ -187,7 +187,9 @@ class Pictures:
         self.largest_share_off = max(self.largest_share_off, share)
         if share > SHARE_BOUND and np.count_nonzero(off) > LEAST_OFF:
             self._keep(picture, truth)
-            raise Mishap(f"{what}: {share:.2%} of the pixels differ by more than 4/255 from the baked scene's")
+            raise Mishap(
+                f"{what}: {share:.2%} of the pixels differ by more than 4/255 from the baked scene's"
+            )
 
     def _keep(self, picture: np.ndarray, truth: np.ndarray) -> None:
         difference = 0.5 + 4 * (np.nan_to_num(picture) - truth)

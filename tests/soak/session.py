@@ -78,7 +78,9 @@ class Session:
         try:
             user.wait(lambda: core.scene is not None, "the first snapshot")
             for number, name in self.plan():
-                self._log.write(json.dumps({"n": number, "action": name, "at": round(time.monotonic() - began, 2)}) + "\n")
+                self._log.write(
+                    json.dumps({"n": number, "action": name, "at": round(time.monotonic() - began, 2)}) + "\n"
+                )
                 rng = np.random.default_rng([self.options["seed"], number, 1])
                 did = ACTIONS[name][1](user, rng)
                 user.look_for_harm()

@@ -121,11 +121,16 @@ def report(parts: list[Result], seed: int, minutes: float) -> dict[str, Any]:
             ]
         )
     note = (
-        f"{minutes:g} minutes at random, seed {seed}: training, flying, editing, undoing, exporting, other scenes,"
-        " sizes, modes, renderers. Growth is of the median between the second and the last third of a part, what"
-        " scene and history hold left out."
+        f"{minutes:g} minutes at random, seed {seed}: training, flying, editing, undoing, exporting, other"
+        " scenes, sizes, modes, renderers. Growth is of the median between the second and the last third of a"
+        " part, what scene and history hold left out."
     )
-    return {"seed": seed, "minutes": minutes, "parts": parts, "table": {"columns": columns, "rows": rows, "note": note}}
+    return {
+        "seed": seed,
+        "minutes": minutes,
+        "parts": parts,
+        "table": {"columns": columns, "rows": rows, "note": note},
+    }
 
 
 def main() -> None:

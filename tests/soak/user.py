@@ -76,7 +76,9 @@ class User(Hand):
     def _trains(self) -> bool:
         """New pictures come all the time."""
         training = self.core.training
-        return training is not None and training.followed_by(self.core) and training.status.state == "training"
+        return (
+            training is not None and training.followed_by(self.core) and training.status.state == "training"
+        )
 
     # ---- looking
 
@@ -108,7 +110,9 @@ class User(Hand):
         if core.training is not None and core.training.status.state == "training":
             core.training.thread.pause()
             resumed = True
-            self.wait(lambda: core.training is not None and core.training.status.state == "paused", "the pause")
+            self.wait(
+                lambda: core.training is not None and core.training.status.state == "paused", "the pause"
+            )
         if core.desk is not None and core.desk.job is not None:
             core.desk.job.cancel()
         if core.accuracy.measurement is not None:
@@ -119,7 +123,9 @@ class User(Hand):
         wait_for_threads()
         if resumed and core.training is not None:
             core.training.thread.resume()
-            self.wait(lambda: core.training is not None and core.training.status.state != "paused", "training")
+            self.wait(
+                lambda: core.training is not None and core.training.status.state != "paused", "training"
+            )
 
     def look_at_the_picture(self) -> None:
         """What is shown, and what would be saved, are what the CPU draws of the baked scene."""
@@ -142,7 +148,9 @@ class User(Hand):
         if core.mode == "splats" and exact and not lit and core.preferences.resolution_scale == 1:
             texture = picture.texture
             if texture.size != (camera.width, camera.height):
-                raise Mishap(f"what is shown at rest has {texture.size} px of {(camera.width, camera.height)}")
+                raise Mishap(
+                    f"what is shown at rest has {texture.size} px of {(camera.width, camera.height)}"
+                )
             shown = self.on_gl_thread(lambda: read_texture(texture))
             self.pictures.compare("what is shown", shown, gaussians, camera, settings, edits)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import moderngl
 import numpy as np
 
+from .memory import reserve
 from .programs import load_compute
 from .projector import SLABS, Projector
 from .view_uniforms import set_uniforms
@@ -32,10 +33,11 @@ class Closing:
         if size != self._size or self._closed is None:
             if self._closed is not None:
                 self._closed.release()
+                self._closed = None
             self._size = size
             self._columns, rows = -(-size[0] // BLOCK), -(-size[1] // BLOCK)
             self._blocks = self._columns * rows
-            self._closed = self._ctx.buffer(reserve=4 * self._blocks)
+            (self._closed,) = reserve(self._ctx, [4 * self._blocks], f"{size[0]}x{size[1]} px")
         self._closed.write(np.zeros(self._blocks, dtype=np.uint32))
 
     def hide(

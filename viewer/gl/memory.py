@@ -1,12 +1,52 @@
-"""How much GPU memory a renderer holds, counted from the objects themselves."""
+"""GPU memory: asked for so that a driver without room says so, and counted from the objects themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import moderngl
 
+from ...scene import InputError
+
 COMPONENT_BYTES = {"f1": 1, "f2": 2, "f4": 4, "u1": 1, "u2": 2, "u4": 4, "i1": 1, "i2": 2, "i4": 4}
+
+
+OUT_OF_MEMORY = "GL_OUT_OF_MEMORY"
+
+
+def reserve(ctx: moderngl.Context, sizes: Sequence[int], what: str) -> list[moderngl.Buffer]:
+    """Buffers of so many bytes, all or none; `what` needs them is said where the driver has no room.
+
+    moderngl does not look at GL's errors: without this a buffer without memory would be drawn from.
+
+    Raises:
+        InputError: there is not so much graphics memory.
+    """
+    made: list[moderngl.Buffer] = []
+    try:
+        for size in sizes:
+            made.append(ctx.buffer(reserve=size))
+            check_room(ctx, what, sum(sizes))
+    except (moderngl.Error, InputError) as error:
+        for buffer in made:
+            buffer.release()
+        if isinstance(error, InputError):
+            raise
+        raise no_room(what, sum(sizes)) from error
+    return made
+
+
+def check_room(ctx: moderngl.Context, what: str, size: int) -> None:
+    """To be called after something of `size` bytes was made. Raises InputError as `reserve` does."""
+    if ctx.error == OUT_OF_MEMORY:
+        raise no_room(what, size)
+
+
+def no_room(what: str, size: int) -> InputError:
+    return InputError(
+        f"{what} need {max(size >> 20, 1):,} MiB of graphics memory, more than is free:"
+        " use --renderer cpu or fewer splats"
+    )
 
 
 def held_bytes(owner: object) -> int:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import moderngl
 
+from ...scene import InputError
 from .edit_textures import EditTextures
+from .memory import check_room, no_room
 from .scene_textures import SceneTextures
 from .texel_array import TEXTURE_WIDTH
 from .variants import Variants
@@ -31,10 +33,24 @@ class ProjectionPass:
         self._visible = 0
 
     def resize(self, rows: int) -> None:
-        """Makes room for a scene of `rows` rows of texels."""
+        """Makes room for a scene of `rows` rows of texels, and gives back that for the one before.
+
+        Raises:
+            InputError: there is not enough graphics memory; nothing has changed then.
+        """
+        what, size = f"{rows * TEXTURE_WIDTH:,} footprints", rows * TEXTURE_WIDTH * 48
+        textures: list[moderngl.Texture] = []
+        try:
+            for _ in range(3):
+                textures.append(self._ctx.texture((TEXTURE_WIDTH, rows), 4, dtype="f4"))
+                check_room(self._ctx, what, size)
+            framebuffer = self._ctx.framebuffer(textures)
+        except (moderngl.Error, InputError) as error:
+            for texture in textures:
+                texture.release()
+            raise no_room(what, size) from error
         self._release_sized()
-        self._textures = tuple(self._ctx.texture((TEXTURE_WIDTH, rows), 4, dtype="f4") for _ in range(3))
-        self._framebuffer = self._ctx.framebuffer(self._textures)
+        self._textures, self._framebuffer = tuple(textures), framebuffer
 
     def run(
         self,

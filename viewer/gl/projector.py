@@ -8,9 +8,11 @@ import moderngl
 import numpy as np
 
 from .edit_textures import EditTextures
+from .memory import reserve
 from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
 from .sort import KEY_BITS, RadixSort
+from .variants import Variants
 from .view_uniforms import Uniform, set_uniforms
 from .visible_count import VisibleCount
 
@@ -50,9 +52,9 @@ def short_keys(least: float, greatest: float, bits: int) -> DepthKeys:
 class Projector:
     """Holds what a frame computes before drawing; buffers are sized by the scene."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
-        self._programs: dict[object, moderngl.ComputeShader] = {}
+        self._variants = variants
         self._scan = load_compute(
             ctx,
             "quads/scan.comp.glsl",
@@ -68,22 +70,27 @@ class Projector:
         self._sorter: RadixSort | None = None
 
     def resize(self, splats: int) -> None:
-        """Makes room for a scene of `splats`."""
-        self._release_sized()
-        self.splats = splats
-        room = max(1, splats)
-        self._groups = -(-splats // GROUP_SIZE)
-        self.shapes, self.bounds, self.colours = (self._buffer(room * RECORD_BYTES) for _ in range(3))
-        self.depth_keys, self.keys, self.order, self.drawn = (self._buffer(room * 4) for _ in range(4))
-        self._counts = self._buffer(max(1, self._groups) * 4)
-        self._counts.write(np.zeros(max(1, self._groups), dtype=np.uint32))
-        self._starts = self._buffer(max(1, self._groups) * 4)
-        self._sorter = RadixSort(self._ctx, room)
+        """Makes room for a scene of `splats`, and gives back that for the one before.
 
-    def _buffer(self, size: int) -> moderngl.Buffer:
-        buffer = self._ctx.buffer(reserve=size)
-        self._sized.append(buffer)
-        return buffer
+        Raises:
+            InputError: there is not enough graphics memory; nothing has changed then.
+        """
+        room, groups = max(1, splats), -(-splats // GROUP_SIZE)
+        sizes = (*[room * RECORD_BYTES] * 3, *[room * 4] * 4, *[max(1, groups) * 4] * 2)
+        made = reserve(self._ctx, sizes, f"{splats:,} splats")
+        try:
+            sorter = RadixSort(self._ctx, room)
+        except BaseException:
+            for buffer in made:
+                buffer.release()
+            raise
+        self._release_sized()
+        self._sized, self._sorter = made, sorter
+        self.splats, self._groups = splats, groups
+        self.shapes, self.bounds, self.colours = made[:3]
+        self.depth_keys, self.keys, self.order, self.drawn = made[3:7]
+        self._counts, self._starts = made[7:]
+        self._counts.write(np.zeros(max(1, groups), dtype=np.uint32))
 
     def project(
         self,
@@ -103,7 +110,7 @@ class Projector:
             "ANTIALIASED": antialiased,
             **edits.now.flags(),
         }
-        program = self._program(flags)
+        program = self._variants.compute("quads/project.comp.glsl", flags)
         set_uniforms(program, uniforms)
         edits.use(program)
         for slot, buffer in enumerate(
@@ -144,12 +151,6 @@ class Projector:
         start = SLAB_ENDS[slab - 1] if slab else 0.0
         return int(self.splats * (SLAB_ENDS[slab] - start)) + 2
 
-    def _program(self, flags: dict[str, float | bool]) -> moderngl.ComputeShader:
-        variant = frozenset(flags.items())
-        if variant not in self._programs:
-            self._programs[variant] = load_compute(self._ctx, "quads/project.comp.glsl", flags)
-        return self._programs[variant]
-
     def _release_sized(self) -> None:
         if self._sorter is not None:
             self._sorter.release()
@@ -162,5 +163,5 @@ class Projector:
         self.visible.release()
         self.commands.release()
         self.slab_starts.release()
-        for program in (*self._programs.values(), self._scan, self._compact):
+        for program in (self._scan, self._compact):
             program.release()

@@ -95,15 +95,16 @@ class QuadsRenderer(Renderer):
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
         try:
             # The old scene stays as it is until there is room for the new one.
+            box = finite_box(source.means)
             self._projector.resize(scene.splats)
-        except InputError:
+        except BaseException:
             scene.release()
             raise
         if self._scene is not None:
             self._scene.release()
         self._edits.load(scene.placement, source.means)
         self._scene, self._source = scene, source
-        self._box = finite_box(source.means)
+        self._box = box
         self._projected_key = None
 
     def draw(

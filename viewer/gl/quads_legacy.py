@@ -115,9 +115,17 @@ class LegacyQuadsRenderer(Renderer):
                 yield step
 
     def _use(self, scene: SceneTextures, source: Gaussians) -> None:
+        order_texels = TexelArray(self._ctx, 1, "u4", "splats")
+        try:
+            # The old scene stays as it is until there is room for the new one.
+            order_texels.reserve(scene.splats)
+            self._projection.resize(scene.rows)
+        except BaseException:
+            scene.release()
+            order_texels.release()
+            raise
         self._release_scene()
-        self._projection.resize(scene.rows)
-        self._order_texels.reserve(scene.splats)
+        self._order_texels = order_texels
         self._edits.load(scene.placement, source.means)
         self._sorter = SortWorker(source.means)
         self._scene, self._source = scene, source

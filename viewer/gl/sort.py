@@ -16,6 +16,7 @@ import moderngl
 
 from ...scene import InputError
 from .context import describe
+from .memory import reserve
 from .programs import load_compute
 
 KEY_BITS = 32
@@ -59,7 +60,7 @@ class RadixSort:
 
     Raises:
         ValueError: a negative capacity.
-        InputError: more keys than a storage buffer of this driver can hold.
+        InputError: more keys than a storage buffer of this driver can hold, or than there is memory for.
     """
 
     def __init__(self, ctx: moderngl.Context, capacity: int, *, tuning: SortTuning | None = None) -> None:
@@ -85,10 +86,15 @@ class RadixSort:
         )
         radix = 1 << self.tuning.digit_bits
         room = max(capacity, 1)  # GL has no empty buffers
-        self._plan = ctx.buffer(reserve=PLAN_BYTES)
-        self._table = ctx.buffer(reserve=4 * radix * -(-room // self.tuning.block))
-        self._totals = ctx.buffer(reserve=4 * radix)
-        self._scratch = (ctx.buffer(reserve=4 * room), ctx.buffer(reserve=4 * room))
+        table = 4 * radix * -(-room // self.tuning.block)
+        try:
+            buffers = reserve(ctx, (PLAN_BYTES, table, 4 * radix, 4 * room, 4 * room), f"{capacity:,} splats")
+        except InputError:
+            for program in (self._make_plan, self._count, self._scan, self._scatter):
+                program.release()
+            raise
+        self._plan, self._table, self._totals = buffers[:3]
+        self._scratch = (buffers[3], buffers[4])
 
     def sort(
         self,

@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from .frame import VisualMode
+from .memory import check_room, no_room
 
 Precision = Literal["float16", "float32", "unorm8"]
 
@@ -83,11 +84,18 @@ class PictureTargets:
         self._shown: ColourTarget | None = None
 
     def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode, *, sums: bool = False) -> None:
-        """Makes both ready for a picture of `size` (width, height) px, of weighted `sums` or blended."""
+        """Makes both ready for a picture of `size` (width, height) px, of weighted `sums` or blended.
+
+        Raises:
+            InputError: there is not enough graphics memory.
+        """
         # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
         wide = sums or mode in ("depth", "overdraw") or (blend == "float16" and self.truncates)
-        self._gathered = self._fitting(self._gathered, size, "float32" if wide else blend)
-        self._shown = self._fitting(self._shown, size, blend)
+        # Should there be no room, the next picture tries again.
+        gathered, self._gathered = self._gathered, None
+        self._gathered = self._fitting(gathered, size, "float32" if wide else blend)
+        shown, self._shown = self._shown, None
+        self._shown = self._fitting(shown, size, blend)
 
     def _fitting(
         self, target: ColourTarget | None, size: tuple[int, int], precision: Precision
@@ -96,7 +104,13 @@ class PictureTargets:
             if (target.size, target.precision) == (size, precision):
                 return target
             target.release()
-        return ColourTarget(self._ctx, size, precision)
+        width, height = size
+        try:
+            made = ColourTarget(self._ctx, size, precision)
+        except moderngl.Error as error:
+            raise no_room(f"{width}x{height} px", 16 * width * height) from error
+        check_room(self._ctx, f"{width}x{height} px", 16 * width * height)
+        return made
 
     @property
     def gathered(self) -> ColourTarget:

@@ -6,6 +6,7 @@ import moderngl
 import numpy as np
 
 from ...scene import InputError
+from .memory import COMPONENT_BYTES, check_room, no_room
 
 TEXTURE_WIDTH = 2048
 """Texels a row: every driver of the last fifteen years has wider textures, and 16384 rows hold 33 million."""
@@ -48,13 +49,22 @@ class TexelArray:
         """Makes room for at least so many; where there was less before, the contents are lost.
 
         Raises:
-            InputError: they are more than this driver's textures have.
+            InputError: they are more than this driver's textures have, or than there is memory for.
         """
         rows = rows_for(self._ctx, texels, f"{texels:,} {self._what}")
         if rows <= self._rows:
             return
         self.release()
-        self._texture = self._ctx.texture((TEXTURE_WIDTH, rows), self._components, dtype=self._dtype)
+        size = TEXTURE_WIDTH * rows * self._components * COMPONENT_BYTES[self._dtype]
+        what = f"{texels:,} {self._what}"
+        try:
+            self._texture = self._ctx.texture((TEXTURE_WIDTH, rows), self._components, dtype=self._dtype)
+            check_room(self._ctx, what, size)
+        except moderngl.Error as error:
+            raise no_room(what, size) from error
+        except InputError:
+            self.release()
+            raise
         self._rows = rows
 
     def write(self, values: np.ndarray, first: int = 0) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import moderngl
 
 from ...scene import InputError
+from .memory import reserve
 from .programs import load_compute
 from .projector import Projector
 from .scene_buffers import storage_limit
@@ -85,8 +86,7 @@ class TilePairs:
     def start_anew(self) -> None:
         """Forgets what was counted: another scene is loaded."""
         self._fresh = True
-        self.found.release()
-        self.found = VisibleCount(self._ctx)
+        self.found.forget()
         for buffer in self._slots or ():
             buffer.release()
         self._slots = None
@@ -113,7 +113,7 @@ class TilePairs:
         self.tiles = self._tiles_of(size)
         blocks = -(-projector.splats // BLOCK)
         if not self._slots:
-            self._slots = self._room_for(projector.splats), self._room_for(blocks)
+            self._slots = self._room_for(projector.splats, blocks)
         ends, starts = self._slots
         self._uniforms = {**uniforms, "u_tiles": self.tiles}
         if blocks:
@@ -142,13 +142,18 @@ class TilePairs:
         wanted = int(found * SPARE)
         if not self.capacity or (wanted > self.capacity and self.capacity < self._most):
             self._release_pairs()
-            self.capacity = min(max(int(found * HEADROOM), LEAST_PAIRS), self._most)
-            self._pairs = self._room_for(self.capacity), self._room_for(self.capacity)
-            self._sorter = RadixSort(self._ctx, self.capacity)
+            # Should there be no room, the next picture tries again.
+            self.capacity = 0
+            capacity = min(max(int(found * HEADROOM), LEAST_PAIRS), self._most)
+            self._pairs = self._room_for(capacity, capacity)
+            self._sorter = RadixSort(self._ctx, capacity)
+            self.capacity = capacity
         return min(max(-(-wanted // self.capacity), 1), self._tuning.most_rounds)
 
-    def _room_for(self, numbers: int) -> moderngl.Buffer:
-        return self._ctx.buffer(reserve=4 * max(numbers, 1))
+    def _room_for(self, first: int, second: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
+        """For so many numbers each."""
+        a, b = reserve(self._ctx, [4 * max(numbers, 1) for numbers in (first, second)], "the tiles")
+        return a, b
 
     def make(self, projector: Projector, index: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
         """The pairs of round `index`, tiles ascending, and their splats, front to back in each tile."""

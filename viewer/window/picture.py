@@ -119,7 +119,10 @@ class GpuPicture:
         self._renderer.load(EMPTY)
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
-        yield from self._renderer.load_steps(gaussians)
+        try:
+            yield from self._renderer.load_steps(gaussians)
+        except MemoryError as error:
+            raise InputError(f"{len(gaussians):,} splats: not enough memory to upload them") from error
 
     def load(self, gaussians: Gaussians) -> None:
         """As `load_steps`, all at once."""
