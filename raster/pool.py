@@ -1,12 +1,14 @@
 """Runs kernels on as many threads as the caller allows.
 
-One executor serves the whole program: a viewer and a trainer that ask for one thread each get one
-each. The calling thread always works too, so a call makes progress however busy the executor is.
+One executor serves all threads of one priority: a viewer and a trainer that ask for one thread each get one
+each, and the helpers of a viewer that gives way to its trainer give way as it does. The calling thread always
+works too, so a call makes progress however busy the executor is.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -29,9 +31,15 @@ def available_threads() -> int:
         return os.cpu_count() or 1
 
 
+def niceness() -> int:
+    """Of the calling thread, 0 where threads have none of their own (they do on Linux only)."""
+    return os.getpriority(os.PRIO_PROCESS, 0) if sys.platform == "linux" else 0
+
+
 @cache
-def _executor() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(available_threads(), 2), thread_name_prefix="raster")
+def _executor(niceness: int) -> ThreadPoolExecutor:
+    """A thread is as nice as the one that started it, which here is one that asks for help."""
+    return ThreadPoolExecutor(max(available_threads(), 2), thread_name_prefix=f"raster{niceness or ''}")
 
 
 def run(
@@ -64,7 +72,8 @@ def run(
                         pass
                 raise
 
-    futures = [_executor().submit(work) for _ in range(helpers)]
+    executor = _executor(niceness())
+    futures = [executor.submit(work) for _ in range(helpers)]
     try:
         work()
     finally:

@@ -51,7 +51,8 @@ class TrainingThread:
     ) -> None:
         """`share` of `cores` (None: all) goes into training; a snapshot is made every `snapshot_seconds` at
         most (None: only when training stands); `on_change` is called, in the thread, when the state has
-        changed. `begin` starts it."""
+        changed. It waits for `begin`, but has the priority of the thread that makes this: a window may lower
+        its own in between."""
         self.share = share
         """Of the cores, 0 to 1. May be set at any time."""
         self.cores = cores or available_threads()
@@ -93,10 +94,12 @@ class TrainingThread:
         """Replaced, never changed."""
         session.on_note = self._notes.append
         self._publish()
+        self._begun = threading.Event()
+        self._thread.start()
 
     def begin(self) -> None:
         """Starts to train."""
-        self._thread.start()
+        self._begun.set()
 
     # ---- what others may ask for
 
@@ -206,6 +209,7 @@ class TrainingThread:
         """
         if self._thread.is_alive():
             self._commands.put(self._end)
+            self._begun.set()
             self._thread.join()
         self._session.close()
         # However the thread ended, the trainer is this thread's now.
@@ -231,6 +235,7 @@ class TrainingThread:
     # ---- in the thread
 
     def _work(self) -> None:
+        self._begun.wait()
         while not self._closing:
             self._obey()
             if not self._closing and self._steps_are_wanted and time.perf_counter() >= self._step_due:

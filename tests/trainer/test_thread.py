@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatview.raster.pool import niceness
 from splatview.scene import InputError
 from splatview.scene.files import load_scene
 from splatview.trainer import session as sessions
@@ -254,6 +258,24 @@ def test_closing_saves_what_was_trained(begin, tmp_path) -> None:
     scene = load_scene(tmp_path / "toy.ply")
     np.testing.assert_array_equal(scene.means, checkpoint.splats.parameters.means)
     thread.close()  # once more does nothing
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of threads")
+def test_a_maker_that_gives_way_afterwards_takes_nothing_from_the_training(make_session) -> None:
+    own, made = niceness(), []
+
+    def window() -> None:
+        thread = TrainingThread(make_session(iterations=100_000))
+        os.setpriority(os.PRIO_PROCESS, 0, own + 3)
+        thread.begin()
+        made.append(thread)
+
+    maker = threading.Thread(target=window)
+    maker.start()
+    maker.join()
+    found = made[0].post(lambda session: niceness()).result(60)
+    made[0].close()
+    assert found == own
 
 
 def test_closing_before_the_first_step_writes_nothing(make_session, tmp_path) -> None:

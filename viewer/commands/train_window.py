@@ -69,6 +69,7 @@ def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
     from ..window.actions import quit_window
     from ..window.app import run_window
     from ..window.training.watching import Training, watched_photos
+    from ..window.yielding import give_way
 
     training = Training(
         thread=thread,
@@ -81,6 +82,7 @@ def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
         if training.core is not None:
             training.core.post(quit_window)
 
+    give_way()  # the training's thread is there already, and keeps its priority
     with _on_signals(leave):
         return run_window([], training=training, **options)
 

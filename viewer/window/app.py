@@ -48,6 +48,10 @@ slowed it down. Longer, and the window would no longer answer at once while a sh
 ACTIVE_SECONDS = 0.5
 """How long after the last event the window keeps its full rate: long enough for tooltips to appear."""
 
+ATTENDED_SECONDS = 1.5
+"""After the last touch of mouse or keys; from then on a window beside a training is drawn only as often as
+`Training.idle_fps` says and when a new picture has come, and takes no frames to be smooth."""
+
 
 class Window:
     """Ties the frame loop's callbacks to one `Core`."""
@@ -67,6 +71,8 @@ class Window:
         self._renderer = renderer
         self._saved: Preferences = preferences
         self._save_due = 0.0
+        self._touched = 0.0
+        self._last_view: object = None
         if complaint:
             self.core.tell(complaint)
 
@@ -103,7 +109,8 @@ class Window:
         if core.picture is None:
             params.app_shall_exit = True
             return
-        if self._is_software and core.loading is None:
+        unattended = self._unattended()
+        if self._is_software and core.loading is None and not unattended:
             core.picture.wait(PICTURE_SECONDS)
             glfw.poll_events()  # what the mouse did meanwhile
         opening.continue_loading(core)
@@ -127,18 +134,31 @@ class Window:
         layout.hide_or_show_panels(core)
         flying = keys.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
-        turning = self._is_software and core.loading is None and core.picture.busy
+        turning = self._is_software and core.loading is None and core.picture.busy and not unattended
         if self._is_software:
             params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
         params.fps_idling.enable_idling = not (core.transition or flying or turning)
         idle = IDLE_FPS if core.training is None else core.training.idle_fps(core)
         params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else idle
+        params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS
         if core.now() >= self._save_due:
             self._save_due = core.now() + SAVE_SECONDS
             if problem := self._save_preferences():
                 core.tell(problem)
         if core.quitting:
             params.app_shall_exit = True
+
+    def _unattended(self) -> bool:
+        """Whether a training runs, its cores draw the window too, and nobody has touched that for a while."""
+        core, io = self.core, imgui.get_io()
+        mouse = io.mouse_delta.x != 0 or io.mouse_delta.y != 0 or io.mouse_wheel != 0 or any(io.mouse_down)
+        if mouse or imgui.is_any_item_active() or core.view is not self._last_view:
+            self._touched, self._last_view = core.now(), core.view
+        if not self._is_software or core.training is None or core.training.status.state != "training":
+            return False
+        if core.waiting or self.dialogs.open or core.loading is not None or core.transition is not None:
+            return False
+        return core.now() - self._touched > ATTENDED_SECONDS
 
     def _show_title(self, title: str) -> None:
         if title != self._title:

@@ -179,13 +179,14 @@ def test_dear_pictures_are_made_less_often(core, training):
     core.picture.name = "cpu"
     core.picture.threads = 2
     core.stats = FrameStats(splats=1, visible=1, ms={"forward": 900.0}, projected=1, sorted=1, drawn=1)
+    frames = 2 * 0.02  # core-seconds of the window's own for each picture
     training.start(core)
     core.prefer(training_share=0.5)
     training.advance(core)
-    assert training.thread.snapshot_seconds == pytest.approx(0.9 * 2 / (0.05 * 4))
+    assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.05 * 4))
     core.prefer(training_updates="low")
     training.advance(core)
-    assert training.thread.snapshot_seconds == pytest.approx(0.9 * 2 / (0.02 * 4))
+    assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.02 * 4))
     core.prefer(training_updates="off")
     training.advance(core)
     assert training.thread.snapshot_seconds is None

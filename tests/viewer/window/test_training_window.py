@@ -10,11 +10,14 @@ import pytest
 from PIL import Image
 
 from splatview.raster import render
+from splatview.raster.pool import niceness
 from splatview.scene.captures.demo import demo_capture
 from splatview.scene.captures.write import save_capture
 from splatview.scene.files import load_scene, save_scene
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer.cli import main
+from splatview.viewer.window.app import ACTIVE_SECONDS
+from splatview.viewer.window.yielding import NICENESS
 
 SCRIPT = "training_drives.py"
 
@@ -28,7 +31,8 @@ def capture(tmp_path_factory) -> Path:
 
 
 def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):
-    found = drive("all_of_it", capture, script=SCRIPT, train=["--max-splats", "3000"])
+    long = ["--iterations", "1000000", "--max-splats", "3000"]
+    found = drive("all_of_it", capture, script=SCRIPT, train=long)
     assert found["scene"] == "pond (training)"
     assert 0 <= found["shown"][0] < found["shown"][1], "the scene is seen to grow"
     assert found["splats_shown"] > 0
@@ -38,6 +42,13 @@ def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):
     assert found["picture_mean"] > 0.05
     assert found["max_splats"] == [3000, 2234]
     assert found["stepped_to"] == before + 1
+    if sys.platform == "linux":
+        window, trainer = found["niceness"]
+        assert trainer == niceness() and window == max(trainer, NICENESS), (
+            "the window waits for the training, not the other way round"
+        )
+    assert found["attended"] == ACTIVE_SECONDS, "nobody is told to wait while training stands"
+    assert found["unattended_fps"] <= 1, "a window left alone leaves the cores alone"
     photo, shown, psnr = found["compared"]
     assert photo == shown == [72, 96, 3] and psnr > 10
     assert found["by_seconds"]
@@ -101,7 +112,14 @@ def test_other_scenes_can_be_opened_meanwhile_and_the_run_ends(drive, capture, t
 
 
 def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
-    found = drive("edits", capture, script=SCRIPT, train=["--max-splats", "6000"], growth=3.0, cut=4.0)
+    found = drive(
+        "edits",
+        capture,
+        script=SCRIPT,
+        train=["--iterations", "100000", "--max-splats", "6000"],
+        growth=3.0,
+        cut=4.0,
+    )
     assert found["held"], "the view waits while splats are selected"
     assert found["deleted"] > 0 and found["still_there"] == 0
     assert found["in_rectangle"] < 0.6 * found["deleted"], "but for some that moved in since"

@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 from drives import Hand, pose
-from imgui_bundle import ImVec2
+from imgui_bundle import ImVec2, hello_imgui
 
 from splatview.edit.operations import Select
 from splatview.edit.tools import NoTools
+from splatview.raster.pool import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
 from splatview.viewer.commands import train, train_window
@@ -76,6 +77,10 @@ def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["drawn_in_pause"] = (core.stats.drawn if core.stats else 0) - drawn
     found["picture_mean"] = float(picture[..., :3].mean())
 
+    found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(60)]
+    pacing = hello_imgui.get_runner_params().fps_idling
+    found["attended"] = pacing.time_active_after_last_event
+
     before = training.status.settings
     ctx.item_input_value("//Training/##Most splats", 1234)
     hand.frames(3)
@@ -118,6 +123,10 @@ def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.item_click("//Photos/Measure")
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = training.scores
+    hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
+    found["unattended_fps"] = pacing.fps_idle
+    ctx.mouse_move("//Training/###pause")
+    hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
 
     shown = seen(hand)
     hand.press("F3")

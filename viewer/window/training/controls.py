@@ -153,7 +153,8 @@ def shares(core: Core, training: Training) -> None:
     wanted = preferences.training_share
     tip = (
         f"Of the {cores} cores, what training takes while you move the view; the viewer has the rest "
-        f"({viewer_threads(wanted, cores)} to draw with). Fractions are kept by sleeping between steps."
+        f"({viewer_threads(wanted, cores)} to draw with). Fractions are kept by sleeping between steps; "
+        "where both want a core, the window waits."
     )
     share = widgets.slider("Share of cores", 100 * wanted, 100 * low, 100 * high, tip, form="%.0f %%")
     if share is not None:

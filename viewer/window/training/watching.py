@@ -19,6 +19,7 @@ from ....scene.framing import robust_bounds
 from ....trainer.published import Snapshot, State, Status, pace_of
 from ....trainer.shots import Shot
 from ....trainer.thread import TrainingThread
+from ...gl.cpu_texture import FRAME_SECONDS
 from ..loading import Examination, LoadedScene
 from ..navigation import view_from_camera
 from ..opening import UPLOAD_SECONDS, common_up
@@ -49,8 +50,11 @@ RATES: dict[TrainingUpdates, UpdateRate] = {
     "live": UpdateRate(0.1, 0.05, 10.0),
 }
 
-SOFTWARE_FPS = 3.0
-"""At most so many frames where the processor draws those, too: one takes 20 ms of a core."""
+SOFTWARE_FPS = 1.0
+"""At most so many frames where the processor draws those, too; a new picture is shown at once besides."""
+
+FRAMES_A_PICTURE = 2
+"""Where the processor draws them: one takes the snapshot over, one shows the picture made of it."""
 
 TOUCHED_SECONDS = 1.5
 """After the view was last moved: so long the viewer keeps the cores that the slider leaves it."""
@@ -316,7 +320,9 @@ def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[Watc
 
 
 def redraw_seconds(core: Core) -> float:
-    """Core-seconds that the processor spends on a picture of the scene; 0 where a GPU does it."""
+    """Core-seconds that the processor spends on a new picture of the scene, the window's frames for it
+    included; 0 where a GPU does it."""
     if core.stats is None or core.picture is None or core.picture.name != "cpu":
         return 0.0
-    return sum(core.stats.ms.values()) / 1000 * (core.picture.threads or 1)
+    drawing = sum(core.stats.ms.values()) / 1000 * (core.picture.threads or 1)
+    return drawing + FRAMES_A_PICTURE * FRAME_SECONDS
