@@ -1,7 +1,8 @@
-// What was gathered, over the background; alpha = 1 - T. Flags: DEPTH, OVERDRAW, WEIGHTED.
+// What was gathered, over the background; alpha = 1 - T. Flags: DEPTH, OVERDRAW, WEIGHTED, and
+// those of the background.
+#include "common/background.glsl"
 #include "common/colour_maps.glsl"
 uniform sampler2D u_gathered;  // rgb, T; with DEPTH sums of depth in r, with OVERDRAW the count of splats in r
-uniform vec3 u_background;
 uniform float u_brightest;     // what the picture can hold
 uniform vec2 u_depth_range;    // world units, near and far
 uniform sampler2D u_weights;   // with WEIGHTED sums of alpha times weight in r
@@ -24,6 +25,6 @@ void main() {
         gathered = vec4(inferno(min(t, 1.0)), 0.0);
         opacity = 1.0;
     }
-    vec3 sum = gathered.rgb + gathered.a * u_background;
+    vec3 sum = gathered.rgb + gathered.a * background(gl_FragCoord.xy);
     colour = vec4(clamp(sum, -u_brightest, u_brightest), opacity);
 }

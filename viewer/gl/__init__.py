@@ -10,12 +10,13 @@ from .frame import FrameStats, VisualMode
 
 if TYPE_CHECKING:
     from .renderer import Renderer
+    from .variants import Variants
 
 __all__ = ["FrameStats", "VisualMode", "make_renderer"]
 
 
-def make_renderer(ctx: moderngl.Context, name: str = "quads") -> Renderer:
-    """The renderer called `name`, "quads" or "tiles", for `ctx`.
+def make_renderer(ctx: moderngl.Context, name: str = "quads", variants: Variants | None = None) -> Renderer:
+    """The renderer called `name`, "quads" or "tiles", for `ctx`; its programs come from `variants`.
 
     `quads` work in compute shaders from GL 4.3 on, else as their GL 3.3 twin.
 
@@ -26,11 +27,11 @@ def make_renderer(ctx: moderngl.Context, name: str = "quads") -> Renderer:
     if name == "tiles":
         from .tiles import TilesRenderer
 
-        return TilesRenderer(ctx)
+        return TilesRenderer(ctx, variants=variants)
     if ctx.version_code >= 430:
         from .quads import QuadsRenderer
 
-        return QuadsRenderer(ctx)
+        return QuadsRenderer(ctx, variants=variants)
     from .quads_legacy import LegacyQuadsRenderer
 
-    return LegacyQuadsRenderer(ctx)
+    return LegacyQuadsRenderer(ctx, variants)

@@ -173,9 +173,12 @@ class EditTextures:
             "u_crops": self._crops if now.crops else None,
         }
         for unit, (name, array) in enumerate(arrays.items(), start=FIRST_UNIT):
-            if array is not None and program.get(name, None) is not None:
+            if program.get(name, None) is None:
+                continue
+            # General programs have all samplers, and no two kinds of them may share a unit.
+            set_uniforms(program, {name: unit})
+            if array is not None:
                 array.texture.use(unit)
-                set_uniforms(program, {name: unit})
         set_uniforms(program, {"u_last_adjustment": len(now.palette or (None,)) - 1})
         set_uniforms(program, {"u_crop_count": len(now.crops)})
         if now.overlay is not None:

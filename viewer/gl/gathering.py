@@ -18,10 +18,10 @@ import numpy as np
 from .closing import Closing
 from .edit_textures import EditTextures
 from .frame import VisualMode
-from .programs import RenderPrograms
 from .projector import QUADS_PER_INSTANCE, SLABS, Projector
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
+from .variants import Variants
 from .view_uniforms import Uniform, set_uniforms
 
 MODE_FLAGS: dict[str, dict[str, bool]] = {
@@ -29,8 +29,6 @@ MODE_FLAGS: dict[str, dict[str, bool]] = {
         "POINTS": mode == "points",
         "DEPTH": mode == "depth",
         "OVERDRAW": mode == "overdraw",
-        "STOCHASTIC": False,
-        "WEIGHTED": False,
     }
     for mode in ("splats", "points", "depth", "overdraw")
 }
@@ -52,7 +50,8 @@ def quad_indices(quads: int) -> np.ndarray:
 
 
 def mode_program(
-    programs: RenderPrograms,
+    variants: Variants,
+    indices: moderngl.Buffer,
     folder: str,
     mode: VisualMode,
     edits: EditTextures,
@@ -64,7 +63,8 @@ def mode_program(
     own = {"ANTIALIASED": False} if surfaces else MODE_FLAGS[mode]
     edited = edits.now.flags(projects=surfaces, shows=mode)
     flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **own, **edited, **more}
-    program, array = programs.get(f"{folder}/{stage}.vert.glsl", f"quads/{stage}.frag.glsl", flags)
+    files = f"{folder}/{stage}.vert.glsl", f"quads/{stage}.frag.glsl"
+    program, array = variants.drawing(*files, flags, indices)
     edits.use(program)
     return program, array
 
@@ -72,10 +72,10 @@ def mode_program(
 class Gathering:
     """Programs are compiled for a mode when it is first shown."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
+        self._variants = variants
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._programs = RenderPrograms(ctx, self._indices)
         self._closing = Closing(ctx)
 
     def draw(
@@ -101,7 +101,7 @@ class Gathering:
             if mode == "ellipsoids"
             else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None}
         )
-        program, array = mode_program(self._programs, "quads", mode, edits, stored)
+        program, array = mode_program(self._variants, self._indices, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
         if mode == "ellipsoids":
             self._draw_ellipsoids(target, scene, projector, program, array, edits)
@@ -161,7 +161,6 @@ class Gathering:
 
     def release(self) -> None:
         self._closing.release()
-        self._programs.release()
         self._indices.release()
 
 

@@ -9,21 +9,24 @@ import moderngl
 from .edit_textures import EditTextures
 from .frame import VisualMode
 from .gathering import FRONT_TO_BACK, mode_program, quad_indices
-from .programs import RenderPrograms
 from .projection_pass import ProjectionPass
 from .projector import QUADS_PER_INSTANCE
 from .scene_textures import SceneTextures
 from .targets import ColourTarget
+from .variants import Variants
 from .view_uniforms import Uniform, set_uniforms
+
+NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
+"""Flags: splats are always sorted."""
 
 
 class LegacyGathering:
     """Programs are compiled for a mode when it is first shown."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
+        self._variants = variants
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._programs = RenderPrograms(ctx, self._indices)
 
     def draw_splats(
         self,
@@ -36,7 +39,7 @@ class LegacyGathering:
         ordered: int,
     ) -> None:
         """Fills `target` with the first `ordered` splats of `order`; all modes but ellipsoids."""
-        program, array = mode_program(self._programs, "legacy", mode, edits)
+        program, array = mode_program(self._variants, self._indices, "legacy", mode, edits, NO_ORDERS)
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         if not ordered:
@@ -59,7 +62,7 @@ class LegacyGathering:
         scene: SceneTextures,
     ) -> None:
         """Fills `target` with surfaces; a depth test takes the place of the order."""
-        program, array = mode_program(self._programs, "legacy", "ellipsoids", edits)
+        program, array = mode_program(self._variants, self._indices, "legacy", "ellipsoids", edits)
         framebuffer = target.with_depth()
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
@@ -76,5 +79,4 @@ class LegacyGathering:
         array.render(moderngl.TRIANGLES, instances=-(-scene.splats // QUADS_PER_INSTANCE))
 
     def release(self) -> None:
-        self._programs.release()
         self._indices.release()

@@ -66,6 +66,9 @@ def held_bytes(owner: object) -> int:
         elif isinstance(thing, moderngl.Texture):
             width, height = thing.size
             total += width * height * thing.components * COMPONENT_BYTES[thing.dtype]
+        elif isinstance(thing, moderngl.TextureArray):
+            texels = thing.width * thing.height * thing.layers
+            total += texels * thing.components * COMPONENT_BYTES[thing.dtype]
         elif isinstance(thing, (list, tuple, set)):
             waiting.extend(thing)
         elif isinstance(thing, Mapping):

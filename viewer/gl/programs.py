@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 
 import moderngl
@@ -25,8 +26,30 @@ class ShaderError(RuntimeError):
 Origin = tuple[str, int]
 """A file under ``shaders/`` and a line in it, from 1."""
 
+Flags = Mapping[str, float | bool]
 
-def expand(name: str, version: str, flags: Mapping[str, float | bool]) -> tuple[str, list[Origin]]:
+SWITCHES_FILE = "common/switches.glsl"
+
+SWITCH = re.compile(r"^#define (\w+) (u_\w+)$", re.MULTILINE)
+
+
+@cache
+def switches() -> dict[str, str]:
+    """The flags that a general program takes from uniforms, and the names of those."""
+    return dict(SWITCH.findall(_read(SWITCHES_FILE)))
+
+
+def fixed_flags(flags: Flags) -> dict[str, float | bool]:
+    """Those of `flags` that are fixed in a general program, too."""
+    return {flag: value for flag, value in flags.items() if flag not in switches()}
+
+
+def switch_values(flags: Flags) -> dict[str, float | bool]:
+    """The uniforms that make a general program the one of `flags`."""
+    return {uniform: flags[flag] for flag, uniform in switches().items() if flag in flags}
+
+
+def expand(name: str, version: str, flags: Flags, *, general: bool = False) -> tuple[str, list[Origin]]:
     """Full source of shader `name` (a path under ``shaders/``), and where each of its lines came from.
 
     Writes ``#version``, then the flags as ``#define``s, then the file with every ``#include "path"``
@@ -35,14 +58,21 @@ def expand(name: str, version: str, flags: Mapping[str, float | bool]) -> tuple[
 
     A flag guards instructions as an expression, ``if (LIT)``: compilers drop what is under ``if (false)``.
     For declarations, which they may keep, a bool F also comes as HAS_F, 1 or 0: ``#if HAS_LIT``.
+    In a `general` program all that ``common/switches.glsl`` names are expressions of uniforms, and are had.
     """
     lines = [f"#version {version}"]
     for flag, value in sorted(flags.items()):
+        if general and flag in switches():
+            lines.append(f"#define HAS_{flag} 1")
+            continue
         lines.append(f"#define {flag} {_literal(value)}")
         if isinstance(value, bool):
             lines.append(f"#define HAS_{flag} {int(value)}")
     origins = [("(flags)", number) for number in range(1, len(lines) + 1)]
-    _append(name, "(loader)", set(), lines, origins)
+    seen: set[str] = set()
+    if general:
+        _append(SWITCHES_FILE, "(loader)", seen, lines, origins)
+    _append(name, "(loader)", seen, lines, origins)
     return "\n".join(lines) + "\n", origins
 
 
@@ -53,10 +83,14 @@ def _literal(value: float | bool) -> str:
     return repr(float(value)) if isinstance(value, float) else str(int(value))
 
 
+def _read(name: str) -> str:
+    return resources.files(shaders).joinpath(name).read_text(encoding="utf8")
+
+
 def _append(name: str, includer: str, seen: set[str], lines: list[str], origins: list[Origin]) -> None:
     seen.add(name)
     try:
-        source = resources.files(shaders).joinpath(name).read_text(encoding="utf8")
+        source = _read(name)
     except FileNotFoundError as error:
         raise ShaderError(f"{includer}: there is no shader file {name}") from error
     for number, line in enumerate(source.splitlines(), start=1):
@@ -84,16 +118,16 @@ def _explain(error: moderngl.Error, origins: list[Origin]) -> ShaderError:
 
 
 def load_render_program(
-    ctx: moderngl.Context, vertex: str, fragment: str, flags: Mapping[str, float | bool] | None = None
+    ctx: moderngl.Context, vertex: str, fragment: str, flags: Flags | None = None, *, general: bool = False
 ) -> moderngl.Program:
-    """A vertex and a fragment shader, paths under ``shaders/``, compiled with `flags` as ``#define``s.
+    """A vertex and a fragment shader, paths under ``shaders/``, compiled with `flags`, see `expand`.
 
     Raises:
         ShaderError: it does not compile; a defect of ours or of the driver, never of the user.
     """
     version = _version(ctx)
-    vertex_source, vertex_origins = expand(vertex, version, flags or {})
-    fragment_source, fragment_origins = expand(fragment, version, flags or {})
+    vertex_source, vertex_origins = expand(vertex, version, flags or {}, general=general)
+    fragment_source, fragment_origins = expand(fragment, version, flags or {}, general=general)
     try:
         return ctx.program(vertex_shader=vertex_source, fragment_shader=fragment_source)
     except moderngl.Error as error:
@@ -101,45 +135,15 @@ def load_render_program(
         raise _explain(error, origins) from error
 
 
-class RenderPrograms:
-    """Render programs, each with a vertex array that has no attributes; compiled when first asked for."""
-
-    def __init__(self, ctx: moderngl.Context, indices: moderngl.Buffer | None = None) -> None:
-        self._ctx = ctx
-        self._indices = indices
-        self._made: dict[object, tuple[moderngl.Program, moderngl.VertexArray]] = {}
-
-    def get(
-        self, vertex: str, fragment: str, flags: Mapping[str, float | bool]
-    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        """The variant by `flags`, as of `load_render_program`; it draws the indices (uint32), if any.
-
-        Raises:
-            ShaderError: it does not compile.
-        """
-        variant = (vertex, fragment, frozenset(flags.items()))
-        if variant not in self._made:
-            program = load_render_program(self._ctx, vertex, fragment, flags)
-            array = self._ctx.vertex_array(program, [], index_buffer=self._indices, index_element_size=4)
-            self._made[variant] = program, array
-        return self._made[variant]
-
-    def release(self) -> None:
-        for program, array in self._made.values():
-            array.release()
-            program.release()
-        self._made.clear()
-
-
 def load_compute(
-    ctx: moderngl.Context, name: str, flags: Mapping[str, float | bool] | None = None
+    ctx: moderngl.Context, name: str, flags: Flags | None = None, *, general: bool = False
 ) -> moderngl.ComputeShader:
-    """A compute shader, a path under ``shaders/``, compiled with `flags` as ``#define``s (GL 4.3).
+    """A compute shader, a path under ``shaders/``, compiled with `flags`, see `expand` (GL 4.3).
 
     Raises:
         ShaderError: it does not compile.
     """
-    source, origins = expand(name, f"{COMPUTE_VERSION} core", flags or {})
+    source, origins = expand(name, f"{COMPUTE_VERSION} core", flags or {}, general=general)
     try:
         return ctx.compute_shader(source)
     except moderngl.Error as error:

@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from .edit_textures import EditTextures
+from .kept_order import KeptOrder
 from .memory import reserve
 from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
@@ -61,7 +62,8 @@ class Projector:
             {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "SLABS": SLABS},
         )
         set_uniforms(self._scan, {"u_slab_ends": SLAB_ENDS})
-        self._compact = load_compute(ctx, "quads/compact.comp.glsl", {"GROUP_SIZE": GROUP_SIZE})
+        self._compact = load_compute(ctx, "quads/compact.comp.glsl", {"GROUP_SIZE": GROUP_SIZE, "KEPT": False})
+        self._compact_kept: moderngl.ComputeShader | None = None
         self.visible = VisibleCount(ctx)
         self.commands = ctx.buffer(reserve=20 * SLABS)
         """DrawElementsIndirectCommand a slab."""
@@ -101,8 +103,10 @@ class Projector:
         sh_degree: int,
         antialiased: bool,
         keys: DepthKeys = DepthKeys(),
+        kept: KeptOrder | None = None,
     ) -> None:
-        """Fills records and keys of all splats, then keys and order of the visible ones, by index."""
+        """Fills records and keys of all splats, then keys and order of the visible ones, by index; or their
+        order alone, which is final, by `kept`."""
         flags = {
             "GROUP_SIZE": GROUP_SIZE,
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
@@ -123,6 +127,8 @@ class Projector:
             set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count})
             program.run(-(-page.count // GROUP_SIZE))
         self._ctx.memory_barrier()
+        if kept is not None:
+            kept.count(self.depth_keys, self._counts)
         for slot, buffer in enumerate(
             (self._counts, self._starts, self.visible.buffer, self.commands, self.slab_starts)
         ):
@@ -133,11 +139,21 @@ class Projector:
         for slot, buffer in enumerate((self.depth_keys, self._starts, self.keys, self.order)):
             buffer.bind_to_storage_buffer(slot)
         shortened = {"u_key_base": keys.base, "u_key_shift": keys.shift, "u_key_most": (1 << keys.bits) - 1}
-        set_uniforms(self._compact, {"u_splats": scene.splats, **shortened})
+        compact = self._compact
+        if kept is not None and kept.order is not None:
+            kept.order.bind_to_storage_buffer(4)
+            compact = self._compacting_kept()
+        set_uniforms(compact, {"u_splats": scene.splats, **shortened})
         if self._groups:
-            self._compact.run(self._groups)
+            compact.run(self._groups)
         self._ctx.memory_barrier()
         self.visible.frame_done()
+
+    def _compacting_kept(self) -> moderngl.ComputeShader:
+        if self._compact_kept is None:
+            flags = {"GROUP_SIZE": GROUP_SIZE, "KEPT": True}
+            self._compact_kept = load_compute(self._ctx, "quads/compact.comp.glsl", flags)
+        return self._compact_kept
 
     def sort(self, key_bits: int = KEY_BITS) -> None:
         """Orders the visible splats front to back, ties by index."""
@@ -163,5 +179,6 @@ class Projector:
         self.visible.release()
         self.commands.release()
         self.slab_starts.release()
-        for program in (self._scan, self._compact):
-            program.release()
+        for program in (self._scan, self._compact, self._compact_kept):
+            if program is not None:
+                program.release()

@@ -12,16 +12,18 @@ import numpy as np
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
 from ...scene.image_model import Order
+from ...scene.resorting import keeps_order
 from ...scene.stored import Attributes
 from .frame import FrameStats, VisualMode
 from .gathering import Gathering
+from .kept_order import KeptOrder
 from .overlay import Overlay
 from .projector import RECORD_BYTES, DepthKeys, Projector, short_keys
 from .renderer import Renderer
 from .resolving import depth_range
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
 from .variants import Variants
-from .view_uniforms import view_uniforms
+from .view_uniforms import Uniform, view_uniforms
 
 EARLY_STOP = 1.2e-4
 """Transmittance below which a pixel is closed."""
@@ -52,6 +54,7 @@ class QuadsRenderer(Renderer):
         self._projector = Projector(ctx, self._variants)
         self._scene: SceneBuffers | None = None
         self._gathering = gathering or Gathering(ctx, self._variants)
+        self._kept = KeptOrder(ctx, self._variants)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
         self._box = np.zeros((2, 3))
@@ -105,6 +108,7 @@ class QuadsRenderer(Renderer):
         self._edits.load(scene.placement, source.means)
         self._scene, self._source = scene, source
         self._box = box
+        self._kept.start_anew()
         self._projected_key = None
 
     def draw(
@@ -128,21 +132,27 @@ class QuadsRenderer(Renderer):
             raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
         # Other modes show what an order is, or need one that is exact.
         order = settings.order if mode == "splats" else "32-bit"
+        keeps = mode == "splats" and order not in UNSORTED and keeps_order(settings)
         projected_key = (
             *_view_key(camera),
-            order,
+            *(order, (settings.resort_frames, settings.resort_degrees) if keeps else None),
             *(settings.model, settings.sigma_cut, sh_degree),
             editing.footprints,
         )
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
         resolved_key = (drawn_key, settings.background)
+        if keeps and self._kept.resorting.stale and projected_key == self._projected_key:
+            self._projected_key = None  # the view rests: it gets its own order
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
         uniforms = view_uniforms(camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if projected_key != self._projected_key:
             keys = DepthKeys() if order != "16-bit" else self._short_keys(camera, settings.model.near)
+            if keeps:
+                with self._timers.stage("sort"):
+                    self._keep_order(camera, settings, scene, uniforms, keys, editing.footprints)
             with self._timers.stage("project"):
                 self._projector.project(
                     scene,
@@ -151,8 +161,9 @@ class QuadsRenderer(Renderer):
                     sh_degree=sh_degree,
                     antialiased=settings.model.antialiased,
                     keys=keys,
+                    kept=self._kept if keeps else None,
                 )
-            if order not in UNSORTED:
+            if order not in UNSORTED and not keeps:
                 with self._timers.stage("sort"):
                     self._projector.sort(keys.bits)
                 self._counters["sorted"] += 1
@@ -188,6 +199,31 @@ class QuadsRenderer(Renderer):
             self._resolved_key = resolved_key
         previous.use()
 
+    def _keep_order(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        scene: SceneBuffers,
+        uniforms: dict[str, Uniform],
+        keys: DepthKeys,
+        footprints: object,
+    ) -> None:
+        """Makes the order that is kept anew, where that is due."""
+        key = (settings.model.near, keys.bits, footprints)
+        centre, radius = self._box.mean(axis=0), float(np.linalg.norm(np.diff(self._box, axis=0))) / 2
+        if self._kept.resorting.due(camera, settings, key=key, centre=centre, radius=radius):
+            self._kept.make(scene, uniforms, self._edits, keys)
+            self._counters["sorted"] += 1
+
+    def forget_order(self) -> None:
+        """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
+        self._kept.resorting.forget()
+        self._projected_key = None
+
+    @property
+    def busy(self) -> bool:
+        return self._kept.resorting.stale and self._projected_key is not None
+
     def _unsorted(self, order: Order, camera: Camera, near: float) -> dict[str, Any]:
         """What `Gathering.draw` is told of an order that takes no sort."""
         if order == "stochastic":
@@ -222,6 +258,7 @@ class QuadsRenderer(Renderer):
         if self._scene is not None:
             self._scene.release()
         self._projector.release()
+        self._kept.release()
         self._gathering.release()
 
 

@@ -6,10 +6,13 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera
+from ...scene.background import Background
+from .background import BackgroundSource
 from .frame import VisualMode
 from .placement import Placement
-from .programs import RenderPrograms, load_render_program
+from .programs import load_render_program
 from .targets import ColourTarget
+from .variants import Variants
 from .view_uniforms import set_uniforms
 
 DEPTH_SPAN = 1.6
@@ -26,9 +29,10 @@ def depth_range(placement: Placement, camera: Camera) -> tuple[float, float]:
 class Resolving:
     """A pass over the whole picture; cheap, so a new background costs only this."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
-        self._programs = RenderPrograms(ctx)
+        self._variants = variants
+        self._background = BackgroundSource(ctx)
 
     def draw(
         self,
@@ -36,28 +40,37 @@ class Resolving:
         gathered: ColourTarget,
         shown: ColourTarget,
         *,
-        background: tuple[float, float, float],
+        background: Background,
+        camera: Camera,
         depths: tuple[float, float] | None = None,
         weighted: bool = False,
     ) -> None:
-        """Fills `shown`. `depths` are those of the colour map's ends, for the mode that has one; `weighted`:
-        what was gathered are sums, over those in `gathered.weights`."""
+        """Fills `shown`. `camera` sees the background; `depths` are those of the colour map's ends, for the
+        mode that has one; `weighted`: what was gathered are sums, over those in `gathered.weights`.
+
+        Raises:
+            InputError: the background does not fit into this driver's textures.
+        """
         weights = gathered.weights if weighted else None
+        background_flags, background_values = self._background.use(background, camera)
         flags = {
+            **background_flags,
             "DEPTH": mode == "depth",
             "OVERDRAW": mode == "overdraw",
             "WEIGHTED": weights is not None,
         }
-        program, array = self._programs.get("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
+        program, array = self._variants.drawing("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
         if weights is not None:
             weights.use(1)
+        else:
+            gathered.texture.use(1)  # a general program has the sampler all the same
         values = {
             "u_gathered": 0,
             "u_weights": 1,
-            "u_background": background,
+            **background_values,
             "u_brightest": shown.brightest,
             "u_depth_range": depths or (0.0, 1.0),
         }
@@ -65,7 +78,7 @@ class Resolving:
         array.render(moderngl.TRIANGLES, vertices=3)
 
     def release(self) -> None:
-        self._programs.release()
+        self._background.release()
 
 
 def float16_blending_truncates(ctx: moderngl.Context) -> bool:

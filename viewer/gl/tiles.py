@@ -18,6 +18,7 @@ from .programs import COMPUTE_VERSION
 from .quads import QuadsRenderer
 from .scene_buffers import SceneBuffers
 from .tiles_gathering import TilesGathering, TileTuning
+from .variants import Variants
 
 
 class TilesRenderer(QuadsRenderer):
@@ -30,12 +31,19 @@ class TilesRenderer(QuadsRenderer):
     name = "tiles"
     orders = ("32-bit", "16-bit")
 
-    def __init__(self, ctx: moderngl.Context, *, tuning: TileTuning | None = None) -> None:
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        *,
+        tuning: TileTuning | None = None,
+        variants: Variants | None = None,
+    ) -> None:
         if not ctx.version_code >= COMPUTE_VERSION:
             version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
             raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
-        self._tiles = TilesGathering(ctx, tuning)
-        super().__init__(ctx, gathering=self._tiles)
+        variants = variants or Variants(ctx)
+        self._tiles = TilesGathering(ctx, variants, tuning)
+        super().__init__(ctx, gathering=self._tiles, variants=variants)
 
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
         super()._use(scene, source)

@@ -11,11 +11,11 @@ from .context import describe
 from .edit_textures import EditTextures
 from .frame import VisualMode
 from .gathering import Gathering
-from .programs import load_compute
 from .projector import Projector
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .tiles_pairs import REST_GROUPS_OFFSET, PairTuning, TilePairs, bind, records
+from .variants import Variants
 from .view_uniforms import Uniform, set_uniforms
 
 
@@ -53,11 +53,12 @@ the limits: a splat walked takes up to 1.6, a tile written takes one."""
 class TilesGathering(Gathering):
     """By tiles for the splats; every other mode is drawn as quads."""
 
-    def __init__(self, ctx: moderngl.Context, tuning: TileTuning | None = None) -> None:
-        super().__init__(ctx)
+    def __init__(
+        self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None
+    ) -> None:
+        super().__init__(ctx, variants)
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
         self.pairs = TilePairs(ctx, tile=self.tuning.tile, tuning=self.tuning.pairs)
-        self._blending: dict[object, moderngl.ComputeShader] = {}
 
     def start_anew(self) -> None:
         """Another scene is loaded."""
@@ -117,10 +118,7 @@ class TilesGathering(Gathering):
             "ROUNDS": tuning.pairs.most_rounds,
             **edits.now.flags(projects=False, shows="splats"),
         }
-        variant = frozenset(flags.items())
-        if variant not in self._blending:
-            self._blending[variant] = load_compute(self._ctx, "tiles/blend.comp.glsl", flags)
-        program = self._blending[variant]
+        program = self._variants.compute("tiles/blend.comp.glsl", flags)
         edits.use(program)
         set_uniforms(program, values)
         target.texture.bind_to_image(0, read=True, write=True)
@@ -129,5 +127,3 @@ class TilesGathering(Gathering):
     def release(self) -> None:
         super().release()
         self.pairs.release()
-        for program in self._blending.values():
-            program.release()

@@ -14,6 +14,7 @@ from splatview.scene.adjustment import IDENTITY
 from splatview.scene.crop import Crop
 from splatview.viewer.gl.edit_textures import Editing
 from splatview.viewer.gl.gathering import MODE_FLAGS
+from splatview.viewer.gl.legacy_gathering import NO_ORDERS
 from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.programs import expand
 from splatview.viewer.gl.projector import QUADS_PER_INSTANCE
@@ -37,9 +38,9 @@ def edited() -> Iterator[Editing]:
 
 
 def projections(name: str) -> Iterator[Variant]:
-    own = {"SH_STORED": 16, "SH_WORDS": 48, "DEPTH": False, "ATTRIBUTES": 0}
-    for attributes in (1, 2):
-        flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes}
+    own = {"SH_WORDS": 48, "OWN_DEGREES": False, "DEPTH": False, "ATTRIBUTES": 0}
+    for attributes, own_degrees in itertools.product(range(3), (False, True)):
+        flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes, "OWN_DEGREES": own_degrees}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
     for editing in edited():
         yield name, {**GEOMETRY, **own, "SH_DEGREE": 3, "ANTIALIASED": False, **editing.flags()}
@@ -54,11 +55,18 @@ def drawing(folder: str) -> Iterator[Variant]:
         for attributes in range(3):
             own = {"ANTIALIASED": False, "ATTRIBUTES": attributes}
             yield f"{folder}/ellipsoids.vert.glsl", {**GEOMETRY, **own, **flags}
-    for mode, overlay in itertools.product(MODE_FLAGS, (None, Overlay())):
-        flags = {**MODE_FLAGS[mode], **Editing(overlay=overlay).flags(projects=False, shows="splats")}
-        yield f"{folder}/draw.vert.glsl", {**GEOMETRY, **flags}
-        yield "quads/draw.frag.glsl", {**GEOMETRY, **flags}
-        yield "quads/resolve.frag.glsl", dict(MODE_FLAGS[mode])
+    orders = [NO_ORDERS]
+    if folder == "quads":
+        orders = [{"STOCHASTIC": a, "WEIGHTED": b} for a, b in ((False, False), (True, False), (False, True))]
+    for mode, overlay, order in itertools.product(MODE_FLAGS, (None, Overlay()), orders):
+        edits = Editing(overlay=overlay).flags(projects=False, shows="splats")
+        flags = {**GEOMETRY, **MODE_FLAGS[mode], **edits, **order}
+        yield f"{folder}/draw.vert.glsl", flags
+        yield "quads/draw.frag.glsl", flags
+        behind: dict[str, float | bool] = {"GRADIENT": False, "PANORAMA": False, "BEHIND": False}
+        for kind in (None, *behind):
+            flags = {**behind, **({kind: True} if kind else {}), **MODE_FLAGS[mode]}
+            yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
     yield "quads/ellipsoids.frag.glsl", {}
     yield "quads/fullscreen.vert.glsl", {}
 
@@ -86,10 +94,14 @@ def test_every_variant_compiles(tmp_path: Path, version: str, variants: list[Var
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (apt-get install glslang-tools)")
+    sources = {}
+    for (name, flags), general in itertools.product(variants, (False, True)):
+        source, _ = expand(name, version, flags, general=general)
+        sources.setdefault(source, name.split(".")[-2])  # many have one general program
     files = []
-    for number, (name, flags) in enumerate(variants):
-        file = tmp_path / f"{number}.{name.split('.')[-2]}"
-        file.write_text(expand(name, version, flags)[0], encoding="utf8")
+    for number, (source, stage) in enumerate(sources.items()):
+        file = tmp_path / f"{number}.{stage}"
+        file.write_text(source, encoding="utf8")
         files.append(file.name)
     done = subprocess.run([compiler, *files], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:]

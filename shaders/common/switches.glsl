@@ -1,0 +1,34 @@
+// The flags that a general program takes from uniforms, so that one program has every effect. What is not
+// here is fixed in it, too: sizes, and how attributes are stored, which is known when a scene is loaded.
+uniform bool u_flags_antialiased;
+uniform int u_flags_sh_degree;
+uniform int u_flags_sh_words;
+uniform bool u_flags_own_degrees;
+uniform bool u_flags_hides;
+uniform bool u_flags_adjusts;
+uniform bool u_flags_crops;
+uniform bool u_flags_tints;
+uniform bool u_flags_points;
+uniform bool u_flags_depth;
+uniform bool u_flags_overdraw;
+uniform bool u_flags_stochastic;
+uniform bool u_flags_weighted;
+uniform bool u_flags_gradient;
+uniform bool u_flags_panorama;
+uniform bool u_flags_behind;
+#define ANTIALIASED u_flags_antialiased
+#define SH_DEGREE u_flags_sh_degree
+#define SH_WORDS u_flags_sh_words
+#define OWN_DEGREES u_flags_own_degrees
+#define HIDES u_flags_hides
+#define ADJUSTS u_flags_adjusts
+#define CROPS u_flags_crops
+#define TINTS u_flags_tints
+#define POINTS u_flags_points
+#define DEPTH u_flags_depth
+#define OVERDRAW u_flags_overdraw
+#define STOCHASTIC u_flags_stochastic
+#define WEIGHTED u_flags_weighted
+#define GRADIENT u_flags_gradient
+#define PANORAMA u_flags_panorama
+#define BEHIND u_flags_behind
