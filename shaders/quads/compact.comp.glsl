@@ -1,6 +1,6 @@
 // Appends the visible splats in the order of their indices: with a stable sort after it, splats of equal
 // depth are drawn by index, the same in every frame, which slots from an atomic counter would not give.
-// Flags: GROUP_SIZE.
+// Flags: GROUP_SIZE, KEPT (instead in the order of a list of all splats, which takes no sort).
 #include "quads/culled.glsl"
 layout(local_size_x = GROUP_SIZE) in;
 
@@ -8,6 +8,9 @@ layout(std430, binding = 0) readonly buffer DepthKeys { uint depth_keys[]; };
 layout(std430, binding = 1) readonly buffer GroupStarts { uint group_starts[]; };
 layout(std430, binding = 2) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 3) writeonly buffer Order { uint order[]; };
+#if HAS_KEPT
+layout(std430, binding = 4) readonly buffer Kept { uint kept[]; };
+#endif
 uniform uint u_splats;
 uniform uint u_key_base;   // keys are counted from it...
 uniform uint u_key_shift;  // ... and lose so many bits
@@ -21,13 +24,19 @@ void main() {
     uint word = me / 32u, bit = me % 32u;
     if (me < WORDS) visible_bits[me] = 0u;
     barrier();
-    uint key = splat < u_splats ? depth_keys[splat] : CULLED;
+    uint key = CULLED;
+    if (splat < u_splats) {
+#if HAS_KEPT
+        splat = kept[splat];
+#endif
+        key = depth_keys[splat];
+    }
     if (key != CULLED) atomicOr(visible_bits[word], 1u << bit);
     barrier();
     if (key == CULLED) return;
     uint slot = group_starts[gl_WorkGroupID.x];
     for (uint below = 0u; below < word; below++) slot += uint(bitCount(visible_bits[below]));
     slot += uint(bitCount(visible_bits[word] & ((1u << bit) - 1u)));
-    keys[slot] = min((max(key, u_key_base) - u_key_base) >> u_key_shift, u_key_most);
+    if (!KEPT) keys[slot] = min((max(key, u_key_base) - u_key_base) >> u_key_shift, u_key_most);
     order[slot] = splat;
 }
