@@ -95,25 +95,27 @@ def spacing(means: np.ndarray) -> np.ndarray:
     Points are sorted along a Morton curve; the nearest of the two before and the two behind on it is nearly
     always a neighbour, at the price of one sort and no tree. Clamped to CLAMP times the median.
     """
-    finite = np.isfinite(means).all(axis=1)
-    points = means[finite].astype(np.float64)
-    near = np.full(len(points), np.inf)
-    if len(points) > 1:
-        order = np.argsort(morton_codes(points))
-        along = points[order]
-        nearest = np.full(len(points), np.inf)
-        for step in (1, 2):
-            distances = np.linalg.norm(along[step:] - along[:-step], axis=1)
-            # Copies of a point say nothing about the distance to its neighbours.
-            distances[distances == 0] = np.inf
-            np.minimum(nearest[step:], distances, out=nearest[step:])
-            np.minimum(nearest[:-step], distances, out=nearest[:-step])
-        near[order] = nearest
-    known = near[np.isfinite(near)]
-    median = float(np.median(known)) if len(known) else 0.01
-    result = np.full(len(means), median)
-    result[finite] = np.clip(near, median / CLAMP, median * CLAMP)
-    return result
+    # Points near the largest numbers are infinitely far from others, which is the clamp's business.
+    with np.errstate(over="ignore", invalid="ignore"):
+        finite = np.isfinite(means).all(axis=1)
+        points = means[finite].astype(np.float64)
+        near = np.full(len(points), np.inf)
+        if len(points) > 1:
+            order = np.argsort(morton_codes(points))
+            along = points[order]
+            nearest = np.full(len(points), np.inf)
+            for step in (1, 2):
+                distances = np.linalg.norm(along[step:] - along[:-step], axis=1)
+                # Copies of a point say nothing about the distance to its neighbours.
+                distances[distances == 0] = np.inf
+                np.minimum(nearest[step:], distances, out=nearest[step:])
+                np.minimum(nearest[:-step], distances, out=nearest[:-step])
+            near[order] = nearest
+        known = near[np.isfinite(near)]
+        median = float(np.median(known)) if len(known) else 0.01
+        result = np.full(len(means), median)
+        result[finite] = np.clip(near, median / CLAMP, median * CLAMP)
+        return result
 
 
 def morton_codes(points: np.ndarray) -> np.ndarray:
