@@ -1,9 +1,12 @@
 // The flags that a general program takes from uniforms, so that one program has every effect. What is not
 // here is fixed in it, too: sizes, and how attributes are stored, which is known when a scene is loaded.
 uniform bool u_flags_antialiased;
+uniform bool u_flags_lens;
+uniform bool u_flags_orthographic;
+uniform bool u_flags_lens;
+uniform bool u_flags_orthographic;
 uniform int u_flags_sh_degree;
 uniform int u_flags_sh_words;
-uniform bool u_flags_own_degrees;
 uniform bool u_flags_hides;
 uniform bool u_flags_adjusts;
 uniform bool u_flags_crops;
@@ -17,9 +20,12 @@ uniform bool u_flags_gradient;
 uniform bool u_flags_panorama;
 uniform bool u_flags_behind;
 #define ANTIALIASED u_flags_antialiased
+#define LENS u_flags_lens
+#define ORTHOGRAPHIC u_flags_orthographic
+#define LENS u_flags_lens
+#define ORTHOGRAPHIC u_flags_orthographic
 #define SH_DEGREE u_flags_sh_degree
 #define SH_WORDS u_flags_sh_words
-#define OWN_DEGREES u_flags_own_degrees
 #define HIDES u_flags_hides
 #define ADJUSTS u_flags_adjusts
 #define CROPS u_flags_crops

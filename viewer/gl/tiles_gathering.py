@@ -53,9 +53,7 @@ the limits: a splat walked takes up to 1.6, a tile written takes one."""
 class TilesGathering(Gathering):
     """By tiles for the splats; every other mode is drawn as quads."""
 
-    def __init__(
-        self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None
-    ) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None) -> None:
         super().__init__(ctx, variants)
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
         self.pairs = TilePairs(ctx, tile=self.tuning.tile, tuning=self.tuning.pairs)
