@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 from ..gaussians import Gaussians
 from ..image_model import ImageModel, RenderSettings
+from .light import early_stop_for
 from .sh_bands import band_name, used_sh_degree
-from .shape import ANTIALIASED, antialiasing
+from .shape import ANTIALIASED, FLAT, antialiasing, is_flat
 
 Overrides = Mapping[str, bool | None]
 """By the name of an effect: on, off, or as the census decides (None, or not named)."""
@@ -36,12 +37,15 @@ def settings_for(gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED) ->
     used = max([used, *(band for band in range(1, stored + 1) if forced.get(band_name(band)) is True)])
     used = min([used, *(band - 1 for band in range(1, stored + 1) if forced.get(band_name(band)) is False)])
     antialiased, blur, _ = antialiasing(gaussians.comments)
+    flat = forced[FLAT] if FLAT in forced else is_flat(gaussians)
+    model = ImageModel(blur=blur).with_footprint("disc" if flat else "ellipsoid")
     return RenderSettings(
-        model=replace(ImageModel(blur=blur), antialiased=forced.get(ANTIALIASED, antialiased)),
+        model=replace(model, antialiased=forced.get(ANTIALIASED, antialiased)),
         sh_degree=used if used < stored else None,
+        early_stop=early_stop_for(gaussians),
     )
 
 
 def overridable(gaussians: Gaussians) -> tuple[str, ...]:
     """Names of the effects that `settings_for` takes the user's word for."""
-    return (*(band_name(band) for band in range(1, gaussians.sh_degree + 1)), ANTIALIASED)
+    return (*(band_name(band) for band in range(1, gaussians.sh_degree + 1)), ANTIALIASED, FLAT)

@@ -17,8 +17,13 @@ MIP_BLUR = 0.1
 FLAT_RATIO = 100.0
 """Middle to shortest axis, from which on a splat is a disc."""
 
+NO_THICKNESS = 1e4
+"""The same, from which on it has none to speak of: a trainer that knows nothing of discs leaves some."""
+
 FLAT_SHARE = 0.99
-"""A scene is flat where all but a stray few of its splats are discs."""
+"""A scene is flat where all but a stray few of its splats are discs without thickness."""
+
+FLAT = "flat 2D splats"
 
 ANTIALIASED = "antialiased opacity"
 
@@ -56,16 +61,46 @@ def antialiased_effect(gaussians: Gaussians) -> Effect:
     )
 
 
-def flat_effect(gaussians: Gaussians) -> Effect:
-    said = any(
-        re.match(r"\s*SplatRenderMode\s*[:=]\s*2dgs", text, re.IGNORECASE) for text in gaussians.comments
+def is_flat(gaussians: Gaussians) -> bool:
+    """Whether splats are meant as planar discs: the file says so, or no splat has a thickness."""
+    return (
+        _said_flat(gaussians.comments) or _share(_thinner(gaussians, NO_THICKNESS), gaussians) >= FLAT_SHARE
     )
+
+
+def flat_effect(gaussians: Gaussians) -> Effect:
+    discs, without = (_thinner(gaussians, ratio) for ratio in (FLAT_RATIO, NO_THICKNESS))
+    on, share = is_flat(gaussians), _share(discs, gaussians)
+    why = (
+        f"{discs:,} of {len(gaussians):,} splats ({share:.0%}) are thinner than 1:{FLAT_RATIO:g}, "
+        f"{without:,} than 1:{NO_THICKNESS:g}"
+    )
+    if _said_flat(gaussians.comments):
+        why += "; the file says SplatRenderMode: 2dgs"
+    return Effect(
+        name=FLAT,
+        on=on,
+        why=why
+        + ("; each is a disc that rays meet" if on else "; each is a solid Gaussian, as it was trained"),
+        saving=Saving(what="meeting the plane of each splat, at every pixel"),
+        bound=math.inf if on else 0.0,
+        can_override=True,
+    )
+
+
+def _said_flat(comments: tuple[str, ...]) -> bool:
+    """Of several tags the last counts."""
+    modes = [re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", text, re.IGNORECASE) for text in comments]
+    said = [mode[1].lower() for mode in modes if mode]
+    return bool(said) and said[-1] == "2dgs"
+
+
+def _thinner(gaussians: Gaussians, ratio: float) -> int:
+    """Splats whose middle axis is so many times the shortest."""
     ordered = np.sort(gaussians.log_scales, axis=1)
     with np.errstate(invalid="ignore"):
-        discs = int((ordered[:, 1] - ordered[:, 0] > math.log(FLAT_RATIO)).sum())
-    share = discs / len(gaussians) if len(gaussians) else 0.0
-    why = f"{discs:,} of {len(gaussians):,} splats ({share:.0%}) are thinner than 1:{FLAT_RATIO:g}"
-    if said:
-        why += "; the file says SplatRenderMode: 2dgs"
-    on = said or share >= FLAT_SHARE
-    return Effect(name="flat 2D splats", on=on, why=f"{why}; they are drawn as very thin 3D Gaussians")
+        return int((ordered[:, 1] - ordered[:, 0] > math.log(ratio)).sum())
+
+
+def _share(count: int, gaussians: Gaussians) -> float:
+    return count / len(gaussians) if len(gaussians) else 0.0

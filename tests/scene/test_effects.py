@@ -52,7 +52,9 @@ def test_bands_by_their_size(random_gaussians):
 
 def test_only_stored_bands_are_listed(random_gaussians):
     for degree in range(4):
-        names = [name for name in receipt(random_gaussians(5, sh_degree=degree)) if name.startswith("SH band")]
+        names = [
+            name for name in receipt(random_gaussians(5, sh_degree=degree)) if name.startswith("SH band")
+        ]
         assert names == [f"SH band {band}" for band in range(1, degree + 1)]
 
 
@@ -115,7 +117,9 @@ def test_antialiased_only_where_the_file_says_so(random_gaussians, comments, on,
     effect = receipt(scene)["antialiased opacity"]
     assert effect.on == on and antialiasing(comments)[0] == on
     assert f"kernel {blur:g} px²" in effect.why
-    assert settings_for(scene).model == ImageModel(antialiased=on, blur=blur)
+    disc = "2dgs" in str(comments)
+    expected = ImageModel(blur=blur).with_footprint("disc") if disc else ImageModel(blur=blur)
+    assert settings_for(scene).model == replace(expected, antialiased=on)
 
 
 def test_flat_scenes(random_gaussians):
@@ -123,7 +127,7 @@ def test_flat_scenes(random_gaussians):
     assert not receipt(scene)["flat 2D splats"].on
     assert receipt(replace(scene, comments=("SplatRenderMode: 2dgs",)))["flat 2D splats"].on
     log_scales = scene.log_scales.copy()
-    log_scales[:, 1] = -14
+    log_scales[:, 1] = -16
     flat = receipt(replace(scene, log_scales=log_scales))["flat 2D splats"]
     assert flat.on and "1,000 of 1,000" in flat.why
     log_scales[:20, 1] = log_scales[:20, 0]
@@ -135,7 +139,10 @@ def test_centred_positions_where_float32_is_too_coarse(random_gaussians):
     assert not receipt(scene)["float64-centred positions"].on
     far = receipt(replace(scene, means=scene.means + np.float32(4e6)))["float64-centred positions"]
     assert far.on and "steps of 0.25" in far.why
-    assert receipt(replace(scene, means=scene.means.astype(np.float64)))["float64-centred positions"].on
+    wide = replace(scene, means=scene.means.astype(np.float64))
+    assert not receipt(wide)["float64-centred positions"].on  # what float32 holds too
+    finer = receipt(replace(wide, means=wide.means + 1e-9))["float64-centred positions"]
+    assert finer.on and "100 of 100 are no numbers of float32" in finer.why
 
 
 def test_counts_are_true(random_gaussians):
