@@ -12,13 +12,14 @@ from ..scene import Camera, Gaussians, RenderSettings
 from ..scene.background import lay_over
 from ..scene.edits import SceneEdits
 from ..scene.resorting import keeps_order
-from .bands import Bands, bands_of
 from .compiling import will_compile
+from .discs import make_discs
 from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import Frame, draw
 from .gradients import Gradients, differentiate
 from .kept_order import in_kept_order
+from .nonzero import NonzeroBands, nonzero_bands
 from .optics import make_optics
 from .parameters import Parameters, check_parameters, parameters_of, used_degree
 from .per_pixel import depth_slopes
@@ -35,12 +36,12 @@ __all__ = [
     "Weights",
     "Workspace",
     "available_threads",
-    "bands_of",
     "check_parameters",
     "contributions",
     "differentiate",
     "draw_frame",
     "front",
+    "nonzero_bands",
     "parameters_of",
     "render",
     "weigh",
@@ -83,7 +84,7 @@ def render(
         settings or RenderSettings(),
         _workspaces.of_thread,
         edits=edits,
-        bands=bands_of(gaussians),
+        nonzero=nonzero_bands(gaussians),
         threads=threads,
     )
     if stages is not None:
@@ -98,7 +99,7 @@ def draw_frame(
     workspace: Workspace,
     *,
     edits: SceneEdits | None = None,
-    bands: Bands | None = None,
+    nonzero: NonzeroBands | None = None,
     background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
     early_stop: float | None = None,
@@ -107,7 +108,7 @@ def draw_frame(
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
     `edits` are seen in the picture, which then has no gradients; nor has one over more than a colour.
-    `bands`: those of the scene that are not zero (`bands_of`), if that is known; no picture depends on it.
+    `nonzero`: which bands of the scene are, if that is known; no picture depends on it.
     `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
 
     Raises:
@@ -152,8 +153,9 @@ def draw_frame(
         sh_degree=used_degree(splats, settings),
         early_stop=early_stop,
         optics=make_optics(camera),
+        discs=make_discs(camera, settings.model),
         edits=edited,
-        bands=bands,
+        nonzero=nonzero,
         key_bits=key_bits,
         order_of=order_of,
         slopes_of=slopes_of,

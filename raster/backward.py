@@ -279,6 +279,7 @@ def differentiate_tiles(
                 top,
                 -np.inf,
                 gathered,
+                None,
             )
             touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
             while until > begin:

@@ -14,6 +14,7 @@ import numpy as np
 from ..scene import Camera, RenderSettings
 from ..scene.edits import SceneEdits
 from .compiling import kernel
+from .discs import make_discs, met_at
 from .edited import edit_arrays
 from .forward import EARLY_STOP
 from .frame import draw, tile_ranges
@@ -62,6 +63,7 @@ def count_work(
         sh_degree=degree,
         early_stop=early_stop,
         optics=make_optics(camera),
+        discs=make_discs(camera, settings.model),
         edits=edit_arrays(edits, len(splats.means)),
         threads=threads,
     )
@@ -71,7 +73,16 @@ def count_work(
         run(
             count_tiles,
             tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-            (bins.offsets, int(bins.offsets[band[0]]), lists, frame.records, view, early_stop, counts),
+            (
+                bins.offsets,
+                int(bins.offsets[band[0]]),
+                lists,
+                frame.records,
+                frame.discs,
+                view,
+                early_stop,
+                counts,
+            ),
             threads,
         )
     return Counted(
@@ -84,7 +95,7 @@ def count_work(
 
 
 @kernel
-def count_tiles(start, stop, offsets, base, lists, records, view, early_stop, counts):
+def count_tiles(start, stop, offsets, base, lists, records, discs, view, early_stop, counts):
     """Adds to counts (H, W) int32 the splats blended in each pixel of tiles [start, stop), as
     `forward.draw_tiles` has them: arguments as there."""
     light = np.empty((TILE, TILE), np.float64)
@@ -111,8 +122,12 @@ def count_tiles(start, stop, offsets, base, lists, records, view, early_stop, co
                     through = light[row - top, column - left]
                     if not through > early_stop:
                         continue
-                    u = record[A] * (column + 0.5 - x) + record[B] * dy
-                    power = record[LOG2_OPACITY] - u * u - v * v
+                    dx = column + 0.5 - x
+                    if discs is None:
+                        u = record[A] * dx + record[B] * dy
+                        power = record[LOG2_OPACITY] - u * u - v * v
+                    else:
+                        power = record[LOG2_OPACITY] - met_at(discs, lists[place], dx, dy, 0.0)[0]
                     if power >= view.log2_cut:
                         counts[row, column] += 1
                         through *= 1 - min(2.0**power, view.max_alpha)

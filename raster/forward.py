@@ -1,4 +1,4 @@
-"""Tiles to pixels, front to back: steps 4 and 7 of the image model.
+"""Tiles to pixels, front to back: steps 4 (or 4d) and 7 of the image model.
 
 A tile is two strips of 8 columns; a strip is eight blocks of 8x2 pixels, each a vector of `simd`. The
 tile's list is taken in chunks: the records of a chunk are gathered into columns of numbers relative to
@@ -21,6 +21,7 @@ import numpy as np
 
 from .bins import MARGIN
 from .compiling import inline, kernel
+from .discs import DISC, FACING, LEAN_X, LEAN_Y, MOST_LEAN, UX, UY, VX, VY, disc_power
 from .exp import exp2
 from .project import BLUE, FALL, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .simd import (
@@ -63,8 +64,8 @@ PIXELS = 4 * TILE_PIXELS
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
-# Columns of `gathered`, CHUNK numbers each.
-G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE = range(9)
+# Columns of `gathered`, CHUNK numbers each; discs have those of their rows besides, from G_DISC on.
+G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_DISC = range(10)
 GATHERED = 9
 
 LEAST_LIGHT = 1e8
@@ -76,9 +77,9 @@ brightest colour behind."""
 
 
 @inline
-def gather(lists, start, count, next_start, next_stop, records, left, top, most_fall, gathered):
-    """Copies the records of lists[start:start + count] to `gathered` (GATHERED·CHUNK,), means relative to
-    the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
+def gather(lists, start, count, next_start, next_stop, records, left, top, most_fall, gathered, discs):
+    """Copies the records of lists[start:start + count] to `gathered` (gathered_columns(discs)·CHUNK,), means
+    relative to the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
     lists[next_start:next_stop], which will be gathered next, meanwhile.
 
     Returns how many it took: fewer than `count` where light, by these splats' opacities, could fall by more
@@ -104,6 +105,10 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, most_
         gathered[G_RED * CHUNK + j] = record[RED]
         gathered[G_GREEN * CHUNK + j] = record[GREEN]
         gathered[G_BLUE * CHUNK + j] = record[BLUE]
+        if discs is not None:
+            row = discs.rows[lists[start + j]]
+            for number_of in range(DISC):
+                gathered[(G_DISC + number_of) * CHUNK + j] = row[number_of]
     for j in range(count, (count + LANES - 1) // LANES * LANES):
         for column in range(GATHERED):
             gathered[column * CHUNK + j] = gathered[column * CHUNK + count - 1]
@@ -222,7 +227,45 @@ def put_aside(retired, at, met, lights, met_of):
 
 
 @inline
-def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels):
+def gathered_columns(discs):
+    return GATHERED if discs is None else GATHERED + DISC
+
+
+@inline
+def on_disc(gathered, j, discs, dx):
+    """What `disc_power` needs of pixels dx from the j-th gathered mean, to which rows are added: parts of
+    u, v, lean and the dot by dx, then what dy adds to u, v and lean."""
+    row = (G_DISC * CHUNK) + j
+    return (
+        spread(gathered[row + UX * CHUNK]) * dx,
+        spread(gathered[row + VX * CHUNK]) * dx,
+        spread(gathered[row + LEAN_X * CHUNK]) * dx,
+        fill(dx, discs.sharpness) * (dx * dx),
+        spread(gathered[row + UY * CHUNK]),
+        spread(gathered[row + VY * CHUNK]),
+        spread(gathered[row + LEAN_Y * CHUNK]),
+    )
+
+
+@inline
+def power_on_disc(across, gathered, j, discs, dy):
+    """`disc_power` of pixels; `across` as `on_disc` made it."""
+    u, v, lean, dot, down_u, down_v, down_lean = across
+    row = (G_DISC * CHUNK) + j
+    lean = fma(down_lean, dy, lean)
+    slope = fma(fill(dy, discs.perspective), lean, spread(gathered[row + FACING * CHUNK]))
+    return disc_power(
+        fma(down_u, dy, u),
+        fma(down_v, dy, v),
+        lean,
+        slope,
+        spread(gathered[row + MOST_LEAN * CHUNK]),
+        fma(fill(dy, discs.sharpness) * dy, dy, dot),
+    )
+
+
+@inline
+def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, discs):
     """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
     number = gathered.dtype.type
     blocks = 0
@@ -239,13 +282,19 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, p
             first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
             last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
             x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            adx = spread(gathered[G_A * CHUNK + j]) * (column_centres(red) - spread(x_mean))
+            dx = column_centres(red) - spread(x_mean)
+            adx = spread(gathered[G_A * CHUNK + j]) * dx
+            if discs is not None:
+                across = on_disc(gathered, j, discs, dx)
             dy = y_centres + fill(red, first * BLOCK_HEIGHT)
             blocks += max(last - first + 1, 0)
             for block in range(first, last + 1):
-                u, v = fma(b, dy, adx), c * dy
+                if discs is None:
+                    u, v = fma(b, dy, adx), c * dy
+                    power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
+                else:
+                    power = log2_opacity - power_on_disc(across, gathered, j, discs, dy)
                 dy = dy + step
-                power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
                 base = (strip * BLOCKS + block) * 4 * LANES
                 light = load(pixels, base)
@@ -277,17 +326,18 @@ def write_pixels(pixels, left, top, first_pixel, background, lights, image):
 
 @kernel
 def draw_tiles(
-    start, stop, offsets, base, lists, records, view, background, retirement, image, lights, met_of
+    start, stop, offsets, base, lists, records, discs, view, background, retirement, image, lights, met_of
 ):
     """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks that
     were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    retirement is a `Retirement`. lights and met_of (tiles·TILE_PIXELS,) receive the light that got through
-    each pixel and how many splats of its tile's list it met, a vector a block, strip by strip; both are 0
-    beyond the image. records (N, RECORD), background (3,), image, lights and met_of share one dtype.
+    discs is a `DiscArrays` or None, retirement a `Retirement`. lights and met_of (tiles·TILE_PIXELS,) receive
+    the light that got through each pixel and how many splats of its tile's list it met, a vector a block,
+    strip by strip; both are 0 beyond the image. records (N, RECORD), background (3,), image, lights and
+    met_of share one dtype.
     """
-    gathered = aligned(GATHERED * CHUNK, image.dtype)
+    gathered = aligned(gathered_columns(discs) * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
@@ -316,10 +366,11 @@ def draw_tiles(
                 top,
                 retirement.most_fall,
                 gathered,
+                discs,
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             blocks += blend_chunk(
-                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels
+                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, discs
             )
             position += count
             some = retire(pixels, first_pixel, retirement.stop_below, position - first, lights, met_of, alive)

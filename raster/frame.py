@@ -10,10 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from .bands import Bands
 from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
+from .discs import DISC, DiscArrays, DiscModel
 from .edited import EditArrays
 from .forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
+from .nonzero import NonzeroBands
 from .optics import PINHOLE, Optics
 from .parameters import Parameters
 from .per_pixel import draw_tiles_by_pixel
@@ -92,6 +93,7 @@ class Arrangement:
     records: np.ndarray
     depths: np.ndarray
     """(N,) float64, of the means of visible splats."""
+    discs: DiscArrays | None
     pieces: Runs
     runs: Runs
     visible: np.ndarray
@@ -121,6 +123,8 @@ class Frame:
     """... how many splats of its tile's list it met: see `forward.draw_tiles`."""
     records: np.ndarray
     """(N, RECORD), see `project`; only rows of visible splats mean anything."""
+    discs: DiscArrays | None
+    """Where splats are flat: then `differentiate` cannot take it either."""
     pieces: Runs
     """(start, stop) of the splats that were projected together, and..."""
     runs: Runs
@@ -147,8 +151,9 @@ def draw(
     early_stop: float,
     threads: int,
     optics: Optics = PINHOLE,
+    discs: DiscModel | None = None,
     edits: EditArrays | None = None,
-    bands: Bands | None = None,
+    nonzero: NonzeroBands | None = None,
     key_bits: int = 32,
     order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
     slopes_of: Callable[[np.ndarray], np.ndarray] | None = None,
@@ -156,7 +161,8 @@ def draw(
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid.
 
     `order_of` puts what is found visible (N,), in runs, in order, where no new order is to be made.
-    `bands` are those of the scene that are not zero. `slopes_of` makes `per_pixel.depth_slopes` of visible splats, for a picture in per-pixel order.
+    `nonzero`: the bands that are, where that is known. `slopes_of` makes `per_pixel.depth_slopes` of visible
+    splats, for a picture in per-pixel order.
     """
     clock = StageClock()
     dtype = background.dtype
@@ -168,117 +174,36 @@ def draw(
         sh_degree=sh_degree,
         threads=threads,
         optics=optics,
+        discs=discs,
         edits=edits,
-        bands=bands,
+        nonzero=nonzero,
         clock=clock,
         key_bits=key_bits,
         order_of=order_of,
     )
+    bins, image = arranged.bins, np.empty((view.height, view.width, 4), dtype)
+    retirement = make_retirement(early_stop, dtype)
+    slopes = None
     if slopes_of is not None:
-        return _draw_by_pixel(
-            arranged,
-            view,
-            optics,
-            background,
-            workspace,
-            sh_degree,
-            early_stop,
-            threads,
-            edits,
-            slopes_of,
-            clock,
-        )
-    records, bins = arranged.records, arranged.bins
-    image = np.empty((view.height, view.width, 4), dtype)
-    pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
+        with clock.stage("slopes"):
+            slopes = slopes_of(bins.order)
+    pixels = view.tiles_x * view.tiles_y * TILE_PIXELS if slopes is None else 0
     lights = workspace.take("lights", (pixels,), dtype)
     met_of = workspace.take("met_of", (pixels,), dtype)
-    retirement = make_retirement(early_stop, dtype)
-    lists = np.empty(0, np.int32)
-    blocks = 0
-    for band in bins.bands:
-        with clock.stage("bin"):
-            lists = bins.write(band, workspace)
-        with clock.stage("forward"):
-            base = int(bins.offsets[band[0]])
-            blocks += sum(
-                run(
-                    draw_tiles,
-                    tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                    (
-                        bins.offsets,
-                        base,
-                        lists,
-                        records,
-                        view,
-                        background,
-                        retirement,
-                        image,
-                        lights,
-                        met_of,
-                    ),
-                    threads,
-                )
-            )
-    return Frame(
-        view=view,
-        optics=optics,
-        background=background,
-        retirement=retirement,
-        sh_degree=sh_degree,
-        threads=threads,
-        edited=edits is not None,
-        by_pixel=False,
-        image=image,
-        lights=lights,
-        met_of=met_of,
-        records=records,
-        pieces=arranged.pieces,
-        runs=arranged.runs,
-        visible=arranged.visible,
-        bins=bins,
-        lists=lists,
-        pixel_splats=blocks * LANES,
-        workspace=workspace,
-        milliseconds=clock.milliseconds,
-    )
-
-
-def _draw_by_pixel(
-    arranged: Arrangement,
-    view: View,
-    optics: Optics,
-    background: np.ndarray,
-    workspace: Workspace,
-    sh_degree: int,
-    early_stop: float,
-    threads: int,
-    edits: EditArrays | None,
-    slopes_of: Callable[[np.ndarray], np.ndarray],
-    clock: StageClock,
-) -> Frame:
-    """The rest of `draw` in per-pixel order."""
-    records, bins = arranged.records, arranged.bins
-    image = np.empty((view.height, view.width, 4), background.dtype)
-    retirement = make_retirement(early_stop, background.dtype)
-    with clock.stage("slopes"):
-        slopes = slopes_of(bins.order)
     lists = np.empty(0, np.int32)
     evaluated = 0
     for band in bins.bands:
         with clock.stage("bin"):
             lists = bins.write(band, workspace)
         with clock.stage("forward"):
-            shared = (bins.offsets, int(bins.offsets[band[0]]), lists, records, arranged.depths, slopes, view)
-            evaluated += sum(
-                run(
-                    draw_tiles_by_pixel,
-                    tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                    (*shared, background, retirement.stop_below, image),
-                    threads,
-                )
-            )
-    nothing = np.empty(0, background.dtype)
+            shared = (bins.offsets, int(bins.offsets[band[0]]), lists, arranged.records, arranged.discs, view)
+            ranges = tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
+            if slopes is None:
+                more = (background, retirement, image, lights, met_of)
+                evaluated += LANES * sum(run(draw_tiles, ranges, (*shared, *more), threads))
+            else:
+                more = (arranged.depths, slopes, background, retirement.stop_below, image)
+                evaluated += sum(run(draw_tiles_by_pixel, ranges, (*shared, *more), threads))
     return Frame(
         view=view,
         optics=optics,
@@ -287,11 +212,12 @@ def _draw_by_pixel(
         sh_degree=sh_degree,
         threads=threads,
         edited=edits is not None,
-        by_pixel=True,
+        by_pixel=slopes is not None,
         image=image,
-        lights=nothing,
-        met_of=nothing,
-        records=records,
+        lights=lights,
+        met_of=met_of,
+        records=arranged.records,
+        discs=arranged.discs,
         pieces=arranged.pieces,
         runs=arranged.runs,
         visible=arranged.visible,
@@ -312,17 +238,21 @@ def arrange(
     sh_degree: int,
     threads: int,
     optics: Optics,
+    discs: DiscModel | None,
     edits: EditArrays | None,
     clock: StageClock,
-    bands: Bands | None = None,
+    nonzero: NonzeroBands | None = None,
     key_bits: int = 32,
     order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
 ) -> Arrangement:
     """All that comes before pixels: project, sort, bin."""
     with clock.stage("project"):
         pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+        rows = None
+        if discs is not None:
+            rows = DiscArrays(workspace.take("discs", (len(splats.means), DISC), dtype), *discs)
         records, depths, visible, runs, bounds = _project(
-            splats, pieces, view, optics, dtype, workspace, sh_degree, threads, edits, bands
+            splats, pieces, view, optics, rows, dtype, workspace, sh_degree, threads, edits, nonzero
         )
     with clock.stage("sort"):
         if order_of is None:
@@ -331,7 +261,9 @@ def arrange(
             order = order_of(visible, runs)
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
-    return Arrangement(records=records, depths=depths, pieces=pieces, runs=runs, visible=visible, bins=bins)
+    return Arrangement(
+        records=records, depths=depths, discs=rows, pieces=pieces, runs=runs, visible=visible, bins=bins
+    )
 
 
 def _project(
@@ -339,12 +271,13 @@ def _project(
     pieces: Runs,
     view: View,
     optics: Optics,
+    discs: DiscArrays | None,
     dtype: np.dtype,
     workspace: Workspace,
     sh_degree: int,
     threads: int,
     edits: EditArrays | None,
-    bands: Bands | None,
+    nonzero: NonzeroBands | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
     count = len(splats.means)
     records = workspace.take("records", (count, RECORD), dtype)
@@ -352,12 +285,12 @@ def _project(
     visible = workspace.take("visible", (count,), np.int32)
     bounds = np.empty((len(pieces), 2))
     own_degrees = None
-    if bands is not None:
-        sh_degree, own_degrees = min(sh_degree, bands.in_use), bands.own_degrees
+    if nonzero is not None:
+        sh_degree, own_degrees = min(sh_degree, nonzero.in_use), nonzero.own_degrees
     found = run(
         project,
         [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
-        (*splats, sh_degree, view, optics, records, depths, visible, edits, own_degrees),
+        (*splats, sh_degree, view, optics, records, depths, visible, edits, discs, own_degrees),
         threads,
     )
     if min(found) < 0:

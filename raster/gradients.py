@@ -56,6 +56,8 @@ def differentiate(
         raise ValueError("gradients need an image model with max_alpha below 1")
     if frame.edited:
         raise ValueError("a picture drawn with edits in force has no gradients: bake the edits first")
+    if frame.discs is not None:
+        raise ValueError("a picture of discs has no gradients: draw it with ellipsoids")
     if frame.by_pixel:
         raise ValueError("a picture in per-pixel order has no gradients: draw it in the 32-bit order")
     if frame.view.log2_share != NO_SHARE:

@@ -16,6 +16,7 @@ import numpy as np
 from ..scene import Camera, RenderSettings
 from ..scene.projection import projection_jacobians, rotation_matrices
 from .compiling import inline, kernel
+from .discs import met_at
 from .parameters import Parameters
 from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .view import TILE
@@ -86,11 +87,12 @@ def hold_back(held, count, depth, alpha, splat):
 
 @kernel
 def draw_tiles_by_pixel(
-    start, stop, offsets, base, lists, records, depths, slopes, view, background, stop_below, image
+    start, stop, offsets, base, lists, records, discs, view, depths, slopes, background, stop_below, image
 ):
     """Draws tiles [start, stop) into image (H, W, 4); returns how many alphas were evaluated.
 
-    depths (N,) float64 of the means and slopes (N, 2) float64 as `depth_slopes`; the others as in `forward`.
+    depths (N,) float64 of the means and slopes (N, 2) float64 as `depth_slopes`; discs do without slopes, as
+    a plane is met at a depth of its own. The others as in `forward`.
     """
     held = np.empty((3, NEAREST + 1))
     pixel = np.empty(4)
@@ -109,13 +111,18 @@ def draw_tiles_by_pixel(
                     record = records[splat]
                     dx = (x + 0.5 - np.float64(record[X])) - record[X_REST]
                     dy = (y + 0.5 - np.float64(record[Y])) - record[Y_REST]
-                    u, v = record[A] * dx + record[B] * dy, record[C] * dy
-                    power = record[LOG2_OPACITY] - u * u - v * v
+                    depth = depths[splat]
+                    if discs is None:
+                        u, v = record[A] * dx + record[B] * dy, record[C] * dy
+                        power = record[LOG2_OPACITY] - u * u - v * v
+                        depth += slopes[splat, 0] * dx + slopes[splat, 1] * dy
+                    else:
+                        distance, depth = met_at(discs, splat, dx, dy, depth)
+                        power = record[LOG2_OPACITY] - distance
                     evaluated += 1
                     if not power >= max(view.log2_cut, record[LOG2_OPACITY] + view.log2_share):
                         continue
                     alpha = min(2.0**power, view.max_alpha)
-                    depth = depths[splat] + slopes[splat, 0] * dx + slopes[splat, 1] * dy
                     hold_back(held, count, depth, alpha, splat)
                     count += 1
                     if count > NEAREST:

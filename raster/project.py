@@ -1,4 +1,4 @@
-"""Gaussians to image footprints: steps 1 to 3 and 6 of the image model, one splat at a time.
+"""Gaussians to image footprints: steps 1 to 3 (or 2d and 3d) and 6 of the image model, one splat at a time.
 
 The numbers in between are float64 in both variants: scalar code runs as fast in it, and so the float32
 records below hold the footprints of needles and of far-away scenes to their last digit. Determinant and
@@ -25,6 +25,7 @@ from ..scene.image_model import MIN_QUAT_COMPONENT
 from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 from .compiling import inline, kernel
+from .discs import DISC, REACH_SLACK, project_discs
 from .edited import (
     FADES,
     LOG_FACTOR,
@@ -125,6 +126,23 @@ def covariance(m, blur):
 
 
 @inline
+def camera_axes(view, r):
+    """The columns of a rotation, nine entries row by row, in camera axes."""
+    return (
+        camera_point(view, r[0], r[3], r[6]),
+        camera_point(view, r[1], r[4], r[7]),
+        camera_point(view, r[2], r[5], r[8]),
+    )
+
+
+@inline
+def reach_of(view, log2_opacity):
+    """The squared distance from the mean, in standard deviations, at which alpha falls below the cut: that of
+    what the kernels evaluate, which is never quite 0."""
+    return min(log2_opacity - view.log2_cut, -view.log2_share) * (1 / HALF_LOG2_E)
+
+
+@inline
 def sh_basis(x, y, z, degree, basis):
     """Writes (degree + 1)² basis functions at a unit direction to `basis` (16,); see `scene.sh`."""
     basis[0] = SH_C0
@@ -165,7 +183,8 @@ OFFSET, QUAT, LOG_SCALE, LOGIT = 0, 3, 7, 10
 # ... then what `project_group` makes of it: the order of a record, the direction, the depth, and 1 or 0 for
 # whether the splat is drawn, its colour apart.
 FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 25, 28, 29
-COLUMNS = 30
+DISC_ROW = 30  # and a row of `discs`, where there are discs
+COLUMNS = DISC_ROW + DISC
 
 
 @inline
@@ -247,7 +266,7 @@ def if_three_finite(drawn, x, y, z):
 
 
 @inline
-def project_group(view, optics, lanes):
+def project_group(view, optics, discs, lanes):
     """Fills the columns from FOOTPRINT on from the loaded ones."""
     ox, oy, oz = three_columns(lanes, OFFSET)
     tx, ty, tz = camera_point(view, ox, oy, oz)
@@ -269,11 +288,18 @@ def project_group(view, optics, lanes):
     drawn = if_three_finite(drawn, sx, sy, sz)
 
     rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
-    axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
+    opacity = sigmoid_lanes(column(lanes, LOGIT))
+    if discs is None:
+        axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
+    else:
+        reach = reach_of(view, log2_lanes(opacity)) * (1 + REACH_SLACK) + REACH_SLACK
+        turned_axes = camera_axes(view, rotation)
+        axes = project_discs(
+            view, discs.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), reach, lanes, DISC_ROW
+        )
     xx, xy, yy, det, unblurred = covariance(axes, view.blur)
     drawn = if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)
-    opacity = sigmoid_lanes(column(lanes, LOGIT))
-    if view.antialiased:
+    if discs is None and view.antialiased:
         opacity = opacity * math.sqrt(unblurred / det)
     drawn = keep_if_below(drawn, nothing, opacity)
     drawn = keep_if_at_least(drawn, opacity, fill(opacity, view.alpha_cut))
@@ -285,8 +311,7 @@ def project_group(view, optics, lanes):
     x, y = image_point(view, optics, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
-    # The extents are those of what the kernels evaluate, a cut that is never quite 0 included.
-    reach = min(log2_opacity - view.log2_cut, -view.log2_share) * (1 / HALF_LOG2_E)
+    reach = reach_of(view, log2_opacity)
     rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
     drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))
@@ -323,6 +348,7 @@ def project(
     depths,
     visible,
     edits,
+    discs,
     own_degrees,
 ):
     """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
@@ -331,8 +357,8 @@ def project(
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written
     for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written;
-    edits an `EditArrays` or None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros,
-    or None.
+    edits an `EditArrays` or None; discs `DiscArrays`, whose rows are written too, or None; own_degrees (N,)
+    uint8, the SH degree beyond which each splat has only zeros, or None.
     """
     basis = np.empty(16, np.float64)
     number = records.dtype.type
@@ -345,7 +371,7 @@ def project(
             load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
-        project_group(view, optics, lanes)
+        project_group(view, optics, discs, lanes)
         for lane in range(min(LANES, stop - first)):
             if not lanes[DRAWN * LANES + lane] > 0:
                 continue
@@ -375,6 +401,9 @@ def project(
             record[X_REST] = number(lanes[(FOOTPRINT + X) * LANES + lane] - record[X])
             record[Y_REST] = number(lanes[(FOOTPRINT + Y) * LANES + lane] - record[Y])
             record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
+            if discs is not None:
+                for field in range(DISC):
+                    discs.rows[i, field] = number(lanes[(DISC_ROW + field) * LANES + lane])
             depth = lanes[DEPTH * LANES + lane]
             depths[i] = depth
             least, greatest = min(least, depth), max(greatest, depth)

@@ -16,6 +16,7 @@ import numpy as np
 from ..scene import Camera, Gaussians, RenderSettings
 from ..scene.edits import SceneEdits
 from .compiling import inline, kernel
+from .discs import make_discs
 from .edited import edit_arrays
 from .exp import exp2
 from .forward import (
@@ -28,13 +29,15 @@ from .forward import (
     G_LOG2_OPACITY,
     G_X,
     G_Y,
-    GATHERED,
     PIXELS,
     STRIPS,
     TILE_PIXELS,
     block_in_image,
     gather,
+    gathered_columns,
     make_retirement,
+    on_disc,
+    power_on_disc,
     retire,
     start_pixels,
     touched_blocks,
@@ -162,6 +165,7 @@ def _weigh(
         sh_degree=used_degree(splats, settings),
         threads=threads,
         optics=make_optics(camera),
+        discs=make_discs(camera, settings.model),
         edits=edit_arrays(edits, len(splats.means)),
         clock=StageClock(),
     )
@@ -176,7 +180,18 @@ def _weigh(
         run(
             weigh_tiles,
             tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-            (bins.offsets, base, lists, arranged.records, view, retirement, least_coverage, pairs, front_of),
+            (
+                bins.offsets,
+                base,
+                lists,
+                arranged.records,
+                arranged.discs,
+                view,
+                retirement,
+                least_coverage,
+                pairs,
+                front_of,
+            ),
             threads,
         )
         run(
@@ -190,7 +205,7 @@ def _weigh(
 
 @inline
 def weigh_chunk(
-    gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, place, first_row, pairs
+    gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, place, first_row, pairs, discs
 ):
     """Walks gathered splats: the sum and the largest weight of the j-th go to
     pairs[first_row + j]; in `pixels` the largest weight so far takes the place of red, and that of green its
@@ -209,12 +224,18 @@ def weigh_chunk(
             first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
             last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
             x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            adx = spread(gathered[G_A * CHUNK + j]) * (column_centres(b) - spread(x_mean))
+            dx = column_centres(b) - spread(x_mean)
+            adx = spread(gathered[G_A * CHUNK + j]) * dx
+            if discs is not None:
+                across = on_disc(gathered, j, discs, dx)
             dy = y_centres + fill(b, first * BLOCK_HEIGHT)
             for block in range(first, last + 1):
-                u, v = fma(b, dy, adx), c * dy
+                if discs is None:
+                    u, v = fma(b, dy, adx), c * dy
+                    power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
+                else:
+                    power = log2_opacity - power_on_disc(across, gathered, j, discs, dy)
                 dy = dy + step
-                power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
                 base = (strip * BLOCKS + block) * 4 * LANES
                 light, most = load(pixels, base), load(pixels, base + LANES)
@@ -230,11 +251,11 @@ def weigh_chunk(
 
 @kernel
 def weigh_tiles(
-    start, stop, offsets, base, lists, records, view, retirement, least_coverage, pairs, front_of
+    start, stop, offsets, base, lists, records, discs, view, retirement, least_coverage, pairs, front_of
 ):
     """Writes the sums and largest weights of the pairs of tiles [start, stop) to pairs (P, 2), whose first
     row is place `base`, and their parts of front_of (H, W) int32. The other arguments as in `forward`."""
-    gathered = aligned(GATHERED * CHUNK, records.dtype)
+    gathered = aligned(gathered_columns(discs) * CHUNK, records.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, records.dtype)
     lights, met_of = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
@@ -263,6 +284,7 @@ def weigh_tiles(
                 top,
                 retirement.most_fall,
                 gathered,
+                discs,
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             weigh_chunk(
@@ -277,6 +299,7 @@ def weigh_tiles(
                 position - first,
                 position,
                 pairs,
+                discs,
             )
             position += count
             some = retire(pixels, 0, retirement.stop_below, position - first, lights, met_of, alive)

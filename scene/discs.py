@@ -33,8 +33,8 @@ LEAST_NEAR = 1e-6
 """World units: a disc is never seen nearer, whatever the near plane, or it would be seen everywhere."""
 
 WIDEST = 1e15
-"""px: an ellipse about a disc that would be longer is a circle of this radius. Its square is finite in float32,
-and no mean in front of the eye is seen as far from the picture."""
+"""px: an ellipse about a disc that would be longer is a circle of this radius. Its square is finite in
+float32, and no mean in front of the eye is seen as far from the picture."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
