@@ -3,8 +3,6 @@
 uniform bool u_flags_antialiased;
 uniform bool u_flags_lens;
 uniform bool u_flags_orthographic;
-uniform bool u_flags_lens;
-uniform bool u_flags_orthographic;
 uniform int u_flags_sh_degree;
 uniform int u_flags_sh_words;
 uniform bool u_flags_hides;
@@ -20,8 +18,6 @@ uniform bool u_flags_gradient;
 uniform bool u_flags_panorama;
 uniform bool u_flags_behind;
 #define ANTIALIASED u_flags_antialiased
-#define LENS u_flags_lens
-#define ORTHOGRAPHIC u_flags_orthographic
 #define LENS u_flags_lens
 #define ORTHOGRAPHIC u_flags_orthographic
 #define SH_DEGREE u_flags_sh_degree
