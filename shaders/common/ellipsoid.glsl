@@ -1,9 +1,9 @@
 // The box that one ellipsoid covers on screen, and what its fragments need.
-// Flags: those of edits; ANTIALIASED has no effect on surfaces.
+// Flags: those of edits and projection; ANTIALIASED has no effect on surfaces, and LENS is not supported.
 #include "common/edits.glsl"
 
 flat out mat3 v_to_sphere;  // camera axes to the ellipsoid's own, where it is the unit sphere
-flat out vec3 v_centre;     // the eye's offset to it, in those
+flat out vec3 v_centre;     // its centre as the eye sees it, in those
 flat out vec3 v_colour;
 
 const float SIGMAS = 1.5;         // the surface drawn
@@ -32,14 +32,20 @@ void place_ellipsoid(uint splat, Splat s, vec3 colour) {
     vec3 t = u_camera_from_world * s.offset;
     float largest = max(max(abs(s.quat.x), abs(s.quat.y)), max(abs(s.quat.z), abs(s.quat.w)));
     mat3 turned = u_camera_from_world * rotation_matrix(s.quat, largest);
-    vec3 half_axes = max(s.scale * SIGMAS, vec3(LEAST_PIXELS * t.z / u_focal.x));
+    float pixel = (ORTHOGRAPHIC ? 1.0 : t.z) / u_focal.x;
+    vec3 half_axes = max(s.scale * SIGMAS, vec3(LEAST_PIXELS * pixel));
     mat3 axes = mat3(turned[0] * half_axes.x, turned[1] * half_axes.y, turned[2] * half_axes.z);
     vec3 row_x = vec3(axes[0].x, axes[1].x, axes[2].x);
     vec3 row_y = vec3(axes[0].y, axes[1].y, axes[2].y);
     vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
 
     vec2 low = vec2(-1.0), high = u_size + 1.0;
-    if (t.z * t.z > dot(row_z, row_z) * 1.01) {  // else it reaches the eye's plane: the whole image
+    if (ORTHOGRAPHIC) {
+        vec2 extent = vec2(length(row_x), length(row_y));
+        low = max(low, (t.xy - extent) * u_focal + u_principal - 0.5);
+        high = min(high, (t.xy + extent) * u_focal + u_principal + 0.5);
+        if (any(greaterThanEqual(low, high))) return;
+    } else if (t.z * t.z > dot(row_z, row_z) * 1.01) {  // else it reaches the eye's plane: the whole image
         vec2 x = tangents(t.x, t.z, row_x, row_z), y = tangents(t.y, t.z, row_y, row_z);
         low = max(low, vec2(x.x, y.x) * u_focal + u_principal - 0.5);
         high = min(high, vec2(x.y, y.y) * u_focal + u_principal + 0.5);

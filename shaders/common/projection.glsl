@@ -1,11 +1,12 @@
 // EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
-// scene/projection.py that keep float32 accurate. Flag: ANTIALIASED.
+// scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC.
+#include "common/lens.glsl"
 #include "common/numbers.glsl"
 
 uniform mat3 u_camera_from_world;  // world axes to camera axes
 uniform vec3 u_eye_high;           // the eye relative to the scene's centre; high + low carry float64's digits
 uniform vec3 u_eye_low;
-uniform vec2 u_focal;              // px
+uniform vec2 u_focal;              // px, or px per world unit where rays are parallel
 uniform vec2 u_principal;          // px
 uniform vec2 u_size;               // px
 uniform vec4 u_ray_limits;         // least and greatest t.xy / t.z that the Jacobian trusts
@@ -49,18 +50,36 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;
     if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
 
-    vec2 ray = t.xy / t.z;
+    vec2 ray = ORTHOGRAPHIC ? t.xy : t.xy / t.z;
     f.mean = ray * u_focal + u_principal;
+    if (LENS) {
+        if (!(dot(ray, ray) < u_lens_reach)) return false;
+        f.mean = lens_point(ray) * u_focal + u_principal;
+    }
     f.depth = t.z;
     f.direction = normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)));
+    if (ORTHOGRAPHIC) f.direction = vec3(u_camera_from_world[0].z, u_camera_from_world[1].z, u_camera_from_world[2].z);
 
     // Rows of M = J·W·R·diag(s), divided by their largest entry so that a huge splat does not overflow.
     mat3 axes = u_camera_from_world * rotation_matrix(quat, largest);
     axes = mat3(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
-    vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);
-    vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
-    vec3 m0 = (u_focal.x / t.z) * (vec3(axes[0].x, axes[1].x, axes[2].x) - slope.x * row_z);
-    vec3 m1 = (u_focal.y / t.z) * (vec3(axes[0].y, axes[1].y, axes[2].y) - slope.y * row_z);
+    vec3 m0 = vec3(axes[0].x, axes[1].x, axes[2].x), m1 = vec3(axes[0].y, axes[1].y, axes[2].y);
+    vec2 scaled = u_focal;
+    if (!ORTHOGRAPHIC) {
+        vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);
+        vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
+        m0 -= slope.x * row_z;
+        m1 -= slope.y * row_z;
+        scaled = u_focal / t.z;
+        if (LENS) {
+            mat2 bent = lens_jacobian(slope);
+            vec3 straight = m0;
+            m0 = bent[0].x * straight + bent[1].x * m1;
+            m1 = bent[0].y * straight + bent[1].y * m1;
+        }
+    }
+    m0 *= scaled.x;
+    m1 *= scaled.y;
     if (!is_finite(m0) || !is_finite(m1)) return false;
     vec3 entries = max(abs(m0), abs(m1));
     float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);

@@ -22,7 +22,7 @@ from .projector import QUADS_PER_INSTANCE, SLABS, Projector
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .variants import Variants
-from .view_uniforms import Uniform, set_uniforms
+from .view_uniforms import Uniform, ray_flags, set_uniforms
 
 MODE_FLAGS: dict[str, dict[str, bool]] = {
     mode: {
@@ -97,7 +97,7 @@ class Gathering:
         `weights`: nor do they where each counts by its depth; the uniforms of that.
         """
         stored = (
-            scene.flags()
+            {**scene.flags(), **ray_flags(uniforms)}
             if mode == "ellipsoids"
             else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None}
         )

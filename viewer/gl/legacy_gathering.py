@@ -14,7 +14,7 @@ from .projector import QUADS_PER_INSTANCE
 from .scene_textures import SceneTextures
 from .targets import ColourTarget
 from .variants import Variants
-from .view_uniforms import Uniform, set_uniforms
+from .view_uniforms import Uniform, ray_flags, set_uniforms
 
 NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
 """Flags: splats are always sorted."""
@@ -62,7 +62,9 @@ class LegacyGathering:
         scene: SceneTextures,
     ) -> None:
         """Fills `target` with surfaces; a depth test takes the place of the order."""
-        program, array = mode_program(self._variants, self._indices, "legacy", "ellipsoids", edits)
+        program, array = mode_program(
+            self._variants, self._indices, "legacy", "ellipsoids", edits, ray_flags(uniforms)
+        )
         framebuffer = target.with_depth()
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)

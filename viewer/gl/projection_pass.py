@@ -10,7 +10,7 @@ from .memory import check_room, no_room
 from .scene_textures import SceneTextures
 from .texel_array import TEXTURE_WIDTH
 from .variants import Variants
-from .view_uniforms import Uniform, set_uniforms
+from .view_uniforms import Uniform, ray_flags, set_uniforms
 
 PLACES_UNIT = 4
 """The texture unit after those of the attributes."""
@@ -68,6 +68,7 @@ class ProjectionPass:
         flags = {
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
             "ANTIALIASED": antialiased,
+            **ray_flags(uniforms),
             "DEPTH": depth,
             **scene.flags(),
             **edits.now.flags(),

@@ -14,7 +14,7 @@ from .programs import load_compute
 from .scene_buffers import GROUP_SIZE, SceneBuffers
 from .sort import KEY_BITS, RadixSort
 from .variants import Variants
-from .view_uniforms import Uniform, set_uniforms
+from .view_uniforms import Uniform, ray_flags, set_uniforms
 from .visible_count import VisibleCount
 
 QUADS_PER_INSTANCE = 512
@@ -62,7 +62,8 @@ class Projector:
             {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "SLABS": SLABS},
         )
         set_uniforms(self._scan, {"u_slab_ends": SLAB_ENDS})
-        self._compact = load_compute(ctx, "quads/compact.comp.glsl", {"GROUP_SIZE": GROUP_SIZE, "KEPT": False})
+        flags = {"GROUP_SIZE": GROUP_SIZE, "KEPT": False}
+        self._compact = load_compute(ctx, "quads/compact.comp.glsl", flags)
         self._compact_kept: moderngl.ComputeShader | None = None
         self.visible = VisibleCount(ctx)
         self.commands = ctx.buffer(reserve=20 * SLABS)
@@ -112,6 +113,7 @@ class Projector:
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
             **scene.flags(),
             "ANTIALIASED": antialiased,
+            **ray_flags(uniforms),
             **edits.now.flags(),
         }
         program = self._variants.compute("quads/project.comp.glsl", flags)

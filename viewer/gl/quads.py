@@ -23,7 +23,7 @@ from .renderer import Renderer
 from .resolving import depth_range
 from .scene_buffers import SceneBuffers, storage_limit, upload_steps
 from .variants import Variants
-from .view_uniforms import Uniform, view_uniforms
+from .view_uniforms import Uniform, check_rays, view_uniforms
 
 EARLY_STOP = 1.2e-4
 """Transmittance below which a pixel is closed."""
@@ -127,6 +127,7 @@ class QuadsRenderer(Renderer):
         if self._source is not None and scene.harmonics.lacks(sh_degree):
             self.load(self._source, scene.attributes, every_band=True)
             scene = self._scene
+        check_rays(camera, mode)
         editing = self._edits.update(edits, overlay)
         if settings.order not in self.orders:
             raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
@@ -280,4 +281,6 @@ def _view_key(camera: Camera) -> tuple:
         camera.cx,
         camera.cy,
         camera.world_to_camera.tobytes(),
+        camera.lens,
+        camera.orthographic,
     )

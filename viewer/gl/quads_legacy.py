@@ -18,6 +18,7 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.resorting import keeps_order
 from ...scene.stored import Attributes
 from .edit_textures import Editing
 from .frame import VisualMode
@@ -30,7 +31,7 @@ from .scene_textures import SceneTextures, upload_steps
 from .sort_worker import DepthOrder, SortWorker, ViewLine
 from .texel_array import TexelArray
 from .variants import Variants
-from .view_uniforms import Uniform, view_uniforms
+from .view_uniforms import Uniform, check_rays, view_uniforms
 
 OLDEST = 330
 
@@ -167,9 +168,12 @@ class LegacyQuadsRenderer(Renderer):
         ):
             self.load(self._source, every_band=True)
             _, sorter = self._loaded()
+        check_rays(camera, mode)
         editing = self._edits.update(edits, overlay)
         if settings.order != "32-bit":
             raise InputError(f"{settings.order} order needs OpenGL 4.3; use 32-bit")
+        if keeps_order(settings):
+            raise InputError("an order that is kept for several frames needs OpenGL 4.3; use --resort 1")
         self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
         sorter.request(self._wanted.line)
 

@@ -8,9 +8,18 @@ from collections.abc import Mapping
 import moderngl
 import numpy as np
 
-from ...scene import Camera, RenderSettings
+from ...scene import Camera, InputError, RenderSettings
+from .frame import VisualMode
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
+
+
+ORTHOGRAPHIC = "u_orthographic"
+"""No uniform of any program: a flag decides."""
+
+LENS_REACH = "u_lens_reach"
+
+LARGEST = float(np.finfo(np.float32).max)
 
 
 def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) -> dict[str, Uniform]:
@@ -19,16 +28,22 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
     eye = camera.eye - centre
     high = eye.astype(np.float32)
     low = (eye - high).astype(np.float32)
-    size = np.array([camera.width, camera.height], dtype=np.float64)
-    focal = np.array([camera.fx, camera.fy])
-    principal = np.array([camera.cx, camera.cy])
-    if model.jacobian_margin is None:
-        limits = np.array([-np.inf, -np.inf, np.inf, np.inf])
-    else:
-        margin = model.jacobian_margin * size / (2 * focal)
-        limits = np.concatenate([-principal / focal - margin, (size - principal) / focal + margin])
-    limits = np.clip(limits, np.finfo(np.float32).min, np.finfo(np.float32).max)
+    limits = np.clip(camera.slope_limits(model.jacobian_margin), -LARGEST, LARGEST)
+    rays: dict[str, Uniform] = {ORTHOGRAPHIC: camera.orthographic}
+    if camera.lens is not None:
+        form = camera.lens.form
+        rays |= {
+            "u_lens_bend": (form.slope, form.unit),
+            "u_lens_stretch": (form.n1, form.n2, form.n3),
+            "u_lens_higher": (form.n4, form.n5, form.n6),
+            "u_lens_divide": (form.d1, form.d2, form.d3),
+            "u_lens_skew": (form.p1, form.p2),
+            "u_lens_prism": (form.s1, form.s2, form.s3, form.s4),
+            "u_lens_skew_last": form.skew_last,
+            LENS_REACH: min(form.reach_squared, LARGEST),
+        }
     return {
+        **rays,
         # moderngl takes matrices column by column
         "u_camera_from_world": tuple(camera.R_camera_world.T.ravel()),
         "u_eye_high": tuple(high.tolist()),
@@ -43,6 +58,17 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
         "u_least_share": 0.0 if settings.sigma_cut is None else math.exp(-0.5 * settings.sigma_cut**2),
         "u_max_alpha": model.max_alpha,
     }
+
+
+def check_rays(camera: Camera, mode: VisualMode) -> None:
+    """Raises InputError where the camera's rays cannot be drawn in `mode`."""
+    if mode == "ellipsoids" and camera.lens is not None:
+        raise InputError("ellipsoids cannot be drawn through a lens; take the lens off, or show splats")
+
+
+def ray_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:
+    """The flags of ``common/projection.glsl`` for the camera that `view_uniforms` were made of."""
+    return {"LENS": LENS_REACH in uniforms, "ORTHOGRAPHIC": bool(uniforms[ORTHOGRAPHIC])}
 
 
 def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, values: Mapping[str, Uniform]) -> None:

@@ -24,6 +24,11 @@ from splatview.viewer.gl.tiles_pairs import BLOCK
 
 Variant = tuple[str, dict[str, float | bool]]
 
+RAYS: list[dict[str, float | bool]] = [
+    {"LENS": a, "ORTHOGRAPHIC": b} for a, b in ((False, False), (True, False), (False, True))
+]
+PINHOLE = RAYS[0]
+
 GEOMETRY: dict[str, float | bool] = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "GROUP_SIZE": GROUP_SIZE}
 
 
@@ -38,7 +43,7 @@ def edited() -> Iterator[Editing]:
 
 
 def projections(name: str) -> Iterator[Variant]:
-    own = {"SH_WORDS": 48, "OWN_DEGREES": False, "DEPTH": False, "ATTRIBUTES": 0}
+    own = {**PINHOLE, "SH_WORDS": 48, "OWN_DEGREES": False, "DEPTH": False, "ATTRIBUTES": 0}
     for attributes, own_degrees in itertools.product(range(3), (False, True)):
         flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes, "OWN_DEGREES": own_degrees}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
@@ -47,13 +52,15 @@ def projections(name: str) -> Iterator[Variant]:
     for degree, antialiased, depth in itertools.product(range(4), (False, True), (False, True)):
         flags = {"SH_DEGREE": degree, "ANTIALIASED": antialiased, "DEPTH": depth}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
+    for rays in RAYS:
+        yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, **rays, **Editing().flags()}
 
 
 def drawing(folder: str) -> Iterator[Variant]:
     for editing in edited():
         flags = editing.flags(shows="ellipsoids")
         for attributes in range(3):
-            own = {"ANTIALIASED": False, "ATTRIBUTES": attributes}
+            own = {**RAYS[attributes], "ANTIALIASED": False, "ATTRIBUTES": attributes}
             yield f"{folder}/ellipsoids.vert.glsl", {**GEOMETRY, **own, **flags}
     orders = [NO_ORDERS]
     if folder == "quads":
@@ -67,7 +74,8 @@ def drawing(folder: str) -> Iterator[Variant]:
         for kind in (None, *behind):
             flags = {**behind, **({kind: True} if kind else {}), **MODE_FLAGS[mode]}
             yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
-    yield "quads/ellipsoids.frag.glsl", {}
+    for rays in RAYS:
+        yield "quads/ellipsoids.frag.glsl", rays
     yield "quads/fullscreen.vert.glsl", {}
 
 
