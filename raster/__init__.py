@@ -32,6 +32,7 @@ __all__ = [
     "EARLY_STOP",
     "Frame",
     "Gradients",
+    "NonzeroBands",
     "Parameters",
     "Weights",
     "Workspace",
@@ -40,6 +41,7 @@ __all__ = [
     "contributions",
     "differentiate",
     "draw_frame",
+    "forget_order",
     "front",
     "nonzero_bands",
     "parameters_of",
@@ -90,6 +92,13 @@ def render(
     if stages is not None:
         stages.update(frame.milliseconds)
     return frame.image
+
+
+def forget_order() -> None:
+    """The next picture that this thread renders is sorted anew, whatever the settings' `resort_frames`."""
+    kept = _workspaces.of_thread.kept_order if hasattr(_workspaces, "of_thread") else None
+    if kept is not None:
+        kept.resorting.forget()
 
 
 def draw_frame(

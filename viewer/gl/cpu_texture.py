@@ -271,6 +271,7 @@ class CpuTexture:
             wish.settings,
             workspace,
             edits=wish.edits.drawn if wish.edits else None,
+            nonzero=raster.nonzero_bands(gaussians),
             threads=self.threads,
         )
         self.status = ""
