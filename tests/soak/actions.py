@@ -220,7 +220,8 @@ def step_once(user: Soaked, rng: np.random.Generator) -> str:
 
 def change_recipe(user: Soaked, rng: np.random.Generator) -> str:
     limit = int(rng.integers(300, 1500 if user.small else 4000))
-    user.post(training.change_settings, max_splats=limit, means_rate=float(rng.uniform(1e-4, 3e-4)))
+    changes = {"max_splats": limit, "means_rate": float(rng.uniform(1e-4, 3e-4))}
+    user.post(lambda core: training.change_settings(core, **changes))
     return f"at most {limit}"
 
 

@@ -84,7 +84,7 @@ class Memory:
 
     @property
     def growth(self) -> float:
-        """MiB, from the median of the second third to that of the last: the first compiles and fills caches."""
+        """MiB, from the median of the second third to that of the last: the first one fills caches."""
         rest = self._rest
         third = len(rest) // 3
         if third < 2:

@@ -33,10 +33,10 @@ def make_scenes(folder: Path, *, small: bool) -> None:
 
 def make_capture(folder: Path, *, small: bool) -> Path:
     """Photos of the demo scene."""
-    size = {"width": 64, "height": 48} if small else {"width": 160, "height": 120}
+    width, height = (64, 48) if small else (160, 120)
     path = folder / "capture"
     if not path.exists():
-        save_capture(demo_capture(render, photos=10, splats=3000, **size), path)
+        save_capture(demo_capture(render, photos=10, splats=3000, width=width, height=height), path)
     return path
 
 

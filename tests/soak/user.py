@@ -46,11 +46,11 @@ class User(Hand):
         """Whether every edit can be made."""
         return self.core.at_rest and self.core.loading is None
 
-    def post(self, command: Any, *args: Any, **options: Any) -> None:
+    def post(self, command: Any, *args: Any) -> None:
         """As a menu entry does; returns when it has run."""
         done: list[bool] = []
-        self.core.post(lambda core: (command(core, *args, **options), done.append(True)))
-        self.core.post(lambda core: done.append(False))
+        self.core.post(command, *args)
+        self.core.post(lambda core: done.append(True))
         self.wait(lambda: bool(done), "the frame loop")
         self.frames(1)
 

@@ -52,21 +52,31 @@ def train_in_window(
         eval_every=options.eval_every,
         eval_seconds=EVAL_SECONDS,
         notes=ready.notes,
+        effects=ready.effects,
     )
     thread = TrainingThread(session, cores=options.threads)
-    try:
-        code = _watch(ready, thread, window)
-    finally:
-        with console.status("Saving the scene"):
-            thread.close()
-        for note in thread.take_notes():
-            console.print(f"[yellow]{note}", highlight=False, soft_wrap=True)
-    _conclude(console, ready, thread)
+    with _undisturbed():
+        try:
+            code = _watch(ready, thread, {"rescue": lambda: _save(console, ready, thread), **window})
+        except BaseException:
+            _save(console, ready, thread)
+            raise
+        _save(console, ready, thread)
     return code
 
 
+def _save(console: Console, ready: Run, thread: TrainingThread) -> None:
+    """Writes what was trained, and says where it is."""
+    try:
+        with console.status("Saving the scene"):
+            thread.close()
+    finally:
+        for note in thread.take_notes():
+            console.print(f"[yellow]{note}", highlight=False, soft_wrap=True)
+    _conclude(console, ready, thread)
+
+
 def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
-    from ..window.actions import quit_window
     from ..window.app import run_window
     from ..window.training.watching import Training, watched_photos
     from ..window.yielding import give_way
@@ -78,13 +88,8 @@ def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
         settings=ready.trainer.render_settings,
     )
 
-    def leave() -> None:
-        if training.core is not None:
-            training.core.post(quit_window)
-
     give_way()  # the training's thread is there already, and keeps its priority
-    with _on_signals(leave):
-        return run_window([], training=training, **options)
+    return run_window([], training=training, **options)
 
 
 def _conclude(console: Console, ready: Run, thread: TrainingThread) -> None:
@@ -104,14 +109,14 @@ def _conclude(console: Console, ready: Run, thread: TrainingThread) -> None:
 
 
 @contextmanager
-def _on_signals(leave: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and a request to end close the window as a click does: an exception in the middle of a frame
-    would end the process before the scene is saved."""
+def _undisturbed() -> Iterator[None]:
+    """Within, a signal that asks for an end does nothing: the window, while there is one, heeds it as a click
+    on its cross, and what was trained is saved whole after that."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: leave()) for number in numbers]
+    before = [signal.signal(number, lambda *_: None) for number in numbers]
     try:
         yield
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from .dropping import install_drop_handler
 from .editing.files import continue_restoring, look_for_abandoned
 from .editing.taking_up import continue_editing, put_away
 from .file_dialogs import FileDialogs
-from .picture import choose_picture
+from .guarding import closing_on_signals, guarded, rescued_from_display
+from .picture import GpuPicture, Picture, choose_picture
 from .preferences import Preferences, load_preferences, save_preferences
 from .training.watching import Training
 
@@ -82,14 +84,14 @@ class Window:
         """The GL context is there: make the picture and begin to load."""
         try:
             self._ctx = moderngl.create_context()
-            self.core.picture = choose_picture(self._ctx, self._renderer, on_ready=glfw.post_empty_event)
+            self.core.picture = self._picture(self._ctx)
         except Exception as error:
             # An exception that leaves this callback would take the process down without a word.
             self.failure = error
             return
         info = describe(self._ctx)
         self.core.gpu_name = info.renderer
-        self.core.accuracy.wake = glfw.post_empty_event
+        self.core.accuracy.wake = self.core.effects.wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.core)
         self.core.clipboard_read = imgui.get_clipboard_text
@@ -102,6 +104,25 @@ class Window:
         if self.core.training is None:
             look_for_abandoned(self.core)
 
+    def _picture(self, ctx: moderngl.Context) -> Picture:
+        """What draws; says so where that is not what one would expect."""
+        try:
+            picture = choose_picture(ctx, self._renderer, on_ready=glfw.post_empty_event)
+        except Exception as error:
+            if self._renderer != "auto":
+                raise
+            why = " ".join(str(error).split())
+            self.core.complain(
+                f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
+            )
+            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event)
+        if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
+            self.core.tell(
+                "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
+                " order a moment late while the view moves"
+            )
+        return picture
+
     def before_frame(self) -> None:
         """Everything that changes the state happens here, between two frames."""
         core = self.core
@@ -113,18 +134,19 @@ class Window:
         if self._is_software and core.loading is None and not unattended:
             core.picture.wait(PICTURE_SECONDS)
             glfw.poll_events()  # what the mouse did meanwhile
-        opening.continue_loading(core)
-        opening.report_examination(core)
+        core.attempt(opening.continue_loading, core)
+        core.attempt(opening.report_examination, core)
         core.run_posted()
         if core.training is not None:
             window = glfw_window_hello_imgui()
             core.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
-            core.training.advance(core)
-        continue_editing(core)
-        continue_restoring(core)
-        core.advance()
-        core.note_statistics()
-        core.accuracy.advance(core)
+            core.attempt(core.training.advance, core)
+        core.attempt(continue_editing, core)
+        core.attempt(continue_restoring, core)
+        core.attempt(core.advance)
+        core.attempt(core.note_statistics)
+        core.attempt(core.accuracy.advance, core)
+        core.attempt(core.effects.advance, core)
         if core.clipboard_write is not None:
             imgui.set_clipboard_text(core.clipboard_write)
             core.clipboard_write = None
@@ -176,21 +198,24 @@ class Window:
     def stop(self) -> None:
         """The context still exists: end what runs, keep what is to be kept."""
         core = self.core
-        opening.cancel_loading(core, quiet=True)
-        if left := put_away(core):
-            # The window that could show it is going.
-            print(f"splatview: {left}", file=sys.stderr)
-        self.dialogs.close()
-        core.prefer(closed_panels=layout.closed_panels(core))
+        core.attempt(opening.cancel_loading, core, quiet=True)
+        # What is to be kept comes first: what is released may fail, and nobody would miss it.
+        core.attempt(lambda: core.prefer(closed_panels=layout.closed_panels(core)))
+        self.keep()
+        core.attempt(self.dialogs.close)
         if core.training is not None:
-            core.training.stop()
-        core.accuracy.end()
+            core.attempt(core.training.stop)
+        core.attempt(core.accuracy.end)
+        core.attempt(core.effects.end)
         if core.picture is not None:
-            core.picture.release()
+            core.attempt(core.picture.release)
             core.picture = None
-        if problem := self._save_preferences():
-            # Too late for the window; and no reason to call a good session a failure.
-            print(f"splatview: {problem}", file=sys.stderr)
+
+    def keep(self) -> None:
+        """Puts edits and preferences away, saying on standard error what the window can no longer show."""
+        for said in (put_away(self.core), self._save_preferences()):
+            if said:
+                print(f"splatview: {said}", file=sys.stderr)
 
     def _save_preferences(self) -> str | None:
         """Saves them if they have changed; one line where that fails."""
@@ -211,6 +236,7 @@ def run_window(
     renderer: str = "auto",
     training: Training | None = None,
     drive: Callable[[Core, Any], None] | None = None,
+    rescue: Callable[[], None] = lambda: None,
 ) -> int:
     """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
 
@@ -218,7 +244,8 @@ def run_window(
 
     `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
     `renderer`: one of `picture.RENDERERS`. `drive(core, ctx)` is for tests: it runs beside the frame loop
-    with ImGui's test-engine context, and the window closes when it returns.
+    with ImGui's test-engine context, and the window closes when it returns. `rescue` saves what the caller
+    answers for where the display ends: then the process ends with it, and this does not return.
 
     Returns:
         0, or 1 where `drive` failed.
@@ -241,13 +268,19 @@ def run_window(
     callbacks.setup_imgui_style = theme.apply
     callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
-    callbacks.pre_new_frame = window.before_frame
-    callbacks.post_render_dockable_windows = window.frame
+    callbacks.pre_new_frame = partial(window.core.attempt, window.before_frame)
+    callbacks.post_render_dockable_windows = guarded(window.core, window.frame)
     callbacks.before_exit = window.stop
     run = _Driven(params, window.core, drive) if drive else None
     implot.create_context()
+
+    def rescue_all() -> None:
+        window.keep()
+        rescue()
+
     try:
-        hello_imgui.run(params)
+        with closing_on_signals(window.core), rescued_from_display(rescue_all):
+            hello_imgui.run(params)
     finally:
         implot.destroy_context()
     if window.failure:

@@ -25,6 +25,7 @@ from ..gl.overlay import Overlay
 from .accuracy.state import Accuracy
 from .bookmarks import Bookmark
 from .editing.desk import Desk
+from .effects.state import Effects
 from .loading import Examination, LoadedScene, Loading
 from .navigation import Transition, View
 from .navigation.view import look_from
@@ -79,6 +80,8 @@ class Core:
     """Edits of the open scene; None where nothing is open."""
     accuracy: Accuracy = field(default_factory=Accuracy)
     """Shortcuts taken, what they cost, and the frame budget."""
+    effects: Effects = field(default_factory=Effects)
+    """What the scene calls for, and at which price."""
     stats: FrameStats | None = None
     """Of the picture, read once a frame."""
 
@@ -122,6 +125,7 @@ class Core:
     """While panels are hidden: those to show again."""
     quitting: bool = False
     now: Callable[[], float] = time.monotonic
+    _failures: set[str] = field(default_factory=set)
     _frames_noted: int = 0
     _memory_due: float = 0.0
     _posted: deque[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=deque)
@@ -148,6 +152,21 @@ class Core:
                 self.complain(f"That failed inside the program: {type(error).__name__}: {error}")
             ran += 1
         return ran
+
+    def attempt(self, part: Callable[..., object], *args: Any, **options: Any) -> None:
+        """Runs a part of a frame; what fails is told of, and the frame goes on."""
+        try:
+            part(*args, **options)
+        except Exception as error:
+            self.fail(error)
+
+    def fail(self, error: Exception) -> None:
+        """Tells of a defect of ours in what is done in every frame; once, as the next frame will fail too."""
+        text = f"That failed inside the program: {type(error).__name__}: {error}"
+        if text not in self._failures:
+            self._failures.add(text)
+            traceback.print_exception(error)
+            self.complain(text)
 
     # ---- messages
 
@@ -202,6 +221,7 @@ class Core:
             or (self.picture is not None and self.picture.busy)
             or (self.desk is not None and self.desk.job is not None)
             or self.accuracy.waiting
+            or self.effects.waiting
         )
 
     # ---- edits

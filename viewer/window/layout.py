@@ -12,7 +12,9 @@ from . import dialogs, menus, overlays, palette, viewport
 from .accuracy import panel as accuracy
 from .core import Core
 from .editing.panels import edit, history, restore
+from .effects import panel as effects
 from .file_dialogs import FileDialogs
+from .guarding import guarded
 from .panels import bookmarks, camera, messages, rendering, scene, statistics
 from .training import panels as training_panels
 
@@ -25,6 +27,7 @@ PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
     ("Edit", "Upper", edit.show),
     ("Picture", "Upper", rendering.show),
     ("Accuracy", "Upper", accuracy.show),
+    ("Effects", "Upper", effects.show),
     ("Camera", "Upper", camera.show),
     ("Views", "Lower", bookmarks.show),
     ("History", "Lower", history.show),
@@ -64,8 +67,8 @@ def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams
         core.tell(f"{config_folder()}: cannot be made ({error.strerror}); the layout will not be kept")
 
     params.callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
-    params.callbacks.show_menus = partial(menus.show, core)
-    params.callbacks.show_status = partial(overlays.status_bar, core)
+    params.callbacks.show_menus = guarded(core, partial(menus.show, core))
+    params.callbacks.show_status = guarded(core, partial(overlays.status_bar, core))
     params.docking_params = docking(core)
     return params
 
@@ -88,7 +91,9 @@ def docking(core: Core) -> hello_imgui.DockingParams:
             split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.33, flags),
         ]
         panels = (*training_panels.PANELS, *PANELS)
-    view = hello_imgui.DockableWindow(VIEW, "MainDockSpace", partial(show_view, core), can_be_closed_=False)
+    view = hello_imgui.DockableWindow(
+        VIEW, "MainDockSpace", guarded(core, partial(show_view, core)), can_be_closed_=False
+    )
     # hello_imgui would add padding around the picture; the window is begun by hand instead.
     view.call_begin_end = False
     view.include_in_view_menu = False
@@ -99,7 +104,7 @@ def docking(core: Core) -> hello_imgui.DockingParams:
 
 
 def panel(core: Core, name: str, dock: str, contents: Callable[[Core], None]) -> hello_imgui.DockableWindow:
-    made = hello_imgui.DockableWindow(name, dock, partial(contents, core))
+    made = hello_imgui.DockableWindow(name, dock, guarded(core, partial(contents, core)))
     made.is_visible = name not in core.preferences.closed_panels
     made.focus_window_at_next_frame = core.training is not None and name in training_panels.FIRST
     # hello_imgui would also remember that all were hidden for a moment.

@@ -73,6 +73,9 @@ class Job:
     def cancelled(self) -> bool:
         return self._cancelled.is_set()
 
+    def join(self, timeout: float) -> None:
+        self._thread.join(timeout)
+
     @property
     def done(self) -> bool:
         return not self._thread.is_alive()

@@ -96,11 +96,18 @@ def load_changed_scene(core: Core, desk: Desk) -> None:
         desk.undo()
 
 
+LEAVING_SECONDS = 60.0
+"""For so long a window that closes waits for a file that is being written; other work is given up at once."""
+
+
 def put_away(core: Core) -> str | None:
     """The window closes: a line for the user where edits are in no file."""
     desk, core.desk = core.desk, None
     if desk is None:
         return None
+    if desk.job is not None:
+        desk.job.cancel()
+        desk.job.join(LEAVING_SECONDS)
     offered = core.scene is not None and len(core.scene.paths) == 1
     kept = offered and desk.journal is not None and desk.document.history.modified
     desk.close()
