@@ -171,6 +171,19 @@ KNOBS: tuple[Knob, ...] = (
         renderers=GL + TILES + CPU,
         values=tuple(_planned(text, attributes=text) for text in FORMATS),
     ),
+    Knob(
+        name="resort",
+        title="Order kept",
+        changes="the order of splats is made anew in every so many frames of a moving camera, or when it has"
+        " turned so far; in between it is an earlier view's; exact at rest",
+        renderers=GL + TILES + CPU,
+        values=(
+            _setting("1", resort_frames=1, resort_degrees=0.0),
+            _setting("4", resort_frames=4, resort_degrees=0.0),
+            _setting("5deg", resort_frames=1, resort_degrees=5.0),
+            _setting("16", resort_frames=16, resort_degrees=0.0),
+        ),
+    ),
 )
 
 

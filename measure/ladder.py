@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..scene import Camera
+from .knobs import Plan
 from .metrics import largest_error, psnr, ssim
 from .noise import LEAST_PAIRS, floor_of_self, noise_of
 from .rungs import Ladder, Measured, Rung, TimedArtist, mark_front
@@ -225,11 +226,11 @@ def judge(
     decibels, similarities, worst = [], [], 0.0
     left = len(views) + 1
 
-    def drawn(camera: Camera) -> np.ndarray:
+    def drawn(camera: Camera, draw: Callable[[Camera, Plan], np.ndarray] = artist.draw) -> np.ndarray:
         nonlocal left
         artist.prepare(camera, plan)
         begun = time.perf_counter()
-        picture = artist.draw(camera, plan)
+        picture = draw(camera, plan)
         left -= 1
         took(time.perf_counter() - begun, left)
         return picture
@@ -241,7 +242,7 @@ def judge(
             similarities.append(ssim(picture, truth))
         worst = max(worst, largest_error(picture, truth))
         if number == 0:
-            one.popping = largest_error(drawn(nudged), picture)
+            one.popping = largest_error(drawn(nudged, artist.follow), picture)
     one.psnr, one.max_error = float(np.mean(decibels)), worst
     one.ssim = float(np.mean(similarities)) if similarities else math.nan
     one.memory = artist.memory(plan)

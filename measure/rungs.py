@@ -24,7 +24,13 @@ class Artist(Protocol):
         ...
 
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        """The picture (H, W, 4) float32; never one that was kept from an earlier call."""
+        """The picture (H, W, 4) float32; never one that was kept from an earlier call. Where it depends on
+        those before, by the path of `paths`."""
+        ...
+
+    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
+        """The picture of a camera that has moved on a little since the last `draw`, drawn as the frame in
+        which that shows most."""
         ...
 
     def memory(self, plan: Plan) -> int:

@@ -51,7 +51,7 @@ def test_the_table_fits_a_terminal_and_says_what_its_words_mean(scene, capsys, m
         (["--renderers", "cpu,abacus"], "--renderers abacus: choose from"),
         (["--plot", "plot.txt"], "plot.txt: pictures are written as .png or .svg or .pdf"),
         (["--plot", "nowhere/plot.png"], "does not exist; make it first"),
-        (["--thorough", "--seconds", "3"], "--thorough and --seconds both say how long"),
+        (["--thorough", "--seconds", "3"], "--thorough and --seconds all say how long"),
         (["--views", "0"], "--views"),
         (["--seconds", "-1"], "--seconds"),
         (["--size", "wide"], "--size"),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, look_at
 from ...scene.files import load_cameras
 from ...scene.framing import WORLD_UP, frame_camera, robust_bounds
+from ...scene.turning import turned_about
 from .arguments import DEFAULT_SIZE, MAX_PIXELS, Parser, direction, field_of_view, index, size, vector
 
 DEFAULT_FOV = 50.0
@@ -66,15 +66,11 @@ class Orbit:
 
     def turned(self, degrees: float) -> Camera:
         """The eye turned `degrees` about the target's axis `up`; what it sees turns along."""
-        angle, axis = math.radians(degrees), self.up / np.linalg.norm(self.up)
-        K = np.cross(np.eye(3), axis)
-        # Rodrigues' formula; np.cross(I, axis) is the transpose of the cross-product matrix of the axis.
-        R = np.eye(3) - math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
-        eye = self.target + R @ (self.camera.eye - self.target)
-        matrix = np.eye(4)
-        matrix[:3, :3] = self.camera.R_camera_world @ R.T
-        matrix[:3, 3] = -matrix[:3, :3] @ eye
-        return replace(self.camera, world_to_camera=matrix)
+        return self.turned_from(self.camera, degrees)
+
+    def turned_from(self, camera: Camera, degrees: float) -> Camera:
+        """Likewise, of another camera."""
+        return turned_about(camera, self.target, self.up, degrees)
 
 
 def chosen_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:

@@ -73,6 +73,12 @@ def make_parser() -> Parser:
         help=f"how long to measure (default: {SECONDS:g}); what does not fit is left out, and named",
     )
     group.add_argument(
+        "--rounds",
+        type=count,
+        metavar="N",
+        help="instead, every shortcut so many times, however long it takes",
+    )
+    group.add_argument(
         "--thorough", action="store_true", help=f"{THOROUGH_SECONDS:g} seconds, for less noise"
     )
     group.add_argument("--json", action="store_true", help="results as one JSON object")
@@ -116,15 +122,21 @@ def run(arguments: list[str]) -> int:
     check_camera_options(args)
     if args.plot is not None:
         check_output(args.plot, PLOTS)
-    if args.thorough and args.seconds is not None:
-        raise InputError("--thorough and --seconds both say how long; give one of them")
+    lengths = {
+        "--thorough": args.thorough,
+        "--seconds": args.seconds is not None,
+        "--rounds": args.rounds is not None,
+    }
+    if sum(lengths.values()) > 1:
+        given = " and ".join(name for name, is_given in lengths.items() if is_given)
+        raise InputError(f"{given} all say how long; give one of them")
     knobs = None if args.knobs is None else [knob(name).name for name in args.knobs.split(",")]
     names = chosen_renderers(args.renderers)
     gaussians = load_scene(args.scene)
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
     console = Console(stderr=True)
-    artists: list[Artist] = [SceneArtist(make_headless(name), gaussians) for name in names]
+    artists: list[Artist] = [SceneArtist(make_headless(name), gaussians, orbit.turned_from) for name in names]
     views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
     with console.status("Drawing the truth in float64"):
         truths, apart = draw_truths(gaussians, views, plan.settings)
@@ -136,7 +148,13 @@ def run(arguments: list[str]) -> int:
     seconds = THOROUGH_SECONDS if args.thorough else args.seconds or SECONDS
     rungs = rungs_for(artists, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
     ladder = climb_with_progress(
-        console, rungs, views, truths, orbit=orbit, seconds=max(seconds - (time.perf_counter() - begun), 1.0)
+        console,
+        rungs,
+        views,
+        truths,
+        orbit=orbit,
+        seconds=max(seconds - (time.perf_counter() - begun), 1.0),
+        rounds=args.rounds,
     )
     size = f"{views[0].width}x{views[0].height}"
     about = {
@@ -196,7 +214,9 @@ def draw_truths(
     return truths, disagreement(truths[0], gaussians, views[0], exact)
 
 
-def climb_with_progress(console: Console, rungs, views, truths, *, orbit: Orbit, seconds: float) -> Ladder:
+def climb_with_progress(
+    console: Console, rungs, views, truths, *, orbit: Orbit, seconds: float, rounds: int | None
+) -> Ladder:
     """Measures with a progress bar. Ctrl-C ends it early: what was measured by then is the result."""
     stopped = threading.Event()
 
@@ -218,6 +238,7 @@ def climb_with_progress(console: Console, rungs, views, truths, *, orbit: Orbit,
                 truths,
                 moved=moved,
                 seconds=seconds,
+                rounds=rounds,
                 on_progress=show,
                 cancelled=stopped.is_set,
             )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...measure.enlarging import enlarged, reduced_size
 from ...measure.knobs import Plan
+from ...measure.paths import path_to_view
 from ...scene import Camera, Gaussians
 from ..reduced import reduced
 from .renderers import HeadlessRenderer
@@ -38,15 +41,37 @@ def prepared(renderer: HeadlessRenderer, gaussians: Gaussians, plan: Plan) -> Ga
 class SceneArtist:
     """A renderer and the scene it draws, as the ladder wants them."""
 
-    def __init__(self, renderer: HeadlessRenderer, gaussians: Gaussians):
+    def __init__(
+        self,
+        renderer: HeadlessRenderer,
+        gaussians: Gaussians,
+        turned: Callable[[Camera, float], Camera] = lambda camera, degrees: camera,
+    ):
+        """`turned`: a camera so many degrees farther on its way, for pictures that depend on those before."""
         self.name = renderer.name
-        self._renderer, self.scene = renderer, gaussians
+        self._renderer, self.scene, self._turned = renderer, gaussians, turned
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
         prepared(self._renderer, self.scene, plan)
 
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+        path = [self._turned(camera, degrees) for degrees in path_to_view(plan.settings)]
+        if len(path) > 1:
+            self._renderer.forget_order()
+        for each in path[:-1]:
+            draw_plan(self._renderer, self.scene, each, plan)
+        return draw_plan(self._renderer, self.scene, path[-1], plan)
+
+    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
+        """The picture of the next frame, sorted."""
+        self._renderer.forget_order()
         return draw_plan(self._renderer, self.scene, camera, plan)
+
+    def timed(self, camera: Camera, plan: Plan) -> float:
+        """ms of a frame up to its pixels in memory: of a path, the mean."""
+        begun = time.perf_counter()
+        self.draw(camera, plan)
+        return 1e3 * (time.perf_counter() - begun) / len(path_to_view(plan.settings))
 
     def memory(self, plan: Plan) -> int:
         """Bytes that the scene and the picture drawn last take in the renderer, beside the scene itself."""

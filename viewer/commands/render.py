@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...measure.knobs import Plan
+from ...measure.paths import path_to_view
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.aperture import Aperture, check_camera, mean_picture
 from ...scene.effects import settings_for
@@ -171,8 +172,12 @@ def render_frames(
     totals: list[float] = []
     stages: dict[str, list[float]] = {}
     visible = 0
-    for frame in range(1, args.frames + 1):
-        camera = orbit.turned(args.turn * frame) if args.turn else orbit.camera
+    path = [args.turn * frame for frame in range(1, args.frames + 1)]
+    if args.frames == 1 and not args.turn:
+        path = path_to_view(plan.settings)
+    renderer.forget_order()
+    for degrees in path:
+        camera = orbit.turned(degrees) if degrees else orbit.camera
         start = time.perf_counter()
         if aperture is None:
             image = draw(camera)
@@ -194,6 +199,6 @@ def render_frames(
         "size": [orbit.camera.width, orbit.camera.height],
         "splats": len(gaussians),
         "visible": visible,
-        "frames": args.frames,
+        "frames": len(path),
         "ms": ms,
     }

@@ -43,6 +43,10 @@ class HeadlessRenderer(Protocol):
         """The picture (H, W, 4) float32."""
         ...
 
+    def forget_order(self) -> None:
+        """The next picture is sorted anew, though the settings let an order serve several."""
+        ...
+
     def stats(self) -> tuple[int, dict[str, float]]:
         """Of the last picture: splats that reached it, and milliseconds by stage."""
         ...
@@ -94,6 +98,10 @@ class Quads:
         with self._ctx:  # another renderer's may be the current one
             self._renderer.draw(camera, settings, mode=mode)
             return self._renderer.read()
+
+    def forget_order(self) -> None:
+        for _, renderer in self._loaded:
+            renderer.forget_order()
 
     @property
     def _renderer(self) -> Any:
@@ -148,6 +156,10 @@ class Cpu:
         self._image_bytes = frame.image.nbytes
         return frame.image
 
+    def forget_order(self) -> None:
+        if self._workspace.kept_order is not None:
+            self._workspace.kept_order.resorting.forget()
+
     def stats(self) -> tuple[int, dict[str, float]]:
         return self._last
 
@@ -177,6 +189,9 @@ class Reference:
         image = reference.render(gaussians, camera, settings).astype(np.float32)
         self._milliseconds = 1e3 * (time.perf_counter() - start)
         return image
+
+    def forget_order(self) -> None:
+        """It keeps none."""
 
     def stats(self) -> tuple[int, dict[str, float]]:
         from ...scene.projection import project

@@ -72,7 +72,8 @@ class KeptOrder:
             set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count, **shortened})
             program.run(-(-page.count // GROUP_SIZE))
         self._ctx.memory_barrier()
-        self.order = self._sorter.sort(*self._buffers, key_bits=keys.bits)[1]
+        sort_keys, splats, count = self._buffers
+        self.order = self._sorter.sort(sort_keys, splats, count, key_bits=keys.bits)[1]
         self._ctx.memory_barrier()
 
     def count(self, depth_keys: moderngl.Buffer, group_counts: moderngl.Buffer) -> None:

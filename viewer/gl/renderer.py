@@ -116,6 +116,9 @@ class Renderer(ABC):
         """Makes this the picture that `read` gives."""
         self.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
 
+    def forget_order(self) -> None:
+        """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
+
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
         """The picture drawn last; its row 0 is the picture's top row."""

@@ -8,6 +8,7 @@ from typing import Protocol
 import moderngl
 import numpy as np
 
+from ... import raster
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
 from ..gl import FrameStats, VisualMode, make_renderer
@@ -70,6 +71,11 @@ class Picture(Protocol):
         overlay: Overlay | None = None,
     ) -> np.ndarray:
         """The finished picture (H, W, 4) float32, whatever the window shows meanwhile."""
+        ...
+
+    def forget_order(self) -> None:
+        """The next picture that this thread reads is sorted anew, whatever `RenderSettings.resort_frames`
+        says."""
         ...
 
     @property
@@ -148,6 +154,9 @@ class GpuPicture:
     ) -> np.ndarray:
         self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
         return self._renderer.read()
+
+    def forget_order(self) -> None:
+        self._renderer.forget_order()
 
     @property
     def texture(self) -> moderngl.Texture:
@@ -259,6 +268,9 @@ class CpuPicture:
             self._gpu.load(self._gaussians)
             self._gpu_holds = self._gaussians
         return self._gpu
+
+    def forget_order(self) -> None:
+        raster.forget_order()
 
     @property
     def texture(self) -> moderngl.Texture:

@@ -12,8 +12,10 @@ import numpy as np
 
 from ....measure.enlarging import enlarged, reduced_size
 from ....measure.knobs import KNOBS, Plan
+from ....measure.paths import path_to_view
 from ....scene import Camera, Gaussians
 from ....scene.edits import SceneEdits
+from ....scene.turning import turned_about
 from ..picture import CpuPicture, Picture
 
 if TYPE_CHECKING:
@@ -39,25 +41,46 @@ class Painter:
         self._post, self._picture = core.post, core.picture
         self._anywhere = isinstance(core.picture, CpuPicture)
         self._cancelled, self._wake = cancelled, wake
+        self._target = np.asarray(core.view.target, np.float64)
+        """About which a camera turns, for pictures that depend on those before."""
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
         """The scene is there."""
 
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return self._timed(camera, plan)[0]
+        return self._path(camera, plan)[-1][0]
+
+    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
+        return self._sorted(camera, plan)[0]
 
     def timed(self, camera: Camera, plan: Plan) -> float:
-        """ms of one frame up to its pixels in memory; waiting for the GL thread's turn is no part of it."""
-        return self._timed(camera, plan)[1]
+        """ms of one frame up to its pixels in memory, of a path the mean; waiting for the GL thread's turn
+        is no part of it."""
+        return float(np.mean([milliseconds for _, milliseconds in self._path(camera, plan)]))
 
     def memory(self, plan: Plan) -> int:
         return 0
 
-    def _timed(self, camera: Camera, plan: Plan) -> tuple[np.ndarray, float]:
+    def _path(self, camera: Camera, plan: Plan) -> list[tuple[np.ndarray, float]]:
+        """Pictures and their ms, the camera's last."""
+        first, *others = (self._turned(camera, degrees) for degrees in path_to_view(plan.settings))
+        begun = self._sorted(first, plan) if others else self._timed(first, plan)
+        return [begun, *(self._timed(each, plan) for each in others)]
+
+    def _sorted(self, camera: Camera, plan: Plan) -> tuple[np.ndarray, float]:
+        """Of a frame whose order is its own, though the settings let it be older."""
+        return self._timed(camera, plan, anew=True)
+
+    def _turned(self, camera: Camera, degrees: float) -> Camera:
+        return turned_about(camera, self._target, -camera.R_camera_world[1], degrees) if degrees else camera
+
+    def _timed(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         size = reduced_size(camera.width, camera.height, plan.resolution)
         small = camera if size == (camera.width, camera.height) else camera.resized(*size)
 
         def work() -> tuple[np.ndarray, float]:
+            if anew:
+                self._picture.forget_order()
             begun = time.perf_counter()
             image = self._picture.read(small, plan.settings, "splats", self.edits)
             return image, 1e3 * (time.perf_counter() - begun)
