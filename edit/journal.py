@@ -31,6 +31,9 @@ SUFFIX = ".journal.jsonl"
 SYNC_SECONDS = 2.0
 """A crash of the program loses no step; one of the whole machine loses at most those of so many seconds."""
 
+_NO_JOURNAL = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+"""What reading something else as a journal raises."""
+
 LOCKED_BYTE = 1 << 40
 """Far behind all text: where bytes are locked rather than files, the text can still be read."""
 
@@ -132,7 +135,7 @@ def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
     """What can be restored, latest first. Those of programs that still run are left out."""
     found = []
     for path in folder.glob(f"*{SUFFIX}"):
-        with contextlib.suppress(OSError, InputError, ValueError, KeyError, TypeError):
+        with contextlib.suppress(OSError, InputError, *_NO_JOURNAL):
             with open(path, "r+b") as file:
                 if not _lock(file):
                     continue
@@ -161,7 +164,7 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
                 position = len(steps)
             else:
                 position = min(max(int(line["position"]), 0), len(steps))
-        except (InputError, ValueError, KeyError, TypeError):
+        except (InputError, *_NO_JOURNAL):
             break  # what came before is whole
     folder = head["folder"]
     recipe = Recipe(

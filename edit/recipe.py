@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..scene import InputError
 from ..scene.files.atomic import atomic_write
 from ..scene.files.json_values import read_json
@@ -148,6 +150,18 @@ def replay(
         Cancelled: the watch says so.
     """
     position = document.history.position
+    # Numbers of a recipe may be out of all bounds: what they make is then infinite, or beyond every limit.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        _replay(recipe, document, position, on_step, watch)
+
+
+def _replay(
+    recipe: Recipe,
+    document: Document,
+    position: int,
+    on_step: Callable[[int, Operation, Change], None] | None,
+    watch: Watch,
+) -> None:
     try:
         for number, operation in enumerate(recipe.steps, start=1):
             share = watch.part((number - 1) / len(recipe.steps), number / len(recipe.steps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -42,7 +43,7 @@ class Transform(Operation):
 
     def __post_init__(self) -> None:
         check_scope(self.scope)
-        if not 1e-100 < float(np.linalg.norm(self.rotation)) < 1e100:
+        if not 1e-100 < math.hypot(*self.rotation) < 1e100:
             raise ValueError(
                 f"rotation must be a quaternion wxyz that is not zero, got {list(self.rotation)}"
             )

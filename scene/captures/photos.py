@@ -76,12 +76,15 @@ def read_pixels(
 def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, float]) -> Decoded:
     try:
         with Image.open(path) as file:
+            _check_header(path, file, size)
             image = as_posed(file, size)
             if image.mode in ("I", "I;16", "I;16B", "I;16L", "F"):
                 return Decoded(_deep_grey(np.asarray(image)), False)
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
                 return Decoded(np.array(image.convert("RGB")), False)
             rgba = np.array(image.convert("RGBA"))
+    except InputError:
+        raise
     except Exception as error:
         raise _undecodable(path, error) from None
     opacity = rgba[..., 3:].astype(np.float32) / 255
@@ -98,11 +101,14 @@ def _deep_grey(values: np.ndarray) -> np.ndarray:
 def _decode_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     try:
         with Image.open(path) as file:
+            _check_header(path, file, size)
             image = as_posed(file, size)
             if "A" in image.getbands() and image.getextrema()[-1] != (255, 255):
                 # Cut-outs: what is transparent is ignored, whatever colour lies under it.
                 return np.asarray(image.getchannel("A")) >= MASK_THRESHOLD
             return np.asarray(image.convert("L")) >= MASK_THRESHOLD
+    except InputError:
+        raise
     except Exception as error:
         raise _undecodable(path, error) from None
 
@@ -113,9 +119,23 @@ def _undecodable(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: is no readable image ({reason}); replace it or take it out of the capture")
 
 
+def _check_header(path: Path, image: Image.Image, size: tuple[int, int]) -> None:
+    """That the file says to have the pixels that its camera has, before memory is taken for them.
+
+    A damaged header of some bytes may promise a gigabyte.
+    """
+    stored = stored_size(image)
+    if size not in (stored, stored[::-1]):
+        raise _wrong_size(path, stored, size)
+
+
 def _check_size(path: Path, image: np.ndarray, width: int, height: int) -> None:
     if image.shape[:2] != (height, width):
-        raise InputError(
-            f"{path}: is {image.shape[1]}x{image.shape[0]} pixels, but its camera says {width}x{height}; "
-            "use the images that the poses were found with"
-        )
+        raise _wrong_size(path, (image.shape[1], image.shape[0]), (width, height))
+
+
+def _wrong_size(path: Path, found: tuple[int, int], wanted: tuple[int, int]) -> InputError:
+    return InputError(
+        f"{path}: is {found[0]}x{found[1]} pixels, but its camera says {wanted[0]}x{wanted[1]}; "
+        "use the images that the poses were found with"
+    )

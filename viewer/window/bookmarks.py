@@ -50,7 +50,8 @@ def load_bookmarks(scene: Path) -> list[Bookmark]:
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: cannot read the bookmarks ({error})") from None
         try:
-            found += [_bookmark(entry) for entry in json.loads(text)["bookmarks"]]
+            with np.errstate(over="ignore", invalid="ignore"):
+                found += [_bookmark(entry) for entry in json.loads(text)["bookmarks"]]
         except (
             *(ValueError, KeyError, TypeError, OverflowError, RecursionError),
             np.linalg.LinAlgError,
