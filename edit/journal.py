@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..scene import InputError
+from ..scene.files.locked import take_lock
 from .document import Document, Event
 from .history import Step
 from .operations import Operation, operation_from_json
@@ -33,9 +34,6 @@ SYNC_SECONDS = 2.0
 
 _NO_JOURNAL = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 """What reading something else as a journal raises."""
-
-LOCKED_BYTE = 1 << 40
-"""Far behind all text: where bytes are locked rather than files, the text can still be read."""
 
 
 class Journal:
@@ -86,7 +84,7 @@ class Journal:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._path = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}{SUFFIX}"
         self._file = open(self._path, "xb", buffering=0)  # noqa: SIM115, open as long as the document
-        _lock(self._file)
+        take_lock(self._file)
         document = self._document
         self._append(
             {
@@ -104,7 +102,7 @@ class Journal:
     def _append(self, line: dict[str, Any]) -> None:
         if self._file is None:
             return
-        self._file.write(json.dumps(line, allow_nan=False).encode() + b"\n")
+        _write_whole(self._file, json.dumps(line, allow_nan=False).encode() + b"\n")
         now = time.monotonic()
         if now - self._synced >= SYNC_SECONDS and (self._syncing is None or not self._syncing.is_alive()):
             self._synced = now
@@ -137,7 +135,7 @@ def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
     for path in folder.glob(f"*{SUFFIX}"):
         with contextlib.suppress(OSError, InputError, *_NO_JOURNAL):
             with open(path, "r+b") as file:
-                if not _lock(file):
+                if not take_lock(file):
                     continue
                 lines = file.read().split(b"\n")
             journal = _read(path, lines)
@@ -181,30 +179,19 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
     )
 
 
+def _write_whole(file: IO[bytes], line: bytes) -> None:
+    """All of `line` or nothing: on a full disk a part could be written, and what follows be lost with it."""
+    begin, written = file.tell(), 0
+    try:
+        while written < len(line):
+            written += file.write(line[written:])
+    except OSError:
+        with contextlib.suppress(OSError):
+            file.truncate(begin)
+            file.seek(begin)
+        raise
+
+
 def _sync(descriptor: int) -> None:
     with contextlib.suppress(OSError):
         os.fsync(descriptor)
-
-
-def _lock(file: IO[bytes]) -> bool:
-    """Takes the file for this process until it is closed; False where another has it."""
-    if os.name == "nt":
-        import msvcrt
-
-        locking, mode = getattr(msvcrt, "locking"), getattr(msvcrt, "LK_NBLCK")  # noqa: B009
-        at = file.tell()
-        try:
-            file.seek(LOCKED_BYTE)
-            locking(file.fileno(), mode, 1)
-        except OSError:
-            return False
-        finally:
-            file.seek(at)
-        return True
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

@@ -101,6 +101,8 @@ class Core:
     frame_history: deque[dict[str, float]] = field(default_factory=lambda: deque(maxlen=120))
     """Stage times in ms of the latest drawn frames."""
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=MESSAGES_KEPT))
+    undrawn: str | None = None
+    """Why the picture could not be drawn in the last frame."""
     problem: str | None = None
     """An error that waits in a dialog for the user to read it."""
     dialog: str | None = None

@@ -77,10 +77,12 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     try:
         picture.draw(camera, settings, core.mode, edits=core.edits, overlay=core.overlay)
     except InputError as error:
-        # A mode that needs more of the GPU than it has; the picture itself was there before.
-        core.complain(f"{core.mode}: {error}")
-        core.mode = "splats"
+        # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
+        if core.undrawn != str(error):
+            core.complain(f"{core.mode}: {error}")
+        core.mode, core.undrawn = "splats", str(error)
         return
+    core.undrawn = None
     texture = picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"
