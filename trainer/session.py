@@ -20,10 +20,12 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ..scene import Gaussians, InputError
+from ..scene.effects import Effect
 from ..scene.files import save_scene
 from ..scene.gaussians import SH_COEFFICIENTS
 from .checkpoint import save_checkpoint
 from .distributed import PeerLost
+from .effects import EXPOSURE, with_exposure
 from .evaluate import Evaluation, evaluate, side_by_side
 from .shots import Shot
 from .training import StepReport, Trainer
@@ -125,15 +127,20 @@ class Session:
         eval_every: int,
         eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
+        effects: tuple[Effect, ...] = (),
         on_progress: Callable[[Progress], None] = lambda progress: None,
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
-        between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints;
+        between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints; `effects`
+        of the run are told in the metrics;
         `on_progress` is called after every step, `on_note` with a line for the user."""
         self.trainer, self.held_out, self.outputs = trainer, list(held_out), outputs
         self.eval_every, self.eval_seconds, self.notes = eval_every, eval_seconds, notes or {}
         self.on_progress, self.on_note = on_progress, on_note
+        self.effects = effects
+        """What the run computes and why; replaced once exposures are decided."""
+        self._effects_told: tuple[Effect, ...] = ()
         self.evaluation: Evaluation | None = None
         """The last one."""
         self.evaluated_at = 0
@@ -179,8 +186,11 @@ class Session:
         exposures = self.trainer.exposures
         undecided = not exposures.is_decided
         report = self.trainer.step(self.seconds)
-        if undecided and exposures.is_on and exposures.evidence:
-            self.on_note(f"{exposures.evidence}: each photo's is learnt; the scene has their average")
+        if undecided and exposures.is_decided:
+            self.effects = with_exposure(self.effects, exposures)
+            if exposures.evidence:
+                line = next((effect.why for effect in self.effects if effect.name == EXPOSURE), "")
+                self.on_note(f"{EXPOSURE} {'on' if exposures.is_on else 'off'}: {line}")
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):
             evaluation = self.evaluate()
@@ -275,6 +285,9 @@ class Session:
             "loss": report.loss,
             "gaussians": report.gaussians,
         }
+        if self.effects != self._effects_told:
+            named = [{"name": one.name, "on": one.in_force, "why": one.why} for one in self.effects]
+            line["effects"], self._effects_told = named, self.effects
         if evaluation:
             line |= {"psnr": evaluation.psnr, "ssim": evaluation.ssim}
         if self.trainer.done:

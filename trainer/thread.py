@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 from ..raster import available_threads
 from ..scene import InputError
+from ..scene.effects import Effect
 from ..scene.files import save_scene
 from .checkpoint import save_checkpoint
 from .evaluate import Evaluation
@@ -96,6 +97,11 @@ class TrainingThread:
         self._publish()
         self._begun = threading.Event()
         self._thread.start()
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What the run computes and why."""
+        return self._session.effects
 
     def begin(self) -> None:
         """Starts to train."""

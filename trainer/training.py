@@ -25,6 +25,7 @@ from ..raster.frame import StageClock
 from ..scene import Gaussians, InputError, RenderSettings
 from ..scene.crop import Crop, cropped_in
 from .adam import adam_step
+from .comments import comments_for
 from .density import ClassicControl
 from .distributed import Alone, BatchSum, Group
 from .dropping import some_dropped
@@ -185,7 +186,7 @@ class Trainer:
 
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, which later steps leave alone."""
-        return self.splats.snapshot(comments=("Trained by splatview",))
+        return self.splats.snapshot(comments=("Trained by splatview", *comments_for(self.settings.model)))
 
     def step(self, seconds: float | None = None) -> StepReport:
         """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time.

@@ -14,6 +14,7 @@ from ..camera import Camera
 from ..errors import InputError
 from ..files.progress import Watch
 from .capture import Capture, LensUse, Photo, Pixels
+from .evidence import LEAST_DISPLACEMENT, PhotoEvidence, largest_displacement
 from .photos import downscaled_size, read_pixels
 from .posed import PosedPhotos, Shot
 from .start_points import MIN_POINTS, random_points
@@ -48,11 +49,13 @@ def capture_of(
     """Raises InputError, LoadCancelled."""
     shots, twice = _unique(posed.shots)
     _check_count(posed, shots)
+    shots, evidence = _without_lenses_that_do_not_show(shots, downscale)
     held_out = _held_out(shots)
     if all(held_out):
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
     photos, hidden, transparent, kept = [], [], 0, 0
+    pixel_count = hidden_pixels = 0
     for shot, is_held_out, (pixels, is_transparent) in zip(
         shots, held_out, _read_all(shots, downscale, background, lens, watch), strict=True
     ):
@@ -60,6 +63,8 @@ def capture_of(
             hidden.append(shot.name)
             continue
         transparent += is_transparent
+        pixel_count += pixels.image[..., 0].size
+        hidden_pixels += 0 if pixels.mask is None else int((~pixels.mask).sum())
         kept += pixels.image.nbytes + (0 if pixels.mask is None else pixels.mask.nbytes)
         photos.append(
             Photo(
@@ -106,6 +111,12 @@ def capture_of(
         points=np.ascontiguousarray(points, dtype=np.float64),
         point_colours=np.ascontiguousarray(colours),
         background=background if transparent else None,
+        evidence=replace(
+            evidence,
+            transparent=transparent,
+            masks=sum(shot.mask is not None for shot in shots),
+            hidden=hidden_pixels / pixel_count,
+        ),
         warnings=tuple(warnings),
     )
     if not LEAST_RADIUS <= capture.scene_radius <= LARGEST_RADIUS:
@@ -114,6 +125,28 @@ def capture_of(
             " cannot be a scene; look for a pose that is far from the others"
         )
     return capture
+
+
+def _without_lenses_that_do_not_show(
+    shots: Sequence[Shot], downscale: int
+) -> tuple[list[Shot], PhotoEvidence]:
+    """Those whose lens moves nothing by more than LEAST_DISPLACEMENT become pinholes, here and for good."""
+    by_lens = {
+        _intrinsics(shot.camera): largest_displacement(shot.camera) / downscale
+        for shot in shots
+        if shot.camera.lens is not None
+    }
+    kept, left_out = [], 0
+    for shot in shots:
+        shows = shot.camera.lens is None or not by_lens[_intrinsics(shot.camera)] <= LEAST_DISPLACEMENT
+        kept.append(shot if shows else replace(shot, camera=replace(shot.camera, lens=None)))
+        left_out += not shows
+    evidence = PhotoEvidence(
+        lenses=sum(shot.camera.lens is not None for shot in kept),
+        lenses_left_out=left_out,
+        displacement=max(by_lens.values(), default=0.0),
+    )
+    return kept, evidence
 
 
 def _unique(shots: Sequence[Shot]) -> tuple[list[Shot], list[str]]:

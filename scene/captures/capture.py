@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from ..camera import Camera
+from .evidence import PhotoEvidence
 
 LensUse = Literal["undistort", "through"]
 """What is done about photos whose lens is no pinhole: their distortion is taken out when they are read, or
 they stay as they are and are compared with pictures that are rendered through their lens."""
+
+DEFAULT_LENS_USE: LensUse = "undistort"
 
 EXTENT_MARGIN = 1.1
 """How far a scene reaches beyond its cameras, by Kerbl et al. 2023."""
@@ -62,6 +65,8 @@ class Capture:
     """(P, 3) uint8 RGB."""
     background: tuple[float, float, float] | None = None
     """What photos with transparency were laid over, RGB in 0..1; None where none has any."""
+    evidence: PhotoEvidence = field(default_factory=PhotoEvidence)
+    """What was found out about the photos while they were read."""
     warnings: tuple[str, ...] = ()
     """A line each: what was left out or made up."""
 

@@ -7,16 +7,18 @@ import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 from rich.console import Console
 
 from ...scene import InputError
+from ...scene.captures import DEFAULT_LENS_USE, LensUse
 from ...trainer.distributed import Alone, Group, PeerLost, Processes, is_launched, stopping_between_steps
 from ...trainer.session import Outputs, Progress, Session
 from ...trainer.settings import PAPER_ITERATIONS
 from ...trainer.training import Trainer
 from .arguments import Parser, count, index, positive
-from .train_report import evaluation_line, make_bar, numbers, print_summary
+from .train_report import effect_line, evaluation_line, make_bar, numbers, print_summary
 from .train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels
 from .train_window import check_window, train_in_window
 
@@ -53,6 +55,12 @@ def make_parser() -> Parser:
     group.add_argument("--minutes", type=positive, metavar="M", help="end after M minutes, all included")
     group = parser.add_argument_group("recipe")
     group.add_argument("--downscale", type=count, metavar="K", help="photos smaller by K (default: 1)")
+    group.add_argument(
+        "--lens",
+        choices=get_args(LensUse),
+        help="photos whose lens is no pinhole: train through it, or take its distortion out of them first "
+        f"(default: {DEFAULT_LENS_USE})",
+    )
     group.add_argument("--strategy", choices=("mcmc", "classic"), help="density control (default: mcmc)")
     group.add_argument(
         "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
@@ -70,6 +78,11 @@ def make_parser() -> Parser:
         "--exposure",
         choices=("auto", "on", "off"),
         help="learn each photo's exposure (default: auto, where photos differ)",
+    )
+    group.add_argument(
+        "--antialiased",
+        choices=("auto", "on", "off"),
+        help="train for all scales, with a kernel of 0.1 px² (default: auto, where photos differ in scale)",
     )
     group.add_argument(
         "--abs-grad",
@@ -144,7 +157,7 @@ def _opening(ready: Run) -> str:
     )
     if trainer.group.size > 1:
         text += f"; {trainer.group.size} processes share batches of {trainer.settings.batch}"
-    return text
+    return "\n".join([text, *map(effect_line, ready.effects)])
 
 
 def _lead(ready: Run, options: argparse.Namespace, console: Console, started: float) -> int:
@@ -165,6 +178,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             started=started,
             eval_every=options.eval_every,
             notes=ready.notes,
+            effects=ready.effects,
             on_progress=show,
             on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
         )

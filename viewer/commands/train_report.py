@@ -9,6 +9,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from ...scene.effects import Effect
 from ...trainer.evaluate import Evaluation
 from ...trainer.session import Outputs, Progress
 from ...trainer.training import Trainer
@@ -36,6 +37,11 @@ def numbers(progress: Progress, evaluation: Evaluation | None) -> str:
         left = progress.seconds * (1 / step.progress - 1)
         text += f"  {math.ceil(left / 60)} min left" if left > 90 else f"  {math.ceil(left)} s left"
     return text
+
+
+def effect_line(effect: Effect) -> str:
+    """As `splatview info` prints it."""
+    return f"  {'on ' if effect.in_force else 'off'}  {effect.name}: {effect.why}"
 
 
 def evaluation_line(progress: Progress) -> str:

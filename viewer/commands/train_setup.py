@@ -14,9 +14,11 @@ from typing import Any
 from rich.console import Console
 
 from ...scene import InputError
-from ...scene.captures import Capture, load_capture
+from ...scene.captures import DEFAULT_LENS_USE, Capture, load_capture
+from ...scene.effects import Effect
 from ...trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from ...trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
+from ...trainer.effects import capture_effects, model_for, with_exposure
 from ...trainer.initialise import initial_parameters
 from ...trainer.session import Outputs
 from ...trainer.settings import (
@@ -31,6 +33,7 @@ from ...trainer.settings import (
 from ...trainer.shots import Shot, Shots, shots_of
 from ...trainer.training import Trainer
 from ...trainer.warm_up import warm_up
+from ..claims import claim
 from ..demo_capture import cached_demo_capture
 
 COMPILED_SECONDS = 10.0
@@ -39,7 +42,17 @@ COMPILED_SECONDS = 10.0
 BYTES_A_SPLAT = 250 + 2 * 710
 """In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
 
-OF_THE_CHECKPOINT = ("seed", "strategy", "max_splats", "batch", "coarse", "exposure", "abs_grad")
+OF_THE_CHECKPOINT = (
+    "seed",
+    "strategy",
+    "max_splats",
+    "batch",
+    "coarse",
+    "exposure",
+    "antialiased",
+    "abs_grad",
+    "lens",
+)
 """Options that a resumed run takes from where it was."""
 
 
@@ -57,6 +70,8 @@ class Run:
     outputs: Outputs
     notes: dict[str, Any]
     """For checkpoints."""
+    effects: tuple[Effect, ...]
+    """What the run computes and why."""
     uncounted: float
     """Seconds spent on what is made once per installation; they count against no budget."""
 
@@ -102,12 +117,17 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     if not batch >= group.size:
         raise InputError(f"{group.size} processes cannot share a batch of {batch}; start at most {batch}")
     downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
+    # Checkpoints from before there was a choice have no word about it.
+    lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
+        claim(outputs.checkpoint)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
     capture = _with_status(
-        console, "Reading photos", lambda show: load_capture(folder, downscale=downscale, progress=show)
+        console,
+        "Reading photos",
+        lambda show: load_capture(folder, downscale=downscale, lens=lens, progress=show),
     )
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     shots, held_out = Shots(shots_of(capture.train), seed), shots_of(capture.held_out)
@@ -126,7 +146,14 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
         trainer = _resumed_trainer(shots, checkpoint, options, group)
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
-    return Run(capture, trainer, held_out, outputs, {"downscale": downscale}, uncounted)
+    antialiased = (
+        options.antialiased or (checkpoint.notes.get("antialiased") if checkpoint else None) or "auto"
+    )
+    notes = {"downscale": downscale, "lens": lens, "antialiased": antialiased}
+    effects = capture_effects(capture, trainer.settings, antialiased)
+    if trainer.exposures.is_decided:
+        effects = with_exposure(effects, trainer.exposures)
+    return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
 
 
 def ready_kernels(console: Console) -> float:
@@ -214,6 +241,7 @@ def _new_trainer(
         absolute_gradient=bool(options.abs_grad),
         coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
         background=capture.background or (0.0, 0.0, 0.0),
+        model=model_for(capture, options.antialiased or "auto"),
         max_splats=options.max_splats
         or automatic_limit(shots.pixel_count, minutes if options.iterations is None else None),
     )

@@ -58,6 +58,19 @@ def show(core: Core) -> None:
     red, green, blue = settings.background
     widgets.fact("Background", f"{red:.2f}, {green:.2f}, {blue:.2f}", "Behind the scene, RGB.")
     widgets.fact("Loss", f"{1 - settings.ssim_weight:g} L1 + {settings.ssim_weight:g} (1 - SSIM)")
+    widgets.section("Effects")
+    effects(core)
+
+
+def effects(core: Core) -> None:
+    """What the run computes, decided from the capture; the evidence on demand."""
+    if core.training is None:
+        return
+    for effect in core.training.thread.effects:
+        on = effect.in_force
+        if effect.name == "SH bands":
+            on = core.training.status.sh_degree > 0
+        widgets.fact(effect.name, "on" if on else "off", effect.why)
 
 
 def length(core: Core, settings: TrainSettings) -> None:

@@ -1,0 +1,161 @@
+"""What a training computes only where its capture calls for it, and says so."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatview.raster import differentiate
+from splatview.scene import ImageModel, look_at
+from splatview.scene.captures import Capture, Photo, Pixels
+from splatview.scene.captures.evidence import PhotoEvidence
+from splatview.scene.effects import antialiasing
+from splatview.scene.files import load_scene
+from splatview.trainer.effects import SCALE_RATIO, capture_effects, model_for, scale_ratio
+from splatview.trainer.session import Outputs, Session
+from splatview.trainer.settings import TrainSettings
+
+
+def capture(distances: list[float], *, width: int = 40, **evidence) -> Capture:
+    """Of a ball of points at the origin, seen from these distances."""
+    photos = []
+    for index, distance in enumerate(distances):
+        angle = 2 * np.pi * index / len(distances)
+        eye = (distance * np.cos(angle), 0, distance * np.sin(angle))
+        camera = look_at(eye, (0, 0, 0), width=width, height=width, fov_y=60)
+        pixels = Pixels(image=np.zeros((width, width, 3), np.uint8), mask=None)
+        photos.append(
+            Photo(
+                name=f"{index}.png", camera=camera, held_out=index == 0, pixels=lambda pixels=pixels: pixels
+            )
+        )
+    points = np.random.default_rng(0).normal(scale=0.1, size=(100, 3))
+    return Capture(
+        name="ball",
+        photos=tuple(photos),
+        points=points,
+        point_colours=np.zeros((100, 3), np.uint8),
+        evidence=PhotoEvidence(**evidence),
+    )
+
+
+def told(capture: Capture, antialiased="auto", **settings) -> dict[str, tuple[bool, str]]:
+    chosen = TrainSettings(model=model_for(capture, antialiased), **settings)
+    return {one.name: (one.in_force, one.why) for one in capture_effects(capture, chosen, antialiased)}
+
+
+def test_photos_of_one_scale_train_the_usual_model():
+    ring = capture([2.0, 2.1, 1.9, 2.0, 2.2, 2.0])
+    assert scale_ratio(ring) == pytest.approx(2.2 / 1.9, rel=0.05)
+    assert model_for(ring, "auto") == ImageModel()
+    on, why = told(ring)["antialiased opacity"]
+    assert not on and "1.2 times apart, less than 3" in why
+    assert told(ring, "on")["antialiased opacity"][0]
+
+
+def test_photos_of_different_scales_train_antialiased():
+    near_and_far = capture([2.0, 8.0] * 4)
+    assert scale_ratio(near_and_far) == pytest.approx(4, rel=0.1)
+    assert scale_ratio(near_and_far) > SCALE_RATIO
+    assert model_for(near_and_far, "auto") == ImageModel(antialiased=True, blur=0.1)
+    assert model_for(near_and_far, "off") == ImageModel()
+    on, why = told(near_and_far)["antialiased opacity"]
+    assert on and "times apart, 3 or more; kernel 0.1 px²" in why
+
+
+def test_a_capture_without_visible_points_has_no_scales():
+    blind = replace(capture([2.0] * 4), points=np.full((9, 3), 1e3))
+    assert scale_ratio(blind) == 1
+
+
+def test_each_effect_names_its_evidence():
+    plain = told(capture([2.0] * 4))
+    assert plain["masks"] == (False, "0 of 4 photos have a mask")
+    assert plain["lens distortion"] == (False, "all 4 cameras are pinholes")
+    assert plain["background"] == (False, "0 of 4 photos have transparency: black")
+    assert not plain["exposure of each photo"][0]
+    assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
+    assert told(capture([2.0] * 4), sh_degree=0)["SH bands"][0] is False
+
+    rich = told(
+        capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
+    )
+    assert {name for name, (on, _) in rich.items() if on} == set(rich) - {"antialiased opacity"}
+    assert "12.50% of all pixels" in rich["masks"][1]
+    assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
+    assert "1 of 4 photos have transparency, laid over 0, 0, 0" in rich["background"][1]
+
+    weak = told(capture([2.0] * 4, lenses_left_out=4, displacement=0.03))
+    assert weak["lens distortion"] == (
+        False,
+        "lenses move no point by more than 0.03 px, of 0.05 that could show: photos are used as they are",
+    )
+
+
+def test_bands_that_are_locked_are_neither_stored_nor_computed_nor_optimised(make_trainer, monkeypatch):
+    trainer = make_trainer(iterations=100, sh_degree=2, sh_every=0.1)
+    computed: list[int] = []
+
+    def watched(parameters, frame, d_image):
+        gradients = differentiate(parameters, frame, d_image)
+        computed.append(gradients.parameters.sh.shape[1])
+        return gradients
+
+    monkeypatch.setattr("splatview.trainer.training.differentiate", watched)
+    stored = []
+    while not trainer.done:
+        trainer.step(0.0)
+        splats = trainer.splats
+        shapes = {group.sh.shape[1] for group in (splats.parameters, splats.first, splats.second)}
+        assert len(shapes) == 1
+        stored.append(shapes.pop())
+    assert [stored.count(count) for count in (1, 4, 9)] == [10, 10, 80]
+    assert computed == stored
+
+
+def test_a_new_band_begins_as_if_it_had_been_there_all_the_time(make_trainer):
+    """Bit for bit: what is not stored before would have been zeros."""
+    ours = make_trainer(iterations=60, sh_degree=1, sh_every=0.5, threads=1)
+    theirs = make_trainer(iterations=60, sh_degree=1, sh_every=0.5, threads=1)
+    theirs.splats = theirs.splats.with_sh_degree(1)
+    theirs.render_settings = replace(theirs.render_settings, sh_degree=0)
+    while not ours.done:
+        if ours.progress >= 0.5:
+            theirs.render_settings = replace(theirs.render_settings, sh_degree=None)
+        ours.step(0.0)
+        theirs.step(0.0)
+    for mine, other in zip(ours.splats.parameters, theirs.splats.parameters, strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, shots, tmp_path):
+    outputs = Outputs(
+        scene=tmp_path / "s.ply",
+        checkpoint=tmp_path / "s.safetensors",
+        metrics=tmp_path / "m.jsonl",
+        pictures=tmp_path / "p",
+    )
+    trainer = make_trainer(iterations=100, model=ImageModel(antialiased=True, blur=0.1))
+    effects = capture_effects(capture([2.0, 8.0] * 4), trainer.settings, "auto")
+    notes: list[str] = []
+    session = Session(
+        trainer, shots[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
+    )
+    assert session.run()
+    lines = [json.loads(line) for line in outputs.metrics.read_text().splitlines()]
+    assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (False, 100)]
+    said = {effect["name"]: effect for effect in lines[0]["effects"]}
+    assert said["antialiased opacity"]["on"] is True
+    assert "differ in exposure by" in said["exposure of each photo"]["why"]
+    assert notes == [f"exposure of each photo off: {said['exposure of each photo']['why']}"]
+    assert antialiasing(load_scene(outputs.scene).comments)[:2] == (True, 0.1)
+
+
+@pytest.mark.parametrize("blur", [0.1, 0.3])
+def test_files_say_how_their_scene_was_trained(make_trainer, blur):
+    trainer = make_trainer(iterations=10, model=ImageModel(antialiased=True, blur=blur))
+    assert antialiasing(trainer.snapshot().comments)[:2] == (True, blur)
+    assert antialiasing(make_trainer(iterations=10).snapshot().comments)[:2] == (False, 0.3)
