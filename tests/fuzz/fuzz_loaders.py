@@ -36,8 +36,9 @@ from trials import (
 
 OUTCOMES = ("loaded", "refused", "failed")
 
-PATIENCE = 4 * SECONDS
-"""For a worker that says nothing: then a loader hangs where no signal reaches it."""
+PATIENCE = 150.0
+"""Seconds for a file on a busy machine: a loader that takes longer waits for something, or computes where no
+signal reaches it."""
 
 KEPT_OF_A_KIND = 3
 """Files of failures that end in the same line."""

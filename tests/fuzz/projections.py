@@ -10,7 +10,7 @@ import moderngl
 import numpy as np
 from patterns import Block
 
-from splatview.raster import Workspace, differentiate, draw_frame, parameters_of
+from splatview.raster import Frame, Parameters, Workspace, differentiate, draw_frame, parameters_of
 from splatview.raster.project import BLUE, CONIC_SCALE, LOG2_OPACITY, RED, X_REST, A, C, X
 from splatview.scene import Gaussians
 from splatview.scene.projection import FLOAT32_MAX, project
@@ -120,27 +120,44 @@ class CpuProjection:
         self._workspace = Workspace()
 
     def __call__(self, block: Block) -> Projected:
-        splats = parameters_of(block.gaussians)
-        frame = draw_frame(splats, block.camera, block.settings, self._workspace, threads=self._threads)
+        frame = self._frame(block, parameters_of(block.gaussians))
         visible = np.zeros(len(block.gaussians), bool)
         for start, stop in frame.runs:
             visible[frame.visible[start:stop]] = True
         records = frame.records
         finite = np.isfinite(frame.image).all() and np.isfinite(records[visible][:, : BLUE + 3]).all()
-        result = Projected(
-            visible=visible,
-            means2d=records[:, X : X + 2].astype(np.float64) + records[:, X_REST : X_REST + 2],
-            conics=records[:, A : C + 1] / CONIC_SCALE,
-            opacities=np.exp2(records[:, LOG2_OPACITY].astype(np.float64)),
-            colours=records[:, RED : BLUE + 1].copy(),
-            finite=bool(finite),
-        )
+        # Rows of splats that are not visible hold anything.
+        with np.errstate(over="ignore", invalid="ignore"):
+            result = Projected(
+                visible=visible,
+                means2d=records[:, X : X + 2].astype(np.float64) + records[:, X_REST : X_REST + 2],
+                conics=records[:, A : C + 1] / CONIC_SCALE,
+                opacities=np.exp2(records[:, LOG2_OPACITY].astype(np.float64)),
+                colours=records[:, RED : BLUE + 1].copy(),
+                finite=bool(finite),
+            )
         if self._backward:
-            d_image = np.random.default_rng(0).normal(size=frame.image.shape).astype(np.float32)
-            gradients = differentiate(splats, frame, d_image)
-            arrays = (*gradients.parameters, gradients.means2d, gradients.abs_means2d, gradients.pose)
-            result = replace(result, finite=result.finite and all(np.isfinite(a).all() for a in arrays))
+            result = replace(result, finite=result.finite and self._has_finite_gradients(block))
         return result
+
+    def _frame(self, block: Block, splats: Parameters) -> Frame:
+        return draw_frame(splats, block.camera, block.settings, self._workspace, threads=self._threads)
+
+    def _has_finite_gradients(self, block: Block) -> bool:
+        splats = parameters_of(_bounded(block.gaussians))
+        frame = self._frame(block, splats)
+        d_image = np.random.default_rng(0).normal(size=frame.image.shape).astype(np.float32)
+        gradients = differentiate(splats, frame, d_image)
+        arrays = (*gradients.parameters, gradients.means2d, gradients.abs_means2d, gradients.pose)
+        return all(np.isfinite(array).all() for array in arrays)
+
+
+def _bounded(gaussians: Gaussians) -> Gaussians:
+    """The same with finite harmonics of at most 1e4: a colour of 1e38 beside another has derivatives that are
+    larger than any number."""
+    sh = gaussians.sh
+    with np.errstate(invalid="ignore"):
+        return replace(gaussians, sh=np.where(np.isfinite(sh), np.clip(sh, -1e4, 1e4), sh))
 
 
 @dataclass(frozen=True, eq=False)
