@@ -14,8 +14,9 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip
 
-from ..folders import config_folder
+from ..folders import cache_folder, config_folder
 from ..gl.context import describe
+from ..gl.rehearsing import Rehearsals
 from . import keys, layout, opening, theme
 from .core import Core
 from .display import best_gl_version
@@ -71,6 +72,7 @@ class Window:
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
+        self._rehearsals: Rehearsals | None = None
         self._saved: Preferences = preferences
         self._save_due = 0.0
         self._touched = 0.0
@@ -84,6 +86,12 @@ class Window:
         """The GL context is there: make the picture and begin to load."""
         try:
             self._ctx = moderngl.create_context()
+            version = self._ctx.version_code
+            self._rehearsals = Rehearsals(
+                memory=cache_folder() / "compiled.txt",
+                gl_version=(version // 100, version // 10 % 10),
+                on_change=glfw.post_empty_event,
+            )
             self.core.picture = self._picture(self._ctx)
         except Exception as error:
             # An exception that leaves this callback would take the process down without a word.
@@ -107,7 +115,9 @@ class Window:
     def _picture(self, ctx: moderngl.Context) -> Picture:
         """What draws; says so where that is not what one would expect."""
         try:
-            picture = choose_picture(ctx, self._renderer, on_ready=glfw.post_empty_event)
+            picture = choose_picture(
+                ctx, self._renderer, on_ready=glfw.post_empty_event, rehearsals=self._rehearsals
+            )
         except Exception as error:
             if self._renderer != "auto":
                 raise
@@ -115,7 +125,7 @@ class Window:
             self.core.complain(
                 f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
             )
-            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event)
+            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, rehearsals=self._rehearsals)
         if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
             self.core.tell(
                 "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
@@ -207,6 +217,8 @@ class Window:
             core.attempt(core.training.stop)
         core.attempt(core.accuracy.end)
         core.attempt(core.effects.end)
+        if self._rehearsals is not None:
+            core.attempt(self._rehearsals.release)
         if core.picture is not None:
             core.attempt(core.picture.release)
             core.picture = None

@@ -4,19 +4,38 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ...scene import Gaussians, InputError, RenderSettings, concatenate
-from ...scene.effects import Effect, census, settings_for
+from ...scene.effects import Effect, scene_effects, settings_for
 from ...scene.files import LoadCancelled, load_scene
 from ...scene.framing import robust_bounds
 from ...scene.health import Finding, check
 from ..demo_cache import cached_demo
+
+
+Stamp = tuple[int, int, int]
+"""What tells that a file is still the one that was read."""
+
+
+def stamp_of(path: Path) -> Stamp | None:
+    """None where there is no such file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
+    """By the files that links lead to."""
+    found = {path.resolve(): stamp_of(path) for path in paths}
+    return {path: stamp for path, stamp in found.items() if stamp is not None}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +63,8 @@ class LoadedScene:
 
     seconds: float
     """How long loading took."""
+    stamps: Mapping[Path, Stamp] = field(default_factory=dict)
+    """Of its files, just before they were read."""
 
 
 class Loading:
@@ -88,6 +109,7 @@ class Loading:
     def _run(self) -> None:
         began = time.perf_counter()
         try:
+            stamps = stamps_of(self._paths)
             gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
             if self._cancelled.is_set():
                 return
@@ -101,6 +123,7 @@ class Loading:
                 radius=radius,
                 settings=settings,
                 seconds=time.perf_counter() - began,
+                stamps=stamps,
             )
         except LoadCancelled:
             self._cancelled.set()
@@ -132,7 +155,7 @@ class Examination:
 
     def _run(self) -> None:
         findings = check(self._gaussians)
-        self.effects = tuple(census(self._gaussians, findings=findings))
+        self.effects = tuple(scene_effects(self._gaussians, findings=findings))
         self.findings = tuple(findings)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from imgui_bundle import ImVec4, imgui
+from imgui_bundle import imgui
 
 from ....edit.operations import Select
 from ....edit.operations.repairing import REPAIRS, Repair
@@ -52,19 +52,14 @@ def show(core: Core) -> None:
 
 
 def examination(core: Core, found: Examination) -> None:
-    """Effects with their evidence, and splats that are ill: a click selects them."""
+    """How many effects are computed, and splats that are ill: a click selects them."""
     if not found.done:
-        widgets.section("Effects")
         widgets.note("Looking at the splats...")
         return
-    widgets.section("Effects")
-    for effect in found.effects:
-        imgui.text_colored(
-            ImVec4(*theme.ACCENT, 1) if effect.on else theme.QUIET, "on" if effect.on else "off"
-        )
-        imgui.same_line(imgui.get_font_size() * 2.6)
-        imgui.text(effect.name)
-        widgets.tooltip(effect.why)
+    receipt = core.effects.receipt(core)
+    on = sum(effect.in_force for effect in receipt)
+    tip = "The Effects panel tells which, why, and at which price."
+    widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)
     widgets.section("Health")
     ill = [finding for finding in found.findings if finding.count]
     if not ill:
