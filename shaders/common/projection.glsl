@@ -1,7 +1,11 @@
 // EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
-// scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC.
+// scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC, DISCS (splats are
+// flat: without ANTIALIASED and LENS).
 #include "common/lens.glsl"
 #include "common/numbers.glsl"
+#if HAS_DISCS
+#include "common/disc_projection.glsl"
+#endif
 
 uniform mat3 u_camera_from_world;  // world axes to camera axes
 uniform vec3 u_eye_high;           // the eye relative to the scene's centre; high + low carry float64's digits
@@ -26,6 +30,9 @@ struct Footprint {
     float opacity;
     float depth;     // t.z
     vec3 direction;  // unit, world axes, from the eye
+#if HAS_DISCS
+    Disc disc;       // what decides alpha: the conic and its axes are those of an ellipse around it
+#endif
 };
 
 mat3 rotation_matrix(vec4 quat, float largest) {
@@ -62,6 +69,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
 
     // Rows of M = J·W·R·diag(s), divided by their largest entry so that a huge splat does not overflow.
     mat3 axes = u_camera_from_world * rotation_matrix(quat, largest);
+    mat3 unit_axes = axes;
     axes = mat3(axes[0] * scale.x, axes[1] * scale.y, axes[2] * scale.z);
     vec3 m0 = vec3(axes[0].x, axes[1].x, axes[2].x), m1 = vec3(axes[0].y, axes[1].y, axes[2].y);
     vec2 scaled = u_focal;
@@ -80,6 +88,13 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     }
     m0 *= scaled.x;
     m1 *= scaled.y;
+#if HAS_DISCS
+    if (DISCS) {
+        float least = max(u_alpha_cut, u_least_share * opacity);
+        float disc_reach = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : DISC_MOST_REACH;
+        f.disc = disc_of(t, unit_axes, scale, disc_reach, u_focal, u_near, m0, m1);
+    }
+#endif
     if (!is_finite(m0) || !is_finite(m1)) return false;
     vec3 entries = max(abs(m0), abs(m1));
     float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);

@@ -1,5 +1,5 @@
 // The quad that one splat covers on screen, and what its fragments need. Row 0 of the target is the
-// picture's top row. Flag: POINTS (discs of one size).
+// picture's top row. Flags: POINTS (discs of one size), DISCS (flat splats: a and b are of an ellipse around).
 #include "common/falloff.glsl"
 
 uniform vec2 u_size;
@@ -9,6 +9,10 @@ uniform float u_least_share;  // of its opacity, below which a splat's alpha is 
 flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the exponent one of 2
 flat out vec2 v_c_cut;    // c, and the alpha below which there is none
 flat out vec4 v_colour;   // rgb, opacity
+#if HAS_DISCS
+flat out vec4 v_rows;     // see common/disc.glsl
+flat out vec4 v_plane;
+#endif
 
 const float POINT_RADIUS = 1.6;                      // px
 const float LARGE = 2048.0;                           // px; beyond it the rasteriser's fixed point suffers
@@ -18,6 +22,9 @@ void place_nothing() {
     gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
     v_shape = v_colour = vec4(0.0);
     v_c_cut = vec2(0.0);
+#if HAS_DISCS
+    v_rows = v_plane = vec4(0.0);
+#endif
 }
 
 // Places vertex gl_VertexID % 4. `shape` is mean.xy, a, b; `bound` is c, minor axis, major axis.xy.
@@ -25,6 +32,9 @@ void place_quad(vec4 shape, vec4 bound, vec4 colour) {
     v_shape = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
     v_c_cut = vec2(bound.x * ROOT_HALF_LOG2_E, max(u_alpha_cut, u_least_share * colour.a));
     v_colour = colour;
+#if HAS_DISCS
+    v_rows = v_plane = vec4(0.0);
+#endif
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
     vec2 major = bound.zw;
     float major_length = length(major);

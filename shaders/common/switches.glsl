@@ -3,6 +3,7 @@
 uniform bool u_flags_antialiased;
 uniform bool u_flags_lens;
 uniform bool u_flags_orthographic;
+uniform bool u_flags_discs;
 uniform int u_flags_sh_degree;
 uniform int u_flags_sh_words;
 uniform bool u_flags_hides;
@@ -20,6 +21,7 @@ uniform bool u_flags_behind;
 #define ANTIALIASED u_flags_antialiased
 #define LENS u_flags_lens
 #define ORTHOGRAPHIC u_flags_orthographic
+#define DISCS u_flags_discs
 #define SH_DEGREE u_flags_sh_degree
 #define SH_WORDS u_flags_sh_words
 #define HIDES u_flags_hides

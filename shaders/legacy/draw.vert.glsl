@@ -1,5 +1,5 @@
 // quads/draw.vert.glsl for OpenGL 3.3: the same quads, fetched from textures.
-// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE, POINTS, TINTS.
+// Flags: TEXTURE_WIDTH, QUADS_PER_INSTANCE, POINTS, DISCS, TINTS.
 #include "common/texels.glsl"
 #include "common/quad.glsl"
 #include "common/tint.glsl"
@@ -8,6 +8,10 @@ uniform usampler2D u_order;    // splats, nearest first
 uniform sampler2D u_shapes;
 uniform sampler2D u_bounds;
 uniform sampler2D u_colours;   // alpha is 0 where the splat is culled
+#if HAS_DISCS
+uniform sampler2D u_rows;
+uniform sampler2D u_planes;
+#endif
 uniform int u_ordered;         // how many of `u_order` to draw
 uniform float u_brightest;     // what the target can hold: infinity times no light would be NaN
 
@@ -23,4 +27,10 @@ void main() {
         texelFetch(u_shapes, texel, 0),
         texelFetch(u_bounds, texel, 0),
         vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+#if HAS_DISCS
+    if (DISCS) {
+        v_rows = texelFetch(u_rows, texel, 0);
+        v_plane = texelFetch(u_planes, texel, 0);
+    }
+#endif
 }

@@ -19,6 +19,10 @@ uniform int u_splats;
 layout(location = 0) out vec4 shape;   // mean.xy, a, b
 layout(location = 1) out vec4 bounds;  // c, minor axis, major axis.xy
 layout(location = 2) out vec4 colour;  // rgb, opacity
+#if HAS_DISCS
+layout(location = 3) out vec4 rows;    // see common/disc.glsl
+layout(location = 4) out vec4 plane;
+#endif
 
 #if HAS_OWN_DEGREES
 uint sh_place(uint splat) { return texelFetch(u_places, texel_of(splat), 0).r; }
@@ -48,4 +52,8 @@ void main() {
     shape = vec4(f.mean, f.conic.xy);
     bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);
     colour = vec4(max(rgb, vec3(0.0)), f.opacity);
+#if HAS_DISCS
+    rows = DISCS ? f.disc.rows : vec4(0.0);
+    plane = DISCS ? f.disc.plane : vec4(0.0);
+#endif
 }

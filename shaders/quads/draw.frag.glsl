@@ -4,8 +4,14 @@
 // noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
 // constant colour in place of all of main 0.74: most of it is reading and writing the target.
 // Flags: POINTS, OVERDRAW (counts splats in place of blending them), STOCHASTIC (is opaque, as often as alpha
-// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010), WEIGHTED (sums in any order, nearer splats counting more; the blend adds
-// colours and multiplies T. McGuire and Bavoil 2013).
+// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010), WEIGHTED (sums
+// in any order, nearer splats counting more; the blend adds colours and multiplies T. McGuire and Bavoil 2013),
+// DISCS (splats are flat).
+#if HAS_DISCS
+#include "common/disc.glsl"
+flat in vec4 v_rows;
+flat in vec4 v_plane;
+#endif
 uniform float u_max_alpha;
 
 flat in vec4 v_shape;
@@ -40,7 +46,11 @@ void main() {
         if (!(alpha > 0.0)) discard;
     } else {
         vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c_cut.x * d.y);
-        alpha = min(v_colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+        float power = dot(whitened, whitened);
+#if HAS_DISCS
+        if (DISCS) power = disc_power(v_rows, v_plane, d);
+#endif
+        alpha = min(v_colour.a * exp2(-power), u_max_alpha);
         if (!(alpha >= v_c_cut.y)) discard;
     }
     colour = OVERDRAW ? vec4(1.0, 0.0, 0.0, 0.0) : vec4(v_colour.rgb * alpha, alpha);

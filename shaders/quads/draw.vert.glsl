@@ -1,6 +1,6 @@
 // Four vertices a splat, nearest splat first.
 // Flags: QUADS_PER_INSTANCE, POINTS, DEPTH (the splat's depth in place of its colour), STOCHASTIC (in any
-// order, for a depth test), WEIGHTED (in any order, with a weight by depth), TINTS, TEXTURE_WIDTH.
+// order, for a depth test), WEIGHTED (in any order, with a weight by depth), DISCS, TINTS, TEXTURE_WIDTH.
 #include "quads/culled.glsl"
 #include "common/quad.glsl"
 #include "common/tint.glsl"
@@ -10,6 +10,9 @@ layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
 layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
 layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
+#if HAS_DISCS
+layout(std430, binding = 6) readonly buffer Discs { vec4 discs[]; };
+#endif
 
 float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
 #if HAS_STOCHASTIC
@@ -41,6 +44,12 @@ void main() {
     vec4 colour = colours[splat];
     if (DEPTH) colour.rgb = vec3(depth_of(splat));
     place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+#if HAS_DISCS
+    if (DISCS) {
+        v_rows = discs[2u * splat];
+        v_plane = discs[2u * splat + 1u];
+    }
+#endif
 #if HAS_WEIGHTED
     if (WEIGHTED) v_weight = clamp(exp(-u_weight_fall * (depth_of(splat) - u_nearest)), LEAST_WEIGHT, 1.0);
 #endif

@@ -17,6 +17,9 @@ layout(std430, binding = 5) writeonly buffer Bounds { vec4 bounds[]; };     // c
 layout(std430, binding = 6) writeonly buffer Colours { vec4 colours[]; };   // rgb, opacity
 layout(std430, binding = 7) writeonly buffer DepthKeys { uint depth_keys[]; };
 layout(std430, binding = 8) buffer GroupCounts { uint group_counts[]; };
+#if HAS_DISCS
+layout(std430, binding = 9) writeonly buffer Discs { vec4 discs[]; };       // two a splat: rows, plane
+#endif
 
 uint depth_key(float depth) {
     // Orders as the float does, negative depths included.
@@ -38,6 +41,12 @@ void main() {
     shapes[splat] = vec4(f.mean, f.conic.xy);
     bounds[splat] = vec4(f.conic.z, f.minor_axis, f.major_axis);
     colours[splat] = vec4(max(colour, vec3(0.0)), f.opacity);
+#if HAS_DISCS
+    if (DISCS) {
+        discs[2u * splat] = f.disc.rows;
+        discs[2u * splat + 1u] = f.disc.plane;
+    }
+#endif
     depth_keys[splat] = depth_key(f.depth);
     atomicAdd(group_counts[splat / uint(GROUP_SIZE)], 1u);
 }

@@ -1,17 +1,23 @@
 // Blends what a tile has into the picture, front to back, a batch at a time; one work group a tile. It starts
 // from what the target holds, so one picture may take several of these, nearer splats first.
-// Flags: REST (tries all splats that found no room among the pairs), WORKGROUP, BATCH, ROUNDS, TINTS, and
-// those of outline.
+// Flags: REST (tries all splats that found no room among the pairs), WORKGROUP, BATCH, ROUNDS, TINTS, DISCS
+// (splats are flat), and those of outline.
 #include "tiles/outline.glsl"
 #include "tiles/plan.glsl"
 #include "common/falloff.glsl"
 #include "common/tint.glsl"
+#if HAS_DISCS
+#include "common/disc.glsl"
+#endif
 #define PIXELS (TILE * TILE / WORKGROUP)
 
 layout(local_size_x = WORKGROUP) in;
 
 layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
+#if HAS_DISCS
+layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two a splat: rows, plane
+#endif
 layout(rgba32f, binding = 0) uniform image2D u_gathered;                       // rgb, T
 uniform uint u_round;
 uniform uint u_first;  // of the tile's splats, and at most how many from there on
@@ -23,6 +29,10 @@ uniform float u_early_stop;
 shared vec4 batch_shapes[BATCH];
 shared float batch_cs[BATCH];
 shared vec4 batch_colours[BATCH];
+#if HAS_DISCS
+shared vec4 batch_rows[BATCH];
+shared vec4 batch_planes[BATCH];
+#endif
 shared uint borders[2];
 shared uint open_pixels;
 #if HAS_REST
@@ -46,6 +56,12 @@ void put(uint place, uint splat) {
     batch_shapes[place] = vec4(shapes[splat].xy, shapes[splat].zw * ROOT_HALF_LOG2_E);
     batch_cs[place] = bounds[splat].x * ROOT_HALF_LOG2_E;
     batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
+#if HAS_DISCS
+    if (DISCS) {
+        batch_rows[place] = discs[2u * splat];
+        batch_planes[place] = discs[2u * splat + 1u];
+    }
+#endif
 }
 
 #if HAS_REST
@@ -123,7 +139,11 @@ void main() {
             for (int i = 0; i < PIXELS; i++) {
                 vec2 d = offset + vec2(step_to(i));
                 vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
-                float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+                float power = dot(whitened, whitened);
+#if HAS_DISCS
+                if (DISCS) power = disc_power(batch_rows[k], batch_planes[k], d);
+#endif
+                float alpha = min(colour.a * exp2(-power), u_max_alpha);
                 alpha = alpha >= cut ? alpha : 0.0;  // NaN too
                 sums[i].rgb += sums[i].a * alpha * colour.rgb;
                 sums[i].a *= 1.0 - alpha;

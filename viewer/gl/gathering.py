@@ -22,7 +22,7 @@ from .projector import QUADS_PER_INSTANCE, SLABS, Projector
 from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .variants import Variants
-from .view_uniforms import Uniform, ray_flags, set_uniforms
+from .view_uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 
 MODE_FLAGS: dict[str, dict[str, bool]] = {
     mode: {
@@ -97,9 +97,9 @@ class Gathering:
         `weights`: nor do they where each counts by its depth; the uniforms of that.
         """
         stored = (
-            {**scene.flags(), **ray_flags(uniforms)}
+            {**scene.flags(), **ray_flags(uniforms), "DISCS": False}
             if mode == "ellipsoids"
-            else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None}
+            else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None, **disc_flags(uniforms)}
         )
         program, array = mode_program(self._variants, self._indices, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
@@ -126,7 +126,7 @@ class Gathering:
                 order = self._closing.hide(projector, target.texture, slab, early_stop)
             _bind(
                 *(order, projector.slab_starts, projector.shapes, projector.bounds, projector.colours),
-                projector.depth_keys,
+                *(projector.depth_keys, *projector.disc_buffers(uniforms)),
             )
             own = {"u_brightest": target.brightest, "u_depth_unit": edits.placement.radius}
             set_uniforms(program, {"u_slab": slab, **own})

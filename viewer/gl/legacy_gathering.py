@@ -14,7 +14,7 @@ from .projector import QUADS_PER_INSTANCE
 from .scene_textures import SceneTextures
 from .targets import ColourTarget
 from .variants import Variants
-from .view_uniforms import Uniform, ray_flags, set_uniforms
+from .view_uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 
 NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
 """Flags: splats are always sorted."""
@@ -39,7 +39,8 @@ class LegacyGathering:
         ordered: int,
     ) -> None:
         """Fills `target` with the first `ordered` splats of `order`; all modes but ellipsoids."""
-        program, array = mode_program(self._variants, self._indices, "legacy", mode, edits, NO_ORDERS)
+        flags = {**NO_ORDERS, **disc_flags(uniforms)}
+        program, array = mode_program(self._variants, self._indices, "legacy", mode, edits, flags)
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         if not ordered:
@@ -63,7 +64,12 @@ class LegacyGathering:
     ) -> None:
         """Fills `target` with surfaces; a depth test takes the place of the order."""
         program, array = mode_program(
-            self._variants, self._indices, "legacy", "ellipsoids", edits, ray_flags(uniforms)
+            self._variants,
+            self._indices,
+            "legacy",
+            "ellipsoids",
+            edits,
+            {**ray_flags(uniforms), "DISCS": False},
         )
         framebuffer = target.with_depth()
         framebuffer.use()

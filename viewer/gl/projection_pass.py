@@ -28,6 +28,11 @@ class ProjectionPass:
         self._variants = variants
         self._textures: tuple[moderngl.Texture, ...] = ()
         self._framebuffer: moderngl.Framebuffer | None = None
+        self._rows = 0
+        self._disc_textures: tuple[moderngl.Texture, ...] = ()
+        """Two more, once flat splats have been drawn..."""
+        self._with_discs: moderngl.Framebuffer | None = None
+        """... and what renders into all five."""
         self._passed = ctx.query(samples=True)
         self._counting = False
         self._visible = 0
@@ -38,19 +43,32 @@ class ProjectionPass:
         Raises:
             InputError: there is not enough graphics memory; nothing has changed then.
         """
-        what, size = f"{rows * TEXTURE_WIDTH:,} footprints", rows * TEXTURE_WIDTH * 48
+        textures, framebuffer = self._make_textures(3, rows, "footprints", ())
+        self._release_sized()
+        self._textures, self._framebuffer, self._rows = textures, framebuffer, rows
+
+    def _make_textures(
+        self, count: int, rows: int, name: str, others: tuple[moderngl.Texture, ...]
+    ) -> tuple[tuple[moderngl.Texture, ...], moderngl.Framebuffer]:
+        """`count` textures, and what renders into `others` and these. Raises InputError, all or none."""
+        what, size = f"{rows * TEXTURE_WIDTH:,} {name}", rows * TEXTURE_WIDTH * 16 * count
         textures: list[moderngl.Texture] = []
         try:
-            for _ in range(3):
+            for _ in range(count):
                 textures.append(self._ctx.texture((TEXTURE_WIDTH, rows), 4, dtype="f4"))
                 check_room(self._ctx, what, size)
-            framebuffer = self._ctx.framebuffer(textures)
+            return tuple(textures), self._ctx.framebuffer((*others, *textures))
         except (moderngl.Error, InputError) as error:
             for texture in textures:
                 texture.release()
             raise no_room(what, size) from error
-        self._release_sized()
-        self._textures, self._framebuffer = tuple(textures), framebuffer
+
+    def _disc_framebuffer(self) -> moderngl.Framebuffer:
+        """That of all textures; made when discs are first drawn."""
+        if self._with_discs is None:
+            made = self._make_textures(2, self._rows, "discs", self._textures)
+            self._disc_textures, self._with_discs = made
+        return self._with_discs
 
     def run(
         self,
@@ -65,6 +83,7 @@ class ProjectionPass:
         """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours."""
         if self._framebuffer is None:
             raise RuntimeError("resize() comes before run()")
+        framebuffer = self._framebuffer
         flags = {
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
             "ANTIALIASED": antialiased,
@@ -73,6 +92,9 @@ class ProjectionPass:
             **scene.flags(),
             **edits.now.flags(),
         }
+        if flags["DISCS"]:
+            flags["ANTIALIASED"] = False  # of no effect on discs
+            framebuffer = self._disc_framebuffer()
         program, triangle = self._variants.drawing(
             "quads/fullscreen.vert.glsl", "legacy/project.frag.glsl", flags
         )
@@ -92,18 +114,19 @@ class ProjectionPass:
             scene.places.use(PLACES_UNIT)
             set_uniforms(program, {"u_places": PLACES_UNIT, "u_sh_layer": scene.sh_layer})
         set_uniforms(program, {"u_splats": scene.splats})
-        self._framebuffer.use()
+        framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
-        self._framebuffer.clear()
+        framebuffer.clear()
         with self._passed:
             triangle.render(moderngl.TRIANGLES, vertices=3)
         self._counting = True
 
     def use(self, program: moderngl.Program, first_unit: int) -> None:
-        """Binds the footprints for `program`: samplers u_shapes, u_bounds, u_colours."""
-        for unit, (name, texture) in enumerate(
-            zip(("u_shapes", "u_bounds", "u_colours"), self._textures, strict=True), start=first_unit
-        ):
+        """Binds the footprints for `program`: samplers u_shapes, u_bounds, u_colours; of discs, if there are,
+        also u_rows and u_planes."""
+        names = ("u_shapes", "u_bounds", "u_colours", "u_rows", "u_planes")
+        textures = (*self._textures, *self._disc_textures)
+        for unit, (name, texture) in enumerate(zip(names, textures, strict=False), start=first_unit):
             texture.use(unit)
             set_uniforms(program, {name: unit})
 
@@ -118,9 +141,12 @@ class ProjectionPass:
         if self._framebuffer is not None:
             self._framebuffer.release()
             self._framebuffer = None
-        for texture in self._textures:
+        if self._with_discs is not None:
+            self._with_discs.release()
+            self._with_discs = None
+        for texture in (*self._textures, *self._disc_textures):
             texture.release()
-        self._textures = ()
+        self._textures = self._disc_textures = ()
 
     def release(self) -> None:
         self._release_sized()

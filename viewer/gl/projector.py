@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 
+from ...scene import InputError
 from .edit_textures import EditTextures
 from .kept_order import KeptOrder
 from .memory import reserve
 from .programs import load_compute
-from .scene_buffers import GROUP_SIZE, SceneBuffers
+from .scene_buffers import GROUP_SIZE, SceneBuffers, storage_limit
 from .sort import KEY_BITS, RadixSort
 from .variants import Variants
-from .view_uniforms import Uniform, ray_flags, set_uniforms
+from .view_uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 from .visible_count import VisibleCount
 
 QUADS_PER_INSTANCE = 512
@@ -69,6 +71,8 @@ class Projector:
         self.commands = ctx.buffer(reserve=20 * SLABS)
         """DrawElementsIndirectCommand a slab."""
         self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
+        self.discs: moderngl.Buffer | None = None
+        """Two records a splat beside the others, once flat splats have been drawn."""
         self._sized: list[moderngl.Buffer] = []
         self._sorter: RadixSort | None = None
 
@@ -116,6 +120,9 @@ class Projector:
             **ray_flags(uniforms),
             **edits.now.flags(),
         }
+        if flags["DISCS"]:
+            flags["ANTIALIASED"] = False  # of no effect on discs
+            self._disc_buffer().bind_to_storage_buffer(9)
         program = self._variants.compute("quads/project.comp.glsl", flags)
         set_uniforms(program, uniforms)
         edits.use(program)
@@ -151,6 +158,23 @@ class Projector:
         self._ctx.memory_barrier()
         self.visible.frame_done()
 
+    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[moderngl.Buffer, ...]:
+        """What drawing needs besides, where the splats of `view_uniforms` are flat."""
+        return (self._disc_buffer(),) if disc_flags(uniforms)["DISCS"] else ()
+
+    def _disc_buffer(self) -> moderngl.Buffer:
+        """Raises InputError where there is no room for it."""
+        if self.discs is None:
+            size, what = max(1, self.splats) * 2 * RECORD_BYTES, f"{self.splats:,} discs"
+            if size > storage_limit(self._ctx):
+                raise InputError(
+                    f"{what} need a storage buffer of {size >> 20} MiB, more than this driver allows; "
+                    "use --renderer cpu or --footprint ellipsoid"
+                )
+            (self.discs,) = reserve(self._ctx, [size], what)
+            self._sized.append(self.discs)
+        return self.discs
+
     def _compacting_kept(self) -> moderngl.ComputeShader:
         if self._compact_kept is None:
             flags = {"GROUP_SIZE": GROUP_SIZE, "KEPT": True}
@@ -175,6 +199,7 @@ class Projector:
             self._sorter = None
         while self._sized:
             self._sized.pop().release()
+        self.discs = None
 
     def release(self) -> None:
         self._release_sized()

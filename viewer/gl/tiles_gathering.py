@@ -16,7 +16,7 @@ from .scene_buffers import SceneBuffers
 from .targets import ColourTarget
 from .tiles_pairs import REST_GROUPS_OFFSET, PairTuning, TilePairs, bind, records
 from .variants import Variants
-from .view_uniforms import Uniform, set_uniforms
+from .view_uniforms import Uniform, disc_flags, set_uniforms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +88,18 @@ class TilesGathering(Gathering):
             tiles, splats = self.pairs.make(projector, index)
             program = self._ready(False, target, edits, {**values, "u_round": index})
             bind(tiles, splats, *records(projector))
+            self._bind_discs(projector, uniforms)
             for _ in self._parts(program, projector):
                 program.run(*self.pairs.tiles)
         program = self._ready(True, target, edits, values)
         bind(projector.order, projector.order, *records(projector))
+        self._bind_discs(projector, uniforms)
         for _ in self._parts(program, projector):
             program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
+
+    def _bind_discs(self, projector: Projector, uniforms: Mapping[str, Uniform]) -> None:
+        for buffer in projector.disc_buffers(uniforms):
+            buffer.bind_to_storage_buffer(7)
 
     def _parts(self, program: moderngl.ComputeShader, projector: Projector) -> Iterator[int]:
         """Sets `program` up for each part of a tile's splats, which are at most as many as the scene's."""
@@ -114,6 +120,7 @@ class TilesGathering(Gathering):
             "WORKGROUP": tuning.workgroup,
             "BATCH": tuning.batch,
             "ROUNDS": tuning.pairs.most_rounds,
+            **disc_flags(values),
             **edits.now.flags(projects=False, shows="splats"),
         }
         program = self._variants.compute("tiles/blend.comp.glsl", flags)

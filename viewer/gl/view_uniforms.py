@@ -9,6 +9,7 @@ import moderngl
 import numpy as np
 
 from ...scene import Camera, InputError, RenderSettings
+from ...scene.discs import check_discs
 from .frame import VisualMode
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
@@ -19,6 +20,13 @@ ORTHOGRAPHIC = "u_orthographic"
 
 LENS_REACH = "u_lens_reach"
 
+SHARPNESS = "u_sharpness"
+
+HALF_LOG2_E = 0.5 * math.log2(math.e)
+
+MOST_SHARPNESS = 1e30
+"""1/px²: of a blur of 0."""
+
 LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -28,6 +36,7 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
     eye = camera.eye - centre
     high = eye.astype(np.float32)
     low = (eye - high).astype(np.float32)
+    check_discs(camera, model)
     limits = np.clip(camera.slope_limits(model.jacobian_margin), -LARGEST, LARGEST)
     rays: dict[str, Uniform] = {ORTHOGRAPHIC: camera.orthographic}
     if camera.lens is not None:
@@ -42,6 +51,9 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
             "u_lens_skew_last": form.skew_last,
             LENS_REACH: min(form.reach_squared, LARGEST),
         }
+    if model.footprint == "disc":
+        sharpness = HALF_LOG2_E / model.blur if model.blur > 0 else math.inf
+        rays |= {SHARPNESS: min(sharpness, MOST_SHARPNESS), "u_perspective": float(not camera.orthographic)}
     return {
         **rays,
         # moderngl takes matrices column by column
@@ -68,7 +80,16 @@ def check_rays(camera: Camera, mode: VisualMode) -> None:
 
 def ray_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:
     """The flags of ``common/projection.glsl`` for the camera that `view_uniforms` were made of."""
-    return {"LENS": LENS_REACH in uniforms, "ORTHOGRAPHIC": bool(uniforms[ORTHOGRAPHIC])}
+    return {
+        "LENS": LENS_REACH in uniforms,
+        "ORTHOGRAPHIC": bool(uniforms[ORTHOGRAPHIC]),
+        **disc_flags(uniforms),
+    }
+
+
+def disc_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:
+    """The flag of shaders that only draw: whether `view_uniforms` were made for flat splats."""
+    return {"DISCS": SHARPNESS in uniforms}
 
 
 def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, values: Mapping[str, Uniform]) -> None:

@@ -37,6 +37,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "degree 1": {"sh_degree": 1},
     "degree 2": {"sh_degree": 2},
     "antialiased": {"antialiased": True},
+    "discs": {"footprint": "disc"},
     "cut at 2 sigma": {"sigma_cut": 2.0},
     "background": {"background": (0.2, 0.5, 0.9)},
     "points": {"mode": "points"},
@@ -96,8 +97,10 @@ def pictures(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> tuple[np
     for effect in effects:
         chosen |= SETTINGS.get(effect, {})
     mode, antialiased = chosen.pop("mode", "splats"), chosen.pop("antialiased", False)
+    footprint = chosen.pop("footprint", "ellipsoid")
     settings = RenderSettings(blend="float32", **chosen)
-    settings = replace(settings, model=replace(settings.model, antialiased=antialiased))
+    model = replace(settings.model, antialiased=antialiased).with_footprint(footprint)
+    settings = replace(settings, model=model)
     shown: dict[str, Any] = {"mode": mode, "edits": edits_of(effects)}
     shown["overlay"] = Overlay() if "selected" in effects else None
     renderer.load(scene)
