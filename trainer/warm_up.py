@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from ..scene import look_at
+from ..scene import Lens, look_at
 from .initialise import initial_parameters
 from .settings import TrainSettings
 from .shots import Shot, Shots
 from .training import Trainer
 
+BARREL = Lens(model="SIMPLE_RADIAL", parameters=(-0.1,))
 
-def warm_up() -> None:
-    """Takes about a second where kernels are cached, and a minute, once per installation, where not."""
+
+def warm_up(*, lens: bool = False) -> None:
+    """Takes about a second where kernels are cached, and a minute, once per installation, where not.
+
+    `lens`: those for photos through a lens, rather than a pinhole.
+    """
     camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
-    shot = Shot(camera, np.zeros((16, 16, 3), np.uint8))
+    shot = Shot(replace(camera, lens=BARREL if lens else None), np.zeros((16, 16, 3), np.uint8))
     points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
     colours = np.full((32, 3), 128, np.uint8)
     for strategy in ("mcmc", "classic"):

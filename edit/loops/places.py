@@ -58,6 +58,7 @@ class View(NamedTuple):
     fy: float
     cx: float
     cy: float
+    orthographic: bool
 
 
 def view_of(camera: Camera) -> View:
@@ -68,7 +69,20 @@ def view_of(camera: Camera) -> View:
         float(camera.fy),
         float(camera.cx),
         float(camera.cy),
+        camera.orthographic,
     )
+
+
+def image_points(start: int, stop: int, places: Places, camera: Camera, near: float) -> np.ndarray:
+    """(stop - start, 2) float64: pixels of the means of splats start to stop; NaN before `near` and beyond
+    the reach of the camera's lens."""
+    points = np.empty((stop - start, 2))
+    if camera.lens is None:
+        project_places(start, stop, places, view_of(camera), near, points)
+        return points
+    slopes = view_of(camera)._replace(fx=1.0, fy=1.0, cx=0.0, cy=0.0)
+    project_places(start, stop, places, slopes, near, points)
+    return camera.image_points(np.column_stack([points, np.ones(len(points))]))
 
 
 @kernel
@@ -82,8 +96,9 @@ def project_places(start, stop, places, view, near, points):
         if depth >= near:
             right = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
             down = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
-            points[i - start, 0] = view.fx * right / depth + view.cx
-            points[i - start, 1] = view.fy * down / depth + view.cy
+            away = 1.0 if view.orthographic else depth
+            points[i - start, 0] = view.fx * right / away + view.cx
+            points[i - start, 1] = view.fy * down / away + view.cy
         else:
             points[i - start, 0] = np.nan
             points[i - start, 1] = np.nan

@@ -12,7 +12,7 @@ from ...scene import Camera, Gaussians
 from ...scene.edits import SceneEdits
 from ...scene.image_model import NEAR
 from ..loops.pieces import in_pieces
-from ..loops.places import places_of, project_places, view_of
+from ..loops.places import image_points, places_of
 from ..loops.regions import in_polygon, in_rectangle, in_stroke, make_polygon, make_stroke
 from ..tools import Tools
 from ..watch import UNWATCHED, Watch
@@ -56,12 +56,10 @@ class ScreenRegion:
         if self.depth == "front":
             return self._front(bounds, inside, gaussians, edits, tools)
         mask = np.empty(len(gaussians), bool)
-        places, view = places_of(gaussians, edits), view_of(self.camera)
+        places = places_of(gaussians, edits)
 
         def work(start: int, stop: int) -> None:
-            points = np.empty((stop - start, 2))
-            project_places(start, stop, places, view, NEAR, points)
-            inside(points, mask[start:stop])
+            inside(image_points(start, stop, places, self.camera, NEAR), mask[start:stop])
 
         in_pieces(len(mask), work, watch=watch)
         return mask

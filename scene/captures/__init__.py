@@ -12,12 +12,12 @@ from ..errors import InputError
 from ..files.progress import LoadCancelled, Watch
 from .assemble import capture_name, capture_of
 from .camera_list import FILE_NAME, read_camera_list
-from .capture import Capture, LensUse, Photo, Pixels
+from .capture import DEFAULT_LENS_USE, Capture, LensUse, Photo, Pixels
 from .colmap import find_colmap, read_colmap
 from .posed import PosedPhotos
 from .transforms import find_transforms, read_transforms
 
-__all__ = ["Capture", "LensUse", "LoadCancelled", "Photo", "Pixels", "load_capture"]
+__all__ = ["DEFAULT_LENS_USE", "Capture", "LensUse", "LoadCancelled", "Photo", "Pixels", "load_capture"]
 
 
 def load_capture(
@@ -25,7 +25,7 @@ def load_capture(
     *,
     downscale: int = 1,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    lens: LensUse = "undistort",
+    lens: LensUse = DEFAULT_LENS_USE,
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Capture:

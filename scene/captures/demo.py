@@ -47,13 +47,13 @@ def demo_truth(splats: int | None = None) -> Gaussians:
     return demo_scene("landscape", splats=splats)
 
 
-def demo_cameras(count: int, width: int, height: int) -> list[Camera]:
-    """On two arcs around the pond, in turn the low and the high one."""
+def demo_cameras(count: int, width: int, height: int, fov_y: float = FOV_Y) -> list[Camera]:
+    """On two arcs around the pond, in turn the low and the high one; `fov_y` in degrees."""
     cameras = []
     for i, angle in enumerate(np.radians(np.linspace(*TURN, count))):
         offset = np.array([np.sin(angle) * DISTANCE, -HEIGHTS[i % 2], -np.cos(angle) * DISTANCE])
         cameras.append(
-            look_at(TARGET + offset, TARGET, up=(0, -1, 0), fov_y=FOV_Y, width=width, height=height)
+            look_at(TARGET + offset, TARGET, up=(0, -1, 0), fov_y=fov_y, width=width, height=height)
         )
     return cameras
 
@@ -67,14 +67,15 @@ def demo_capture(
     splats: int | None = None,
     truth: Gaussians | None = None,
     lens: Lens | None = None,
+    fov_y: float = FOV_Y,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Capture:
     """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
 
     `truth` is `demo_truth(splats)` where the caller has it already. `lens` is what pictures are taken
-    through, with the focal length of the pinhole. `seed` is of the noise alone. A renderer may be anything;
-    this package knows none.
+    through, with the focal length of a pinhole of `fov_y` degrees. `seed` is of the noise alone. A renderer
+    may be anything; this package knows none.
 
     Raises:
         InputError: fewer than two photos.
@@ -84,7 +85,7 @@ def demo_capture(
     if truth is None:
         truth = demo_truth(splats)
     shots = []
-    for i, camera in enumerate(demo_cameras(photos, width, height)):
+    for i, camera in enumerate(demo_cameras(photos, width, height, fov_y)):
         camera = replace(camera, lens=lens)
         picture = render(truth, camera, RenderSettings())[..., :3]
         image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -145,7 +145,7 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
     except ToldElsewhere:
         return EXIT_BAD_INPUT
     console.print(_opening(ready), highlight=False, soft_wrap=True)
-    started += ready.uncounted + ready_kernels(console)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 

@@ -75,6 +75,11 @@ class Run:
     uncounted: float
     """Seconds spent on what is made once per installation; they count against no budget."""
 
+    @property
+    def has_lens(self) -> bool:
+        """Whether photos are trained on through a lens."""
+        return any(photo.camera.lens is not None for photo in self.capture.photos)
+
 
 def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
     """Reads the capture and makes the trainer; the outputs have been tried by then.
@@ -156,11 +161,14 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
 
 
-def ready_kernels(console: Console) -> float:
-    """Compiles or loads the kernels; returns the seconds of compiling, which count against no budget."""
+def ready_kernels(console: Console, *, lens: bool = False) -> float:
+    """Compiles or loads the kernels; returns the seconds of compiling, which count against no budget.
+
+    `lens`: those for photos through a lens.
+    """
     begun = time.perf_counter()
     with console.status("Readying the kernels (once per installation: about a minute)"):
-        warm_up()
+        warm_up(lens=lens)
     seconds = time.perf_counter() - begun
     if seconds < COMPILED_SECONDS:
         return 0.0

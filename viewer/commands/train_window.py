@@ -43,7 +43,7 @@ def train_in_window(
     console = Console(stderr=True)
     ready = prepare(options, console, Alone())
     console.print(opening(ready), highlight=False, soft_wrap=True)
-    started += ready.uncounted + ready_kernels(console)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     session = Session(
         ready.trainer,
         ready.held_out,

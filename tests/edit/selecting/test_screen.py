@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from splatview.edit.selecting import Brush, Lasso, Polygon, Rectangle
 from splatview.edit.tools import NoTools
-from splatview.scene import InputError, look_at
+from splatview.scene import InputError, Lens, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means
 from splatview.scene.image_model import NEAR
 
@@ -23,8 +23,12 @@ def pixels_of(gaussians, edits, camera) -> np.ndarray:
     """(N, 2) px; NaN before the near plane."""
     means = adjusted_means(gaussians, edits).astype(np.float64)
     t = (means - camera.eye) @ camera.R_camera_world.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        points = t[:, :2] / t[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    if camera.lens is not None:
+        points = camera.image_points(t)
+    else:
+        away = 1 if camera.orthographic else t[:, 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            points = t[:, :2] / away * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     return np.where(t[:, 2:] >= NEAR, points, np.nan)
 
 
@@ -108,3 +112,20 @@ def test_the_front_needs_a_renderer(edit_helpers, edited):
         Polygon(camera=CAMERA, points=SQUARE, depth="front").mask(
             edit_helpers.make_scene(5), edited.none(5), NoTools()
         )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lens": Lens(model="OPENCV", parameters=(-0.3, 0.0, 0.01, 0.0))},
+        {"lens": Lens(model="OPENCV_FISHEYE", parameters=(0.05, 0.0, 0.0, 0.0)), "fx": 20.0, "fy": 20.0},
+        {"orthographic": True, "fx": 20.0, "fy": 20.0},
+    ],
+)
+def test_lenses_and_parallel_rays(edit_helpers, edited, change):
+    scene, edits = edit_helpers.make_scene(400, seed=3), edited.some(400, seed=3)
+    camera = replace(CAMERA, **change)
+    x, y = pixels_of(scene, edits, camera).T
+    mask = Rectangle(camera=camera, x0=12.0, y0=10.0, x1=45.0, y1=35.0).mask(scene, edits, NoTools())
+    np.testing.assert_array_equal(mask, (x >= 12) & (x <= 45) & (y >= 10) & (y <= 35))
+    assert 0 < mask.sum() < len(scene)
