@@ -17,12 +17,6 @@ MIP_BLUR = 0.1
 FLAT_RATIO = 100.0
 """Middle to shortest axis, from which on a splat is a disc."""
 
-NO_THICKNESS = 1e4
-"""The same, from which on it has none to speak of: a trainer that knows nothing of discs leaves some."""
-
-FLAT_SHARE = 0.99
-"""A scene is flat where all but a stray few of its splats are discs without thickness."""
-
 FLAT = "flat 2D splats"
 
 ANTIALIASED = "antialiased opacity"
@@ -62,26 +56,28 @@ def antialiased_effect(gaussians: Gaussians) -> Effect:
 
 
 def is_flat(gaussians: Gaussians) -> bool:
-    """Whether splats are meant as planar discs: the file says so, or no splat has a thickness."""
-    return (
-        _said_flat(gaussians.comments) or _share(_thinner(gaussians, NO_THICKNESS), gaussians) >= FLAT_SHARE
-    )
+    """Whether splats are meant as planar discs: only the file can say so.
+
+    Not their shapes: a training of solid splats leaves flat ones too, which were fitted to the photos as
+    ellipsoids are drawn, with their blur, and differ from discs wherever they are seen from the side.
+    """
+    return _said_flat(gaussians.comments)
 
 
 def flat_effect(gaussians: Gaussians) -> Effect:
-    discs, without = (_thinner(gaussians, ratio) for ratio in (FLAT_RATIO, NO_THICKNESS))
+    discs = _thinner(gaussians, FLAT_RATIO)
     on, share = is_flat(gaussians), _share(discs, gaussians)
-    why = (
-        f"{discs:,} of {len(gaussians):,} splats ({share:.0%}) are thinner than 1:{FLAT_RATIO:g}, "
-        f"{without:,} than 1:{NO_THICKNESS:g}"
-    )
-    if _said_flat(gaussians.comments):
-        why += "; the file says SplatRenderMode: 2dgs"
+    why = f"{discs:,} of {len(gaussians):,} splats ({share:.0%}) are thinner than 1:{FLAT_RATIO:g}"
+    if on:
+        why += "; the file says SplatRenderMode: 2dgs: each is a disc that rays meet"
+    elif discs:
+        why += "; the file does not say that it was trained with discs: each is solid, as it was trained"
+    else:
+        why += ": each is solid"
     return Effect(
         name=FLAT,
         on=on,
-        why=why
-        + ("; each is a disc that rays meet" if on else "; each is a solid Gaussian, as it was trained"),
+        why=why,
         saving=Saving(what="meeting the plane of each splat, at every pixel"),
         bound=math.inf if on else 0.0,
         can_override=True,

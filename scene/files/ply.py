@@ -37,7 +37,11 @@ REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of ``f_rest_*`` -> SH coefficients a channel, the constant one included."""
 
 FLAT_RATIO = 1000.0
-"""Splats stored with two scales get a third that is this much smaller than the smaller one."""
+"""Splats stored with two scales get a third that is this much smaller than the smaller one: their normal is
+the third axis (Huang et al. 2024, their released code), and drawn as ellipsoids they are thin."""
+
+FLAT_TAG = "SplatRenderMode: 2dgs"
+"""The comment by which a file says that its splats are discs."""
 
 
 def load_ply(path: Path, watch: Watch) -> Gaussians:
@@ -151,7 +155,10 @@ def _read_splats(
     comments = header.comments
     if "scale_2" not in column:
         log_scales[:, 2] = log_scales[:, :2].min(axis=1) - np.float32(math.log(FLAT_RATIO))
-        comments += (f"splatview: the file had two scales; the third is the smaller / {FLAT_RATIO:g}",)
+        comments += (
+            FLAT_TAG,
+            f"splatview: the file had two scales; the third is the smaller / {FLAT_RATIO:g}",
+        )
     if set(NORMAL) <= set(extras) and not any(_has_bits(extras[name]) for name in NORMAL):
         # The usual layout has normals of zeros that mean nothing; saving writes them again.
         extras = {name: values for name, values in extras.items() if name not in NORMAL}

@@ -128,10 +128,12 @@ def test_flat_scenes(random_gaussians):
     assert receipt(replace(scene, comments=("SplatRenderMode: 2dgs",)))["flat 2D splats"].on
     log_scales = scene.log_scales.copy()
     log_scales[:, 1] = -16
+    # Flat all of them, but nobody said that they were trained as discs.
     flat = receipt(replace(scene, log_scales=log_scales))["flat 2D splats"]
-    assert flat.on and "1,000 of 1,000" in flat.why
-    log_scales[:20, 1] = log_scales[:20, 0]
-    assert not receipt(replace(scene, log_scales=log_scales))["flat 2D splats"].on
+    assert not flat.on and "1,000 of 1,000" in flat.why and "does not say" in flat.why
+    assert settings_for(replace(scene, log_scales=log_scales)).model.footprint == "ellipsoid"
+    forced = settings_for(replace(scene, log_scales=log_scales), {"flat 2D splats": True})
+    assert forced.model == ImageModel().with_footprint("disc")
 
 
 def test_centred_positions_where_float32_is_too_coarse(random_gaussians):

@@ -42,7 +42,7 @@ def make_parser() -> Parser:
         "render",
         "Renders SCENE without a window.\n\n"
         "A .png is 8-bit RGB; a .npy is float32 (height, width, 4), RGB over the background and alpha.\n"
-        "What the scene calls for (antialiased opacity, SH degree) is read from it; options override.",
+        "What the scene calls for (antialiased opacity, discs, SH degree) is read from it; options override.",
     )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
@@ -58,6 +58,12 @@ def make_parser() -> Parser:
         "--antialiased",
         action=argparse.BooleanOptionalAction,
         help="opacity made up for the blur (default: as the file says)",
+    )
+    group.add_argument(
+        "--footprint",
+        choices=("auto", "ellipsoid", "disc"),
+        default="auto",
+        help="solid splats, or flat ones that each pixel's ray meets (default: auto, as the file says)",
     )
     group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
     group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
@@ -134,7 +140,8 @@ def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSet
         )
         if value is not None
     }
-    settings = replace(settings, model=replace(settings.model, **changes))
+    model = settings.model if args.footprint == "auto" else settings.model.with_footprint(args.footprint)
+    settings = replace(settings, model=replace(model, **changes))
     # The truth leaves out nothing, not even what cannot be seen.
     if args.sh_degree is not None or args.renderer == "reference":
         settings = replace(settings, sh_degree=None)

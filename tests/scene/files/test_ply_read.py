@@ -11,8 +11,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from splatview.scene import Gaussians, InputError
-from splatview.scene.files import LoadCancelled, load_scene, ply_rows
+from splatview.scene import Gaussians, ImageModel, InputError
+from splatview.scene.effects import settings_for
+from splatview.scene.files import LoadCancelled, load_scene, ply_rows, save_scene
 
 FORMS = ("binary_little_endian", "binary_big_endian", "ascii")
 
@@ -83,6 +84,12 @@ def test_two_scales_become_thin_discs(tmp_path, random_gaussians, columns_of, ma
     smaller = loaded.log_scales[:, :2].min(axis=1)
     assert np.allclose(loaded.log_scales[:, 2], smaller - np.log(1000), atol=1e-5)
     assert any("two scales" in comment for comment in loaded.comments)
+    assert settings_for(loaded).model == ImageModel().with_footprint("disc")
+    # Saved with a third scale, it still says what it is, once.
+    again = tmp_path / "again.ply"
+    save_scene(loaded, again)
+    assert load_scene(again).comments == loaded.comments
+    assert settings_for(load_scene(again)).model.footprint == "disc"
 
 
 @pytest.mark.parametrize("eol", ["\n", "\r\n"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from imgui_bundle import ImVec4, imgui
 
-from ....scene.image_model import BLUR, ImageModel
+from ....scene.image_model import BLUR, DISC_BLUR, ImageModel
 from ..actions import VISUAL_MODES, set_mode
 from ..core import Core
 from ..preferences import RANGES
@@ -92,11 +92,21 @@ def background(core: Core) -> None:
 
 def image_model(core: Core) -> None:
     model = core.settings.model
+    footprint = widgets.combo(
+        "Splats are",
+        model.footprint,
+        ("ellipsoid", "disc"),
+        "Solid, or flat discs that each pixel's ray meets (2D Gaussian Splatting). Right is what the scene "
+        "was trained as; blur changes with it.",
+        ["Solid ellipsoids", "Flat discs"],
+    )
+    if footprint is not None:
+        model = model.with_footprint("disc" if footprint == "disc" else "ellipsoid")
     antialiased = widgets.checkbox(
         "Antialiased",
         model.antialiased,
         "Takes back from small splats the brightness that the blur adds (Mip-Splatting). Right only for "
-        "scenes that were trained so; others become thin and dark.",
+        "scenes that were trained so; others become thin and dark. Without effect on discs.",
     )
     if antialiased is not None:
         model = replace(model, antialiased=antialiased)
@@ -105,7 +115,8 @@ def image_model(core: Core) -> None:
         model.blur,
         0.0,
         1.0,
-        f"Variance in px² added to every footprint. Trained scenes expect {BLUR}; some antialiased ones 0.1.",
+        f"Variance in px² added to every footprint. Trained scenes expect {BLUR}; some antialiased ones 0.1. "
+        f"Of discs: of the dot that each is at least; they expect {DISC_BLUR}.",
     )
     if blur is not None:
         model = replace(model, blur=blur)
@@ -135,7 +146,7 @@ def image_model(core: Core) -> None:
     if core.settings.model != called_for:
         widgets.button(
             "As the scene calls for",
-            "Takes antialiasing, blur and near back to what the scene was trained with, as far as its file "
-            "says.",
+            "Takes footprint, antialiasing, blur and near back to what the scene was trained with, as far as "
+            "its file says.",
             lambda: setattr(core, "settings", replace(core.settings, model=called_for)),
         )
