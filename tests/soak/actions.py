@@ -319,7 +319,7 @@ ACTIONS: dict[str, tuple[float, Callable[[Soaked, np.random.Generator], Any]]] =
     "shortcut": (2, shortcut),
     "exact": (2, exact),
     "budget": (1, budget),
-    "measure": (0.7, measure),
+    "measure": (0.3, measure),
     "compare": (1, compare),
     **EDITING,
 }

@@ -40,6 +40,9 @@ scene and history hold: so many MiB, and such a share of what it had. Shader var
 first used late, and what allocators keep, are within it; a picture lost a second is not: at 800x500 px that
 is 6 MiB."""
 
+LEAST_LOOKS = 24
+"""At the memory, before anything is concluded from it."""
+
 BLOCK = 1 << 22
 
 
@@ -87,7 +90,7 @@ class Memory:
         """MiB, from the median of the second third to that of the last: the first one fills caches."""
         rest = self._rest
         third = len(rest) // 3
-        if third < 2:
+        if len(rest) < LEAST_LOOKS:
             return 0.0
         return statistics.median(rest[-third:]) - statistics.median(rest[third : 2 * third])
 
@@ -97,7 +100,7 @@ class Memory:
         return ALLOWED_MIB + ALLOWED_SHARE * (statistics.median(rest) if rest else 0.0)
 
     def problems(self) -> list[str]:
-        if self.growth <= self.allowed:
+        if not self.growth > self.allowed:
             return []
         return [f"memory grew by {self.growth:.0f} MiB, {self.allowed:.0f} are allowed"]
 

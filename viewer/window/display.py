@@ -49,10 +49,14 @@ def best_gl_version() -> tuple[int, int]:
                 if window:
                     glfw.destroy_window(window)
                     return major, minor
-                reasons.append(str(glfw.get_error()[1]))
+                reason = glfw.get_error()[1] or b"no reason given"
+                reasons.append(reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason))
         finally:
             glfw.terminate()
-    raise InputError(f"this display's OpenGL is older than 3.3 ({reasons[-1]}); update the graphics driver")
+    raise InputError(
+        f"no window with OpenGL 3.3 can be opened here ({reasons[-1]}); update the graphics driver, or see"
+        " what splatview doctor finds"
+    )
 
 
 def no_display_reason() -> str:

@@ -18,7 +18,6 @@ from ...scene.framing import robust_bounds
 from ...scene.health import Finding, check
 from ..demo_cache import cached_demo
 
-
 Stamp = tuple[int, int, int]
 """What tells that a file is still the one that was read."""
 

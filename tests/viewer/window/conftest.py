@@ -133,8 +133,8 @@ def drive(display, tmp_path) -> Callable[..., dict[str, Any]]:
             DISPLAY=display,
             SPLATVIEW_CONFIG_DIR=str(tmp_path / "config"),
             LIBGL_ALWAYS_SOFTWARE="1",
-            **(environ or {}),
         )
+        environment.update(environ or {})
         environment.pop("WAYLAND_DISPLAY", None)
         command = [
             sys.executable,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from ....edit.watch import Cancelled, Watch
 from ....scene import Gaussians, InputError
 from ....scene.edits import PREVIEW, SceneEdits
 from ...gl.overlay import Overlay
+from ..loading import Stamp
 from .forms import Forms
 from .measuring import Measured
 from .strokes import Stroke
@@ -100,6 +102,8 @@ class Desk:
     trainee: Trainee | None = None
     """Where the scene is in training: what edits mean to the trainer."""
     journal: Journal | None = None
+    stamps: dict[Path, Stamp] = field(default_factory=dict)
+    """Of the files that are open, as they were read or as they were exported over since."""
     pivot: tuple[object, Place] | None = None
     """What it is of, and the middle that transforms turn about."""
     seen_position: int = -1

@@ -13,6 +13,7 @@ from ....edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay,
 from ....edit.watch import Watch
 from ....scene import InputError
 from ...folders import config_folder
+from ..loading import stamp_of, stamps_of
 from ..training.actions import export as export_training
 from ..training.held import AT_REST
 from .desk import Desk
@@ -50,6 +51,13 @@ def export_to(core: Core, path: Path) -> None:
     if desk is None:
         return
     target = path if path.suffix else path.with_suffix(".ply")
+    read = desk.stamps.get(target.resolve())
+    if read is not None and stamp_of(target) not in (read, None):
+        core.complain(
+            f"{target}: another program has changed it since it was opened here; export under another name,"
+            " or open it again"
+        )
+        return
     desk.document.cancel_preview()
     document = desk.document
 
@@ -57,6 +65,8 @@ def export_to(core: Core, path: Path) -> None:
         return export(document, target)
 
     def done(count: int) -> None:
+        if read is not None:
+            desk.stamps.update(stamps_of([target]))
         desk.news = f"Exported {count:,} splats to {target}"
 
     desk.start(f"Exporting {target.name}", work, done)

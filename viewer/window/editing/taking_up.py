@@ -45,7 +45,7 @@ def take_up(core: Core, scene: LoadedScene) -> None:
         core.desk = None
         core.tell(f"{error}; it can be looked at")
         return
-    core.desk = Desk(document=document)
+    core.desk = Desk(document=document, stamps=dict(scene.stamps))
     core.desk.journal = Journal(
         document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
     )
