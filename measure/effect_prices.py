@@ -40,17 +40,14 @@ class EffectPrice:
     """Largest difference of any pixel and colour between the two."""
 
     def __str__(self) -> str:
+        word = ("costs" if self.saved_ms > 0 else "saves") if self.on else "would cost"
+        if not self.on and self.saved_ms <= 0:
+            word = "would save"
+        time = f"{word} {abs(self.saved_ms):.2g} ms of {self.ms:.3g}"
         if not self.clear:
             time = f"no difference in time beyond {self.noise_ms:.2g} ms"
-        else:
-            word = ("costs" if self.saved_ms > 0 else "saves") if self.on else "would cost"
-            if not self.on and self.saved_ms <= 0:
-                word = "would save"
-            time = f"{word} {abs(self.saved_ms):.2g} ms of {self.ms:.3g}"
-        picture = (
-            "the same picture" if self.max_error == 0 else f"changes a pixel by up to {self.max_error:.2g}"
-        )
-        return f"{time}; {picture}"
+        change = f"{'without it' if self.on else 'with it'} a pixel changes by up to {self.max_error:.2g}"
+        return f"{time}; {change if self.max_error > 0 else 'the same picture either way'}"
 
 
 def price_effects(
