@@ -99,6 +99,22 @@ def test_a_dry_run_tells_and_writes_nothing(scene, splatview, tmp_path):
     assert [step["count"] for step in report["steps"]] == [9, 9]
 
 
+def test_steps_with_their_prices(scene, splatview, tmp_path):
+    steps = recipe(
+        tmp_path / "r.json",
+        {"op": "select", "by": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.5}},
+        {"op": "delete"},
+    )
+    code, out, err = splatview("edit", scene, "--recipe", steps, "--dry-run", "--prices")
+    assert (code, err) == (0, "")
+    assert out.count("no pixel of 8 views changes") == 1
+    assert out.count("dB at worst, over 8 views") == 1
+    code, out, _ = splatview("edit", scene, "--recipe", steps, "--dry-run", "--prices", "--json")
+    prices = [step["price"] for step in json.loads(out)["steps"]]
+    assert prices[0]["mean"] == 100.0 > prices[1]["mean"] >= prices[1]["worst"] > 0
+    assert prices[1]["count"] > 0 < prices[1]["largest_error"]
+
+
 def test_files_beside_the_recipe(scene, splatview, tmp_path):
     folder = tmp_path / "recipes"
     folder.mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 from ...edit.changes import Change
@@ -12,11 +13,16 @@ from ...edit.document import Document
 from ...edit.export import exported
 from ...edit.operations import OPERATIONS, Operation
 from ...edit.recipe import check_scene, load_recipe, replay
+from ...edit.sample_views import sample_cameras
+from ...edit.step_price import StepPrices, in_words
 from ...edit.watch import Watch
 from ...scene import Gaussians, InputError
 from ...scene.files import check_saving, load_scene, save_scene
 from .arguments import Parser
 from .edit_tools import RasterTools
+
+VIEWS = 8
+"""That a price is measured in."""
 
 PROGRESS_SECONDS = 2.0
 """Steps that take longer say how far they are."""
@@ -41,6 +47,11 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--any-scene", action="store_true", help="apply it although it was made for another scene"
     )
+    parser.add_argument(
+        "--prices",
+        action="store_true",
+        help=f"also tell what each step costs: how far {VIEWS} views after it are from those before",
+    )
     parser.add_argument("--json", action="store_true", help="the report for scripts, on standard output")
     return parser
 
@@ -64,12 +75,20 @@ def run(arguments: list[str]) -> int:
         save=lambda scene, path: parts.append((scene, path)),
     )
     steps: list[dict[str, object]] = []
+    prices = None
+    if args.prices:
+        prices = StepPrices(document, sample_cameras(gaussians, document.edits, VIEWS))
 
     def report(number: int, operation: Operation, change: Change) -> None:
         steps.append({"op": operation.op, "title": change.title, "count": change.count})
+        notes = list(change.notes)
+        if prices is not None:
+            price = prices.after_step()
+            notes.append(in_words(price))
+            steps[-1]["price"] = asdict(price)
         out = sys.stdout if args.dry_run and not args.json else sys.stderr
         print(f"step {number} of {len(recipe.steps)}: {change.title}", file=out)
-        for note in change.notes:
+        for note in notes:
             print(f"  {note}", file=out)
 
     try:
