@@ -64,6 +64,19 @@ class Effect:
         return self.on if self.forced is None else self.forced
 
     @property
+    def leaving_out(self) -> str:
+        """What that saves and what it can change, a sentence without its end; nothing where it is neither."""
+        if self.bound == 0 and self.saving == Saving():
+            return ""
+        if self.bound == 0:
+            change = "changes nothing"
+        elif math.isfinite(self.bound):
+            change = f"changes a pixel by at most {grey_levels(self.bound)}"
+        else:
+            change = "can change a pixel by any amount"
+        return f"leaving it out saves {self.saving} and {change}"
+
+    @property
     def error(self) -> float:
         """The largest error that pictures can have because of it, as it is in force."""
         return 0.0 if self.in_force else self.bound
@@ -71,8 +84,6 @@ class Effect:
 
 def grey_levels(value: float) -> str:
     """A change of a colour, for people: "0.4 grey levels"; those of an 8-bit picture."""
-    if not math.isfinite(value):
-        return "no bound"
     return f"{short(value / GREY_LEVEL)} grey levels"
 
 
