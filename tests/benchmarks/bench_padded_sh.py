@@ -202,8 +202,8 @@ def main() -> None:
                 "rows": rows,
                 "note": f"{len(gaussians):,} splats, {width}x{height}; times in multiples of SH 0, medians of "
                 f"{options.frames} views: of the frame, then of projection, where harmonics are read. ±: how "
-                "far SH 0 differs from itself in 19 of 20 runs. MiB of everything on the GPU, for `cpu` of the "
-                f"coefficients in memory. GL is {describe(ctx).renderer}.",
+                "far SH 0 differs from itself in 19 of 20 runs. MiB of all that is on the GPU, for `cpu` of "
+                f"the coefficients in memory. GL is {describe(ctx).renderer}.",
             },
         },
     )
