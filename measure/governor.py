@@ -7,11 +7,14 @@ number, by how much everything takes longer now. No clock and no OpenGL in here.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
+from statistics import median
 from typing import Generic, Protocol, TypeVar
 
-PROMPTNESS = 0.3
-"""The share of the latest frame in what is learnt: a single late one changes little."""
+REMEMBERED = 9
+"""Frames whose median is what is learnt: it is the median frame that is to take the budget, and on a machine
+that others use too, stalls pull a mean far above it."""
 
 SLACK = 1.08
 """A step is kept while it takes the budget by no more than this factor too long or too short: pictures that
@@ -37,6 +40,20 @@ class Step(Protocol):
 StepT = TypeVar("StepT", bound=Step)
 
 
+class Slowness:
+    """By how much frames take longer than when they were priced."""
+
+    def __init__(self) -> None:
+        self._latest: deque[float] = deque(maxlen=REMEMBERED)
+
+    def learn(self, ratio: float) -> None:
+        self._latest.append(ratio)
+
+    @property
+    def factor(self) -> float:
+        return median(self._latest) if self._latest else 1.0
+
+
 class Governor(Generic[StepT]):
     """Chooses the step whose frames fill the budget."""
 
@@ -45,7 +62,11 @@ class Governor(Generic[StepT]):
         self.steps: tuple[StepT, ...] = ()
         self.step: StepT | None = None
         """In force while the camera moves; None where there is none to choose from."""
-        self.slowness = 1.0
+        self._slowness = Slowness()
+
+    @property
+    def slowness(self) -> float:
+        return self._slowness.factor
 
     def follow(self, steps: Sequence[StepT]) -> None:
         """Other steps, slowest first. How slow the machine is stays known."""
@@ -60,7 +81,7 @@ class Governor(Generic[StepT]):
     def learn(self, step: StepT, milliseconds: float) -> None:
         """A frame drawn by `step` took so long."""
         if step.ms > 0 and math.isfinite(milliseconds) and step in self.steps:
-            self.slowness += PROMPTNESS * (milliseconds / step.ms - self.slowness)
+            self._slowness.learn(milliseconds / step.ms)
             self.choose()
 
     def choose(self) -> None:

@@ -33,22 +33,31 @@ FULL_OPACITY = 0.99
 MEMBERS_AT_ONCE = 1 << 17
 """Some 50 MiB of numbers in between."""
 
+MIXED_CELLS = 2
+"""Cells along the side of a cube that is merged or not as a whole, see `chances`."""
+
 _CELL_BITS = 20
 _TINY = 1e-12
 
 
 def coarser_levels(gaussians: Gaussians, *, levels: int = 4) -> Iterator[Gaussians]:
     """Up to `levels` scenes of ever fewer splats, each made from the one before when it is asked for."""
+    for fewer, _ in levels_and_cells(gaussians, levels=levels):
+        yield fewer
+
+
+def levels_and_cells(gaussians: Gaussians, *, levels: int = 4) -> Iterator[tuple[Gaussians, float]]:
+    """As `coarser_levels`, each with the side of the cells in which the one before was merged."""
     sizes = gaussians.log_scales.max(axis=1) if len(gaussians) else np.empty(0)
     sizes = sizes[np.isfinite(sizes)]
     if not len(sizes):
         return
     cell = FIRST_CELL * math.exp(float(np.median(sizes)))
     for _ in range(2 * levels):
-        fewer = merge_in_cells(gaussians, cell)
+        fewer, side = merge_in_cells(gaussians, cell), cell
         cell *= GROWTH
         if len(fewer) <= LEAST_GAIN * len(gaussians):
-            yield fewer
+            yield fewer, side
             gaussians, levels = fewer, levels - 1
             if levels == 0:
                 return
@@ -76,6 +85,25 @@ def merge_in_cells(gaussians: Gaussians, cell: float) -> Gaussians:
         comments=gaussians.comments,
     )
     return concatenate([*parts, kept])
+
+
+def chances(finer: Gaussians, cell: float, gaussians: Gaussians) -> np.ndarray:
+    """Numbers (N,) float32 in [0, 1) of splats of `gaussians`, which is `finer` or what it was merged to in
+    cells of side `cell`: the same for all that lie in one cube of MIXED_CELLS³ cells, chosen by chance.
+
+    So what is below a number of one, and not below it of the other, is a scene between the two, without a
+    hole and with nothing twice: a cube has whole cells.
+    """
+    side = MIXED_CELLS * cell
+    with np.errstate(invalid="ignore", over="ignore"):
+        cubes = np.floor((gaussians.means - _middle(finer.means)) / side)
+        cubes = np.nan_to_num(cubes, nan=0.0, posinf=0.0, neginf=0.0).astype(np.int64).astype(np.uint64)
+        # Odd multipliers and shifts that spread low bits (as in splitmix64).
+        mixed = cubes[:, 0] * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= cubes[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F) ^ cubes[:, 2] * np.uint64(0x165667B19E3779F9)
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed ^= mixed >> np.uint64(31)
+    return ((mixed >> np.uint64(41)).astype(np.float32) / np.float32(1 << 23)).clip(0, np.float32(1 - 1e-7))
 
 
 def _groups(gaussians: Gaussians, cell: float) -> tuple[np.ndarray, np.ndarray]:

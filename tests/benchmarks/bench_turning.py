@@ -57,7 +57,7 @@ def drag(display: str, at: tuple[int, int], seconds: float) -> subprocess.Popen[
 
 def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
-    from splatview.viewer.gl import cpu_texture
+    from splatview.viewer.gl import cpu_texture, moving
     from splatview.viewer.window import app, viewport
 
     started: list[bool] = []
@@ -66,7 +66,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
     pictures: list[tuple[float, int]] = []
     found: dict[str, Any] = {}
     if way in ("clock", "splats"):
-        cpu_texture.make_levels = lambda gaussians, stop: (gaussians,)
+        cpu_texture.make_levels = lambda gaussians, stop: (moving.Level(gaussians),)
     if way == "clock":
         cpu_texture.CpuTexture.wait = lambda self, seconds: None
         app.MAX_FPS = app.SOFTWARE_FPS = CLOCK_FPS

@@ -14,9 +14,11 @@ from ... import raster
 from ...scene import Camera, Gaussians, RenderSettings
 from ...scene.edits import SceneEdits
 from . import FrameStats
+from .cpu_ahead import CpuAhead
 from .moving import (
     MOVING_MS,
     UNPRICED_SCALE,
+    Level,
     Pace,
     Plan,
     Shortcut,
@@ -27,6 +29,7 @@ from .moving import (
     work_of,
 )
 from .overlay import Overlay
+from .rehearsing import Rehearsals
 from .shown_edits import ShownEdits, shown_edits
 
 FRAME_SECONDS = 0.02
@@ -71,13 +74,17 @@ class CpuTexture:
         *,
         threads: int | None = None,
         on_ready: Callable[[], object] = lambda: None,
+        rehearsals: Rehearsals | None = None,
     ):
         self._ctx = ctx
+        self._ahead = CpuAhead(rehearsals)
         self.threads = threads
         """Cores to draw with; None: all. May be changed at any time."""
         self.cores: float | None = None
         """How many it may keep busy on average, the window's frames included; None: as many as it likes.
         May be changed at any time."""
+        self.sharp = False
+        """Whether a camera that changes is not one that moves: pictures are drawn in full. Likewise."""
         self.budget_ms: float | None = None
         """What a picture may take while the camera moves; None: MOVING_MS. May be changed at any time."""
         self._on_ready = on_ready
@@ -132,7 +139,8 @@ class CpuTexture:
         with self._change:
             if self._wish is None or not self._wish.same_picture(wish):
                 # A scene that changes before an eye at rest, as in training, is drawn sharp at once.
-                self._resting = self._resting and self._wish is not None and self._wish.same_view(wish)
+                still = self._wish is not None and self._wish.same_view(wish)
+                self._resting = self.sharp or (self._resting and still)
                 self._wish, self._drawing = wish, True
                 self._change.notify_all()
             elif not self._resting and wish.since - self._wish.since >= self._rest_seconds:
@@ -161,8 +169,8 @@ class CpuTexture:
         if self._gaussians is None:
             return np.zeros((camera.height, camera.width, 4), np.float32)
         shown = shown_edits(edits, overlay, None)
-        drawn = shown.drawn if shown else None
-        return raster.render(self._gaussians, camera, settings, edits=drawn, threads=self.threads)
+        gaussians, drawn = self._ahead.what_to_draw(self._gaussians, camera, settings, shown)
+        return raster.render(gaussians, camera, settings, edits=drawn, threads=self.threads)
 
     @property
     def busy(self) -> bool:
@@ -261,16 +269,20 @@ class CpuTexture:
         gaussians, camera = wish.gaussians, wish.camera
         full = shortcut is None or shortcut.exact
         if shortcut is not None:
-            gaussians, camera = shortcut.gaussians, scaled(camera, shortcut.scale)
+            gaussians, camera = shortcut.scene, scaled(camera, shortcut.scale)
         if raster.will_compile():
             self.status = "Preparing the CPU renderer for this machine; this happens once"
             self._on_ready()
+        kind = self._ahead.must_wait(gaussians, camera, wish.settings, wish.edits)
+        if kind is not None and not self._ahead.wait(kind):
+            return
+        gaussians, edits = self._ahead.what_to_draw(gaussians, camera, wish.settings, wish.edits)
         frame = raster.draw_frame(
             raster.parameters_of(gaussians),
             camera,
             wish.settings,
             workspace,
-            edits=wish.edits.drawn if wish.edits else None,
+            edits=edits,
             nonzero=raster.nonzero_bands(gaussians),
             threads=self.threads,
         )
@@ -322,7 +334,7 @@ class CpuTexture:
 
     # ---- in the planner
 
-    def _make_plan(self, wish: _Wish, levels: tuple[Gaussians, ...] | None) -> None:
+    def _make_plan(self, wish: _Wish, levels: tuple[Level, ...] | None) -> None:
         def stop() -> bool:
             return self._ended or self._gaussians is not wish.gaussians
 

@@ -7,6 +7,7 @@ learnt while moving is one number: by how much pictures take longer there than w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,7 +16,8 @@ import numpy as np
 from ... import raster
 from ...measure.governor import Governor
 from ...scene import Camera, Gaussians, RenderSettings
-from ...scene.merging import coarser_levels
+from ...scene.merging import levels_and_cells
+from .mixing import Mixer
 
 MOVING_MS = 36.0
 """What a picture may take while the camera moves. With the window's own work that is over 20 a second."""
@@ -37,6 +39,9 @@ SLACK = 1.25
 """A shortcut is kept until a coarser one is so much overdue or a finer one so easily afforded: pictures
 that changed their sharpness with every measurement would be seen to flicker."""
 
+FINE_STEP = 1.1
+"""Time of one mixture of levels to the next."""
+
 SAME_WORK = 1.5
 """Prices hold for views that differ by less than this in the splats and pixels drawn."""
 
@@ -46,6 +51,7 @@ class Shortcut:
     """One way to draw in less time."""
 
     gaussians: Gaussians
+    """What is drawn; of a mixture the finer level."""
     share: float
     """Splats, of the scene's."""
     scale: float
@@ -53,6 +59,14 @@ class Shortcut:
     ms: float
     error: float
     """Mean squared error of colours, 0 to 1 being black to white."""
+    mixer: Mixer | None = None
+    merged: float = 0.0
+    """Of a mixture, the share that is of the coarser level."""
+
+    @property
+    def scene(self) -> Gaussians:
+        """What is drawn, made where it is a mixture that is not there."""
+        return self.gaussians if self.mixer is None else self.mixer.scene(self.merged)
 
     @property
     def exact(self) -> bool:
@@ -76,10 +90,12 @@ class Plan:
     """What a scene's pictures can be reduced to."""
 
     gaussians: Gaussians
-    levels: tuple[Gaussians, ...]
+    levels: tuple[Level, ...]
     """The scene itself first."""
     shortcuts: tuple[Shortcut, ...]
     """Ever quicker; each is the one of least error that takes no longer."""
+    fine: tuple[Shortcut, ...] = ()
+    """The same with mixtures of levels, so that one of them is within a tenth of any budget in between."""
     work: tuple[int, int]
     """Splats and pixels drawn in the view that was priced."""
 
@@ -92,19 +108,31 @@ def work_of(frame: raster.Frame) -> tuple[int, int]:
     return sum(stop - start for start, stop in frame.runs), frame.pixel_splats
 
 
-def make_levels(gaussians: Gaussians, stop: Callable[[], bool]) -> tuple[Gaussians, ...]:
+def make_levels(gaussians: Gaussians, stop: Callable[[], bool]) -> tuple[Level, ...]:
     """The scene and what it merges to, of what fits in memory; fewer levels where `stop()` becomes true."""
-    levels = [gaussians]
-    for level in coarser_levels(gaussians):
+    levels = [Level(gaussians)]
+    before = gaussians
+    for level, cell in levels_and_cells(gaussians):
         if level.nbytes <= MOST_BYTES:
-            levels.append(level)
+            direct = before is levels[-1].gaussians
+            levels.append(Level(level, Mixer(before, level, cell) if direct else None))
+        before = level
         if stop():
             break
     return tuple(levels)
 
 
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One of ever coarser scenes."""
+
+    gaussians: Gaussians
+    mixer: Mixer | None = None
+    """Of the level before and this one, if this one was made of it."""
+
+
 def price(
-    levels: tuple[Gaussians, ...],
+    levels: tuple[Level, ...],
     camera: Camera,
     settings: RenderSettings,
     stop: Callable[[], bool],
@@ -118,7 +146,10 @@ def price(
     halving = 0.0
     work = (0, 0)
     shortcuts: list[Shortcut] = []
-    for level in levels:
+    whole: list[Shortcut] = []
+    """Of each level, in full size."""
+    for each in levels:
+        level = each.gaussians
         splats = raster.parameters_of(level)
         if stop():
             return None
@@ -131,11 +162,11 @@ def price(
             full_picture, work = picture, level_work
             halving = squared_error(doubled(frame.image[..., :3]), picture)
         of_pixels = max(full_ms - time_of(frame), 0.0) / (1 - 0.5**2)
-        merging = 0.0 if level is levels[0] else squared_error(picture, full_picture)
+        merging = 0.0 if each is levels[0] else squared_error(picture, full_picture)
         shortcuts += [
             Shortcut(
                 gaussians=level,
-                share=len(level) / max(len(levels[0]), 1),
+                share=len(level) / max(len(levels[0].gaussians), 1),
                 scale=scale,
                 ms=max(full_ms - of_pixels, 0.0) + of_pixels * scale**2,
                 # Blur grows with the size of pixels: none at 1, what was measured at 1/2.
@@ -143,7 +174,43 @@ def price(
             )
             for scale in SCALES
         ]
-    return Plan(gaussians=levels[0], levels=levels, shortcuts=best_of(shortcuts), work=work)
+        whole.append(shortcuts[-len(SCALES)])
+    mixtures = [
+        mixture
+        for finer, coarser, level in zip(whole, whole[1:], levels[1:], strict=False)
+        if level.mixer is not None
+        for mixture in mixtures_of(finer, coarser, level.mixer)
+    ]
+    return Plan(
+        gaussians=levels[0].gaussians,
+        levels=levels,
+        shortcuts=best_of(shortcuts),
+        fine=best_of([*shortcuts, *mixtures]),
+        work=work,
+    )
+
+
+def mixtures_of(finer: Shortcut, coarser: Shortcut, mixer: Mixer) -> list[Shortcut]:
+    """Between two levels, in steps of time of at most FINE_STEP; time and error go with what is merged."""
+    if not finer.ms > coarser.ms > 0:
+        return []
+    steps = math.ceil(math.log(finer.ms / coarser.ms) / math.log(FINE_STEP))
+    mixtures = []
+    for step in range(1, steps):
+        ms = finer.ms * (coarser.ms / finer.ms) ** (step / steps)
+        merged = (finer.ms - ms) / (finer.ms - coarser.ms)
+        mixtures.append(
+            Shortcut(
+                gaussians=finer.gaussians,
+                share=finer.share + merged * (coarser.share - finer.share),
+                scale=1.0,
+                ms=ms,
+                error=finer.error + merged * (coarser.error - finer.error),
+                mixer=mixer,
+                merged=merged,
+            )
+        )
+    return mixtures
 
 
 def best_of(shortcuts: list[Shortcut]) -> tuple[Shortcut, ...]:
@@ -202,15 +269,18 @@ class Pace:
 
     def learn(self, shortcut: Shortcut, milliseconds: float) -> None:
         """A moving picture by `shortcut` took so long."""
-        if shortcut.ms > 0 and self.plan is not None and shortcut in self.plan.shortcuts:
-            self._slowness += PROMPTNESS * (milliseconds / shortcut.ms - self._slowness)
+        if shortcut.ms > 0 and self.plan is not None and shortcut in (*self.plan.shortcuts, *self.plan.fine):
+            ratio = milliseconds / shortcut.ms
+            self._slowness += PROMPTNESS * (ratio - self._slowness)
+            if self.budget_ms is not None:
+                self._governed(self.plan, self.budget_ms).learn(shortcut, milliseconds)
             self._choose()
 
     def _choose(self) -> None:
         if self.plan is None:
             return
         if self.budget_ms is not None:
-            self.shortcut = self._governed(self.plan, self.budget_ms)
+            self.shortcut = self._governed(self.plan, self.budget_ms).step
             return
         shortcuts, allowed = self.plan.shortcuts, MOVING_MS / self._slowness
         best = next((one for one in shortcuts if one.ms <= allowed), shortcuts[-1])
@@ -227,11 +297,10 @@ class Pace:
             self.budget_ms, self.shortcut = budget_ms, None
             self._choose()
 
-    def _governed(self, plan: Plan, budget_ms: float) -> Shortcut | None:
+    def _governed(self, plan: Plan, budget_ms: float) -> Governor[Shortcut]:
         governor = self._governor
-        governor.slowness = self._slowness
-        if governor.steps != plan.shortcuts:
-            governor.follow(plan.shortcuts)
+        steps = plan.fine or plan.shortcuts
+        if governor.steps != steps:
+            governor.follow(steps)
         governor.set_budget(budget_ms)
-        governor.choose()
-        return governor.step
+        return governor

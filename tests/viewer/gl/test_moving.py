@@ -13,6 +13,7 @@ from splatview.viewer.gl import moving
 from splatview.viewer.gl.moving import (
     MOVING_MS,
     SLACK,
+    Level,
     Pace,
     Plan,
     Shortcut,
@@ -34,7 +35,7 @@ def shortcut(scene: Gaussians, ms: float, error: float, **options) -> Shortcut:
 def plan_of(scene: Gaussians, *times: float) -> Plan:
     """Shortcuts of `times` ms, ever worse."""
     shortcuts = [shortcut(scene, ms, 0.001 * i) for i, ms in enumerate(times)]
-    return Plan(gaussians=scene, levels=(scene,), shortcuts=tuple(shortcuts), work=(100, 1000))
+    return Plan(gaussians=scene, levels=(Level(scene),), shortcuts=tuple(shortcuts), work=(100, 1000))
 
 
 @pytest.fixture
@@ -90,13 +91,14 @@ def test_what_is_slower_and_worse_is_left_out(scene):
 
 
 def test_pricing_ends_when_it_is_told_to(dense):
-    assert price((dense,), CAMERA, SETTINGS, lambda: True) is None
+    assert price((Level(dense),), CAMERA, SETTINGS, lambda: True) is None
     assert len(make_levels(dense, lambda: True)) == 2
 
 
 def test_levels_that_cost_too_much_memory_are_not_kept(dense, monkeypatch):
     monkeypatch.setattr(moving, "MOST_BYTES", 0)
-    assert make_levels(dense, lambda: False) == (dense,)
+    (only,) = make_levels(dense, lambda: False)
+    assert only.gaussians is dense
 
 
 def test_the_finest_that_the_time_allows_is_chosen(scene):
