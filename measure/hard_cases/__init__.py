@@ -6,7 +6,7 @@ Each module is a theme. Where a case was seen in another project, its sentence n
 from __future__ import annotations
 
 from ...scene import InputError
-from . import colours, far_away, ill_values, near_eye, opacities, order, pictures, rotations, shapes
+from . import colours, discs, far_away, ill_values, near_eye, opacities, order, pictures, rotations, shapes
 from .case import HardCase, Same
 
 __all__ = ["CASES", "HardCase", "Same", "find_case"]
@@ -14,6 +14,7 @@ __all__ = ["CASES", "HardCase", "Same", "find_case"]
 CASES: tuple[HardCase, ...] = (
     *rotations.CASES,
     *shapes.CASES,
+    *discs.CASES,
     *near_eye.CASES,
     *opacities.CASES,
     *colours.CASES,
