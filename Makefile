@@ -27,9 +27,9 @@ format: $(VENV)/.dev-installed
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-# The tables in README.md and ACCURACY.md, from the JSON in assets/benchmarks.
+# The tables in README.md, ACCURACY.md and SPEED.md, from the JSON in assets/benchmarks.
 tables: $(VENV)/.dev-installed
-	@$(BIN)/python -m splatview.measure.tables README.md ACCURACY.md
+	@$(BIN)/python -m splatview.measure.tables README.md ACCURACY.md SPEED.md
 
 # The README's pictures, by the program itself.
 pictures: $(VENV)/.dev-installed | system-test

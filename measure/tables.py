@@ -1,4 +1,4 @@
-"""Figures in README.md and ACCURACY.md come from JSON in assets/benchmarks, and from nowhere else.
+"""Figures in README.md, ACCURACY.md and SPEED.md come from JSON in assets/benchmarks, and from nowhere else.
 
 A benchmark writes its raw results with `write_results`, and among them a ``table``:
 ``{"columns": [...], "rows": [[...], ...], "note": "..."}``. A Markdown file holds it between

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 RESULTS = {"table": {"columns": ["what", "ms"], "rows": [["sort", 1.5], ["draw", 20]], "note": "Medians."}}
 
 
-@pytest.mark.parametrize("page", ["README.md", "ACCURACY.md"])
+@pytest.mark.parametrize("page", ["README.md", "ACCURACY.md", "SPEED.md"])
 def test_pages_agree_with_their_json(page):
     assert main(["--check", str(ROOT / page)]) == 0, "run `make tables`"
 
