@@ -200,7 +200,7 @@ def main() -> None:
                     *(f"MiB, {name}" for name in ("SH 0", "padded", "half SH 3", "SH 3")),
                 ],
                 "rows": rows,
-                "note": f"{len(gaussians):,} splats, {width}x{height}; times in multiples of SH 0, medians of "
+                "note": f"{len(gaussians):,} splats, {width}x{height}; times by that of SH 0, medians of "
                 f"{options.frames} views: of the frame, then of projection, where harmonics are read. ±: how "
                 "far SH 0 differs from itself in 19 of 20 runs. MiB of all that is on the GPU, for `cpu` of "
                 f"the coefficients in memory. GL is {describe(ctx).renderer}.",
