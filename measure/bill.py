@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..scene import Gaussians
+from ..scene.effects.sh_bands import sh_operations
 
 
 class Work(Protocol):
@@ -52,9 +53,6 @@ PROJECTION_OPERATIONS = {
     "direction to the eye": 12,
 }
 """Of one visible splat, without its colour."""
-
-SH_BASIS_OPERATIONS = (0, 3, 17, 41)
-"""Of the spherical harmonics themselves, by degree."""
 
 SORT_PASSES, KEY_BYTES = 4, 8
 """A radix sort of 32-bit keys with 32-bit indices reads and writes them once a byte of the key."""
@@ -114,7 +112,7 @@ def bill_of(gaussians: Gaussians, work: Work) -> Bill:
     counts = work.evaluations
     height, width = counts.shape
     evaluations, coefficients = int(counts.sum()), (work.sh_degree + 1) ** 2
-    colour = SH_BASIS_OPERATIONS[work.sh_degree] + 2 * 3 * coefficients
+    colour = sh_operations(work.sh_degree)
     splat = sum(PROJECTION_OPERATIONS.values()) + colour
     # 11 numbers of shape and opacity, and the coefficients that are summed.
     read = 4 * (11 + 3 * coefficients)
