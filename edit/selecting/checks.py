@@ -13,14 +13,19 @@ def store(selector: object, **values: Any) -> None:
         object.__setattr__(selector, name, value)
 
 
+LARGEST = 1e100
+"""Of any number: what is made of it by products and squares stays finite."""
+
 MOST_POINTS = 1 << 20
 """Of a polygon or a stroke; a day of drawing makes fewer."""
 
 
 def finite(name: str, value: Any) -> float:
     """A finite number as a float."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
         raise ValueError(f"{name} must be a finite number, got {value!r}")
+    if not abs(value) <= LARGEST:
+        raise ValueError(f"{name} must be within ±{LARGEST:g}, got {value!r}")
     return float(value)
 
 

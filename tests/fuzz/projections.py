@@ -20,7 +20,7 @@ from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
 
 EPS = float(np.finfo(np.float32).eps)
 
-STEPS = 2.0
+STEPS = 4.0
 """Roundings of float32 by which inputs are moved to see what they decide, and how far they move a result."""
 
 SENSITIVITY = 8.0
@@ -192,15 +192,27 @@ def truth_of(block: Block, seed: int) -> Truth:
         with np.errstate(invalid="ignore"):
             for total, values, exact in zip(spread, _values(moved), _values(reference), strict=True):
                 np.maximum(total, np.abs(values - exact), out=total)
+    # Where a cut decides: with all a little in favour of being seen, and the other way round.
+    at = np.flatnonzero(culled)
+    favoured, _ = by_reference(_favoured(block.gaussians.take(at), block), block)
+    culled[at[favoured.visible]] = False
+    with np.errstate(invalid="ignore"):
+        shown &= reference.opacities * (1 - RELATIVE) >= block.settings.model.alpha_cut
     with np.errstate(invalid="ignore", over="ignore"):
         sums = np.abs(block.gaussians.sh).astype(np.float64).sum(axis=(1, 2))
         # NaN fails here: what has it is culled for certain.
         free = sums > OVERFLOWING * FLOAT32_MAX
         free |= (extents > LARGEST_EXTENT).any(axis=1)
-        conic_size = np.abs(reference.conics[:, :2]).sum(axis=1, keepdims=True)
+        # Of culled ones there is no extent: by the longest axis at their depth.
+        largest = np.exp(block.gaussians.log_scales.max(axis=1).astype(np.float64))
+        depth = (block.gaussians.means - block.camera.eye) @ block.camera.forward
+        pixels = largest * max(block.camera.fx, block.camera.fy) / depth
+        free |= (largest <= FLOAT32_MAX) & (pixels > LARGEST_EXTENT)
+        a, b, c = np.abs(reference.conics).T
         least = (
             MEAN_PX + RELATIVE * np.abs(reference.means2d),
-            RELATIVE * np.concatenate([conic_size, conic_size, reference.conics[:, 2:]], axis=1),
+            # b stands beside c in the form: q = (a·dx + b·dy)² + (c·dy)².
+            RELATIVE * np.stack([a, b + c, c], axis=1),
             RELATIVE * reference.opacities,
             np.repeat(COLOUR * (1 + sums)[:, None], 3, axis=1),
         )
@@ -243,31 +255,43 @@ def _moved(block: Block, rng: np.random.Generator, way: float) -> Gaussians:
     `way` 1: somewhat further, larger and more opaque, -1: the opposite, so that both sides of a cut are seen.
     """
     gaussians = block.gaussians
-    n = len(gaussians)
     amount = STEPS * EPS
 
-    def signs(*shape: int) -> np.ndarray:
-        return rng.integers(0, 2, shape) * 2.0 - 1.0
-
     with np.errstate(over="ignore", invalid="ignore"):
-        means = gaussians.means.astype(np.float64)
-        away = np.abs(means - block.camera.eye).max(axis=1, keepdims=True)
-        # Positions are kept relative to a centre, whose distance rounds too.
-        centre = placement_of(gaussians.means).centre
-        away = away + np.abs(means - centre).max(axis=1, keepdims=True)
         quats = gaussians.quats.astype(np.float64)
         largest = np.abs(quats).max(axis=1, keepdims=True)
+        some = rng.normal(size=quats.shape)
         return replace(
             gaussians,
-            means=means + way * np.where(block.camera.forward >= 0, 1, -1) * amount * away,
+            means=gaussians.means + way * _shift(gaussians, block),
             quats=np.where(
                 largest < 2e-30,
-                quats * (1 + amount * signs(n, 1)),
-                quats + amount * largest * signs(n, 4),
+                quats * (1 + amount * some),
+                quats + amount * largest * some,
             ).astype(np.float32),
             log_scales=_by_ulps(gaussians.log_scales, way * amount),
             opacity_logits=_by_ulps(gaussians.opacity_logits, way * amount),
         )
+
+
+def _favoured(gaussians: Gaussians, block: Block) -> Gaussians:
+    """The splats a few roundings further away, and as much more opaque as an opacity may be off."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return replace(
+            gaussians,
+            means=gaussians.means + _shift(gaussians, block),
+            opacity_logits=(gaussians.opacity_logits.astype(np.float64) + RELATIVE).astype(np.float32),
+        )
+
+
+def _shift(gaussians: Gaussians, block: Block) -> np.ndarray:
+    """(N, 3) float64: away from the camera by the roundings of positions."""
+    means = gaussians.means.astype(np.float64)
+    away = np.abs(means - block.camera.eye).max(axis=1, keepdims=True)
+    # Positions are kept relative to a centre, whose distance rounds too.
+    centre = placement_of(block.gaussians.means).centre
+    away = away + np.abs(means - centre).max(axis=1, keepdims=True)
+    return np.where(block.camera.forward >= 0, 1, -1) * STEPS * EPS * away
 
 
 def _by_ulps(values: np.ndarray, amount: float) -> np.ndarray:
