@@ -1,6 +1,8 @@
 """Makes the README's pictures with the program itself: `make pictures` (needs Xvfb for the window).
 
-python scripts/readme_pictures.py [NAME ...]      names: landscape, modes, window, editing, training
+python scripts/readme_pictures.py [NAME ...]
+
+Names: landscape, modes, window, editing, accuracy, effects, training. None: all.
 """
 
 from __future__ import annotations
@@ -110,6 +112,12 @@ def accuracy(folder: Path) -> None:
     grab([sys.executable, drive, "accuracy"], folder / "accuracy.png", SECONDS_TO_EDIT, until="readme-ready")
 
 
+def effects(folder: Path) -> None:
+    """The window on the demo with the receipt of its effects, and the evidence of one."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "effects"], folder / "effects.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
 def training(folder: Path) -> None:
     """The window while the demo's photos are trained on."""
     command = [SPLATVIEW, "train", "--demo", "-o", "demo.ply", "--minutes", "3"]
@@ -124,6 +132,7 @@ if __name__ == "__main__":
         "window": window,
         "editing": editing,
         "accuracy": accuracy,
+        "effects": effects,
         "training": training,
     }
     for chosen in sys.argv[1:] or makers:

@@ -16,6 +16,7 @@ from imgui_bundle import ImVec2, imgui
 from splatview.viewer.window.accuracy import commands
 from splatview.viewer.window.app import run_window
 from splatview.viewer.window.core import Core
+from splatview.viewer.window.effects import commands as effect_commands
 
 READY = "readme-ready"
 """File, beside the settings, that says: now is the moment."""
@@ -87,7 +88,25 @@ def accuracy(core: Core, ctx: Any) -> None:
         time.sleep(0.05)
 
 
-DRIVES = {"editing": editing, "accuracy": accuracy}
+def effects(core: Core, ctx: Any) -> None:
+    """The receipt with its prices, and the mouse on the evidence of one line."""
+    while core.waiting or core.scene is None or core.transition is not None:
+        ctx.yield_(1)
+    ctx.window_focus("//Effects")
+    core.effects.seconds = 20.0
+    core.post(effect_commands.measure)
+    ctx.yield_(3)
+    while not core.effects.prices:
+        ctx.yield_(1)
+    ctx.set_ref("//Effects")
+    ctx.mouse_move("**/##SH band 3")
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while True:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+DRIVES = {"editing": editing, "accuracy": accuracy, "effects": effects}
 
 
 if __name__ == "__main__":
