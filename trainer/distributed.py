@@ -135,7 +135,8 @@ def gist(error: Exception) -> str:
 
 @contextmanager
 def stopping_between_steps(group: Group) -> Iterator[None]:
-    """Within, SIGINT and SIGTERM end the run after a step, in all processes after the same one.
+    """Within, SIGINT, SIGTERM and SIGHUP (a terminal that is closed; unless it is ignored, as nohup does) end
+    the run after a step, in all processes after the same one.
 
     In the middle of a step they would leave a scene half moved, or other processes waiting. A run of one
     process obeys the second SIGINT at once. One of several does not: torchrun passes on what it gets
@@ -147,7 +148,11 @@ def stopping_between_steps(group: Group) -> Iterator[None]:
             raise KeyboardInterrupt
         group.stopping = True
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    hangup = getattr(signal, "SIGHUP", None)
+    if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+        numbers.append(hangup)
+    before = {number: signal.signal(number, stop) for number in numbers}
     try:
         yield
     finally:

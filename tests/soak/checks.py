@@ -126,6 +126,7 @@ MOST_THREADS = {
     "splatview-sort": 2,  # the window's, and that of modes that the CPU does not draw
     "splatview-compare": 1,
     "splatview-warm-up": 1,
+    "splatview-rehearsals": 1,
 }
 """Those that may live while nothing is under way; any other of ours must have ended."""
 

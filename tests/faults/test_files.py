@@ -1,0 +1,280 @@
+"""Files that cannot be written, or that others change: nothing is half written or lost in silence."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splatview.edit import journal as journals
+from splatview.edit.document import Document
+from splatview.edit.journal import Journal, find_abandoned_journals
+from splatview.edit.operations import Delete, SelectAll, operation_from_json
+from splatview.scene import Gaussians, InputError
+from splatview.scene.files import load_scene, save_scene
+from splatview.viewer import claims
+from splatview.viewer.window import opening
+from splatview.viewer.window.core import Core
+from splatview.viewer.window.editing import files
+from splatview.viewer.window.editing.taking_up import continue_editing
+from splatview.viewer.window.preferences import Preferences
+
+STEPS = ({"op": "select_all"}, {"op": "hide"}, {"op": "show"}, {"op": "select_all"}, {"op": "lock"})
+
+
+@pytest.fixture
+def scene(tmp_path: Path, random_gaussians: Callable[..., Gaussians]) -> Path:
+    path = tmp_path / "scene.ply"
+    save_scene(random_gaussians(60, sh_degree=1), path)
+    return path
+
+
+@pytest.fixture
+def core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Path) -> Core:
+    """A window's state with `scene` open, and without a picture."""
+    monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
+    made = Core(preferences=Preferences(smooth=False))
+    opening.open_paths(made, [scene])
+    run(made, lambda: made.loading is None)
+    return made
+
+
+def run(core: Core, until: Callable[[], bool]) -> None:
+    """The part of the frame loop that files need."""
+    limit = time.monotonic() + 60
+    while not until():
+        assert time.monotonic() < limit
+        opening.continue_loading(core)
+        core.run_posted()
+        continue_editing(core)
+        time.sleep(0.002)
+
+
+def export(core: Core, path: Path) -> None:
+    files.export_to(core, path)
+    run(core, lambda: core.desk is not None and core.desk.job is None)
+    continue_editing(core)
+
+
+class FullDisk:
+    """A file on a disk with so many bytes of room: a write may be cut short, and the next is refused."""
+
+    def __init__(self, file: Any, room: int):
+        self._file, self.room = file, room
+
+    def write(self, data: bytes) -> int:
+        if self.room <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = self._file.write(data[: self.room])
+        self.room -= written
+        return written
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize("room", [1, 40, 200, 260, 300, 350])
+def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, room) -> None:
+    """What was written before is whole, and the user is told once that the rest is not autosaved."""
+    document = Document(load_scene(scene), name=scene.name)
+    journal = Journal(document, tmp_path / "journals", scene=scene)
+    begin = journal._begin
+
+    def begin_on_a_full_disk() -> None:
+        open_file = open
+
+        def limited(*arguments: Any, **options: Any) -> Any:
+            return FullDisk(open_file(*arguments, **options), room)
+
+        monkeypatch.setattr(journals, "take_lock", lambda file: True)
+        monkeypatch.setattr("builtins.open", limited)
+        try:
+            begin()
+        finally:
+            monkeypatch.setattr("builtins.open", open_file)
+
+    journal._begin = begin_on_a_full_disk
+    done = []
+    for step in STEPS:
+        document.apply(operation_from_json(step))
+        done.append(step["op"])
+    assert journal.problem is not None and "No space left" in journal.problem and "\n" not in journal.problem
+    assert document.history.position == len(STEPS), "editing goes on"
+    (path,) = (tmp_path / "journals").iterdir()
+    lines = path.read_bytes().split(b"\n")
+    assert lines[-1] == b"", "no line is cut short"
+    written = [json.loads(line)["do"]["op"] for line in lines[1:-1]]
+    assert written == done[: len(written)] and len(written) < len(done)
+
+
+def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(core, tmp_path, monkeypatch) -> None:
+    out = tmp_path / "out.ply"
+    out.write_bytes(b"as it was")
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        export(core, out)
+    assert core.problem == f"{out}: cannot be written: No space left on device"
+    assert out.read_bytes() == b"as it was"
+    assert core.desk is not None and core.desk.document.history.modified is False
+    assert not list(tmp_path.glob(".*.tmp"))
+    core.problem = None
+    export(core, out)
+    assert core.problem is None and len(load_scene(out)) == 60
+
+
+def test_a_scene_that_others_change_is_not_exported_over(core, scene, tmp_path, random_gaussians) -> None:
+    before = core.scene.gaussians.means.copy()
+    save_scene(random_gaussians(25, sh_degree=0), scene)
+    theirs = scene.read_bytes()
+    np.testing.assert_array_equal(core.scene.gaussians.means, before)
+    core.desk.apply(SelectAll())
+    export(core, scene)
+    assert "another program has changed it since it was opened here" in core.problem
+    assert scene.read_bytes() == theirs
+    core.problem = None
+    export(core, tmp_path / "mine.ply")
+    assert core.problem is None
+    np.testing.assert_array_equal(load_scene(tmp_path / "mine.ply").means, before)
+    # Opened again, it may be written over, also twice.
+    opening.reload(core)
+    run(core, lambda: core.loading is None)
+    assert len(core.scene.gaussians) == 25
+    for _ in range(2):
+        export(core, scene)
+        assert core.problem is None
+
+
+def test_a_file_cut_off_in_place_hurts_nothing_that_is_open(core, scene, tmp_path) -> None:
+    with open(scene, "r+b") as file:
+        file.truncate(2000)
+    assert np.isfinite(core.scene.gaussians.means).all()
+    export(core, tmp_path / "mine.ply")
+    assert len(load_scene(tmp_path / "mine.ply")) == 60
+    opening.reload(core)
+    run(core, lambda: core.loading is None)
+    assert "truncated" in core.problem
+    assert len(core.scene.gaussians) == 60, "the old scene stays"
+
+
+def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
+    core, scene, random_gaussians, monkeypatch
+) -> None:
+    core.desk.apply(SelectAll())
+    core.desk.apply(Delete())
+    core.desk.close()
+    core.desk = None
+    save_scene(random_gaussians(61, sh_degree=1, seed=9), scene)
+    files.look_for_abandoned(core)
+    (journal,) = core.abandoned
+    files.restore(core, journal)
+    run(core, lambda: core.loading is None)
+    files.continue_restoring(core)
+    assert "The scene has changed since it was edited" in core.problem
+    assert core.desk.document.history.position == 0
+    assert journal.file.exists(), "they may fit the file's backup"
+
+
+CLAIMING = """
+import sys, time
+from pathlib import Path
+from splatview.viewer.claims import claim
+claim(Path(sys.argv[1]))
+print("mine", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_two_runs_do_not_write_the_same_checkpoint(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(claims, "_held", {})
+    ours = tmp_path / "toy.checkpoint.safetensors"
+    other = subprocess.Popen([sys.executable, "-c", CLAIMING, str(ours)], stdout=subprocess.PIPE, text=True)
+    assert other.stdout is not None and other.stdout.readline() == "mine\n"
+    with pytest.raises(InputError, match=rf"process {other.pid}\) trains into it; wait for it, or name"):
+        claims.claim(ours)
+    claims.claim(tmp_path / "another.safetensors")
+    other.kill()
+    other.communicate()
+    claims.claim(ours)
+    claims.claim(ours)
+    monkeypatch.setenv("SPLATVIEW_CACHE_DIR", "/proc/nowhere")
+    claims.claim(tmp_path / "third.safetensors")
+    for file in claims._held.values():
+        file.close()
+
+
+WRITING = """
+import sys
+from pathlib import Path
+import numpy as np
+from splatview.edit.document import Document
+from splatview.edit.journal import Journal
+from splatview.edit.operations import operation_from_json
+from splatview.scene.files import load_scene
+from splatview.viewer.window.bookmarks import Bookmark, save_bookmarks
+from splatview.viewer.window.navigation.view import look_from
+from splatview.viewer.window.preferences import Preferences, save_preferences
+
+scene, config, number = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+document = Document(load_scene(scene), name=scene.name)
+journal = Journal(document, config / "journals", scene=scene)
+view = look_from(*map(np.array, ((0.0, 0, 3), (0.0, 0, 0), (0.0, 1, 0))))
+print("ready", flush=True)
+while True:
+    document.apply(operation_from_json({"op": "select_all"}))
+    document.apply(operation_from_json({"op": "select_none"}))
+    save_preferences(Preferences(fly_speed=float(number), recent=tuple("x" * 200 for _ in range(number))))
+    save_bookmarks(scene, [Bookmark(name=f"{number}", view=view)] * number)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -> None:
+    config = tmp_path / "config"
+    environment = dict(os.environ, SPLATVIEW_CONFIG_DIR=str(config))
+    programs = [
+        subprocess.Popen(
+            [sys.executable, "-c", WRITING, scene, config, str(number)],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for number in (1, 9)
+    ]
+    try:
+        for program in programs:
+            assert program.stdout is not None and program.stdout.readline() == "ready\n"
+        marks = scene.with_name("scene.ply.bookmarks.json")
+        limit = time.monotonic() + 30
+        while not (marks.exists() and (config / "preferences.json").exists()):
+            assert time.monotonic() < limit
+        for _ in range(150):
+            number = json.loads((config / "preferences.json").read_text())["fly_speed"]
+            assert number in (1, 9)
+            assert len(json.loads(marks.read_text())["bookmarks"]) in (1, 9)
+        assert find_abandoned_journals(config / "journals") == [], "none is taken for a crashed one's"
+        programs[0].kill()
+        programs[0].wait()
+        (left,) = find_abandoned_journals(config / "journals")
+        assert left.scene == scene and len(left.recipe.steps) > 1
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+            if program.stdout is not None:
+                program.stdout.close()
+    assert len(find_abandoned_journals(config / "journals")) == 2
