@@ -104,6 +104,11 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})(function)
 
 
+def cache_stamp() -> str:
+    """Another one for other sources: what was compiled under it is of no use to these."""
+    return "not cached" if _CACHE is None else _CACHE.name
+
+
 def will_compile() -> bool:
     """Whether the first picture has to wait some seconds for the compiler: nothing of this version of the
     sources is in memory or on disk yet."""

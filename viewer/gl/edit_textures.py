@@ -167,18 +167,14 @@ class EditTextures:
     def use(self, program: moderngl.Program | moderngl.ComputeShader) -> None:
         """Binds what `program`, a variant by the flags of `now`, reads."""
         now = self.now
-        arrays = {
-            "u_marks": self._marks if now.hides or now.palette or now.overlay else None,
-            "u_palette": self._palette if now.palette else None,
-            "u_crops": self._crops if now.crops else None,
-        }
+        arrays = {"u_marks": self._marks, "u_palette": self._palette, "u_crops": self._crops}
         for unit, (name, array) in enumerate(arrays.items(), start=FIRST_UNIT):
-            if program.get(name, None) is None:
-                continue
-            # General programs have all samplers, and no two kinds of them may share a unit.
-            set_uniforms(program, {name: unit})
-            if array is not None:
+            if program.get(name, None) is not None:
+                # A general program has all three: no two kinds of textures may share a unit, and llvmpipe
+                # compiles it once more for a unit that had none.
+                array.reserve(1)
                 array.texture.use(unit)
+                set_uniforms(program, {name: unit})
         set_uniforms(program, {"u_last_adjustment": len(now.palette or (None,)) - 1})
         set_uniforms(program, {"u_crop_count": len(now.crops)})
         if now.overlay is not None:

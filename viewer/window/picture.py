@@ -15,6 +15,9 @@ from ..gl import FrameStats, VisualMode, make_renderer
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
 from ..gl.overlay import Overlay
+from ..gl.rehearsal import rehearsal_of
+from ..gl.rehearsing import Rehearsals
+from ..gl.standing_in import StandingIn, mode_key
 
 
 class Picture(Protocol):
@@ -40,6 +43,14 @@ class Picture(Protocol):
 
     @cores.setter
     def cores(self, cores: float | None) -> None: ...
+
+    @property
+    def sharp(self) -> bool:
+        """Whether a camera that changes is not one that moves: nothing is drawn coarse. Likewise."""
+        ...
+
+    @sharp.setter
+    def sharp(self, sharp: bool) -> None: ...
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
@@ -118,21 +129,34 @@ class GpuPicture:
     modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
     threads: int | None = None
     cores: float | None = None
+    sharp: bool = False
 
-    def __init__(self, ctx: moderngl.Context, name: str = "quads"):
-        self._renderer = make_renderer(ctx, name)
+    def __init__(self, ctx: moderngl.Context, name: str = "quads", *, rehearsals: Rehearsals | None = None):
+        """`rehearsals` compile programs in the background; without, they are compiled when needed."""
+        self._rehearsals = rehearsals
+        self._standing_in = None if rehearsals is None else StandingIn(ctx, rehearsals)
+        self._renderer = make_renderer(ctx, name, self._standing_in)
+        self._renderer_name = name
         self.name = f"{name} (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
+        if self._standing_in is not None:
+            self._standing_in.prepare(self._renderer)
+        self._gaussians = EMPTY
         self._renderer.load(EMPTY)
 
     def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+        if self._standing_in is not None:
+            for _ in self._standing_in.while_loading():
+                yield 0.0
         try:
             yield from self._renderer.load_steps(gaussians)
+            self._gaussians = gaussians
         except MemoryError as error:
             raise InputError(f"{len(gaussians):,} splats: not enough memory to upload them") from error
 
     def load(self, gaussians: Gaussians) -> None:
         """As `load_steps`, all at once."""
         self._renderer.load(gaussians)
+        self._gaussians = gaussians
 
     def draw(
         self,
@@ -143,6 +167,9 @@ class GpuPicture:
         overlay: Overlay | None = None,
     ) -> None:
         self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        if self._standing_in is not None:
+            drawn = self._gaussians, camera, settings, mode, edits, overlay
+            self._standing_in.after_drawing(self._renderer_name, *drawn)
 
     def read(
         self,
@@ -172,7 +199,7 @@ class GpuPicture:
 
     @property
     def status(self) -> str:
-        return ""
+        return compiling(self._rehearsals)
 
     @property
     def note(self) -> str:
@@ -182,7 +209,7 @@ class GpuPicture:
         """Nothing is drawn behind the window's back."""
 
     def take_problem(self) -> str | None:
-        return None
+        return None if self._rehearsals is None else self._rehearsals.take_problem()
 
     def release(self) -> None:
         self._renderer.release()
@@ -197,9 +224,17 @@ class CpuPicture:
     modes: tuple[VisualMode, ...] = GpuPicture.modes
     name = "cpu"
 
-    def __init__(self, ctx: moderngl.Context, *, on_ready: Callable[[], object] = lambda: None):
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        *,
+        on_ready: Callable[[], object] = lambda: None,
+        rehearsals: Rehearsals | None = None,
+    ):
+        """`rehearsals` compile kernels and programs in the background; without, when they are needed."""
         self._ctx = ctx
-        self._cpu = CpuTexture(ctx, on_ready=on_ready)
+        self._rehearsals = rehearsals
+        self._cpu = CpuTexture(ctx, on_ready=on_ready, rehearsals=rehearsals)
         self._cpu.load(EMPTY)
         self._gpu: GpuPicture | None = None
         self._gaussians = EMPTY
@@ -222,6 +257,14 @@ class CpuPicture:
     def cores(self, cores: float | None) -> None:
         self._cpu.cores = cores
 
+    @property
+    def sharp(self) -> bool:
+        return self._cpu.sharp
+
+    @sharp.setter
+    def sharp(self, sharp: bool) -> None:
+        self._cpu.sharp = sharp
+
     def hold_budget(self, milliseconds: float | None) -> None:
         """What a picture may take while the camera moves; None: as much as is smooth."""
         self._cpu.budget_ms = milliseconds
@@ -243,7 +286,7 @@ class CpuPicture:
         edits: SceneEdits | None = None,
         overlay: Overlay | None = None,
     ) -> None:
-        self._by_gpu = mode != "splats"
+        self._by_gpu = mode != "splats" and self._mode_compiled(camera, settings, mode)
         if self._by_gpu:
             self._loaded_gpu().draw(camera, settings, mode, edits, overlay)
         else:
@@ -260,6 +303,26 @@ class CpuPicture:
         if mode != "splats":
             return self._loaded_gpu().read(camera, settings, mode, edits, overlay)
         return self._cpu.read(camera, settings, edits=edits, overlay=overlay)
+
+    def _mode_compiled(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> bool:
+        """Whether the GL renderer can show `mode` without stopping the window for its programs; until then
+        splats are shown."""
+        if self._rehearsals is None or not len(self._gaussians):
+            return True
+        key = mode_key(self._ctx, mode)
+        self._rehearsals.ask(
+            [key],
+            mode,
+            lambda: rehearsal_of(
+                "quads",
+                self._gaussians,
+                camera,
+                settings,
+                mode=mode,
+                gl_version=self._rehearsals.gl_version if self._rehearsals else None,
+            ),
+        )
+        return self._rehearsals.is_done([key])
 
     def _loaded_gpu(self) -> GpuPicture:
         if self._gpu is None:
@@ -286,7 +349,8 @@ class CpuPicture:
 
     @property
     def status(self) -> str:
-        return "" if self._by_gpu else self._cpu.status
+        own = "" if self._by_gpu else self._cpu.status
+        return own or compiling(self._rehearsals)
 
     @property
     def note(self) -> str:
@@ -298,6 +362,8 @@ class CpuPicture:
 
     def take_problem(self) -> str | None:
         problem, self._cpu.problem = self._cpu.problem, None
+        if problem is None and self._rehearsals is not None:
+            return self._rehearsals.take_problem()
         return problem
 
     def release(self) -> None:
@@ -307,10 +373,15 @@ class CpuPicture:
 
 
 def choose_picture(
-    ctx: moderngl.Context, renderer: str, *, on_ready: Callable[[], object] = lambda: None
+    ctx: moderngl.Context,
+    renderer: str,
+    *,
+    on_ready: Callable[[], object] = lambda: None,
+    rehearsals: Rehearsals | None = None,
 ) -> Picture:
     """What draws: `renderer` is of RENDERERS; "auto" takes the CPU where GL is only software, else `quads`.
-    `on_ready` is called, in any thread, when a picture has come that was waited for.
+    `on_ready` is called, in any thread, when a picture has come that was waited for. `rehearsals` compile in
+    the background what pictures need; whoever made them ends them.
 
     Raises:
         InputError: the name is unknown, or the renderer does not work here.
@@ -318,8 +389,14 @@ def choose_picture(
     if renderer not in RENDERERS:
         raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
     if renderer == "cpu" or (renderer == "auto" and describe(ctx).is_software):
-        return CpuPicture(ctx, on_ready=on_ready)
-    return GpuPicture(ctx, "tiles" if renderer == "tiles" else "quads")
+        return CpuPicture(ctx, on_ready=on_ready, rehearsals=rehearsals)
+    return GpuPicture(ctx, "tiles" if renderer == "tiles" else "quads", rehearsals=rehearsals)
+
+
+def compiling(rehearsals: Rehearsals | None) -> str:
+    """What the user is told meanwhile."""
+    title = "" if rehearsals is None else rehearsals.title
+    return f"Compiling for this machine: {title}" if title else ""
 
 
 RENDERERS = ("auto", "quads", "tiles", "cpu")
