@@ -157,8 +157,9 @@ CASES = (
     case("floor at the eye's height", "Seen from its side all over.", lambda: floor(1e-4), cameras=(FRONT,)),
     case(
         "disc through the near plane",
-        "Half of it is nearer than that.",
-        lambda: one((0.6, 0.6, 0), quat=about_axis((1, 0, 0), 80), mean=(0, 0.1, 0.3)),
+        "A part of it is nearer than that, in the middle of the picture.",
+        lambda: one((0.6, 0.6, 0), quat=about_axis((1, 0, 0), 80), mean=(0, 0.05, 0.3)),
+        settings={"near 1/8": replace(DISCS, model=replace(DISCS.model, near=0.125))},
         visible=(0,),
     ),
     case(

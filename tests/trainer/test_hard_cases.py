@@ -41,7 +41,11 @@ BESIDE_CUT, BESIDE_CAP = 1e-5, 1e-5
 
 def differentiable(case: HardCase) -> dict[str, RenderSettings]:
     """The case's settings that have gradients."""
-    return {name: chosen for name, chosen in case.settings.items() if chosen.model.max_alpha < 1}
+    return {
+        name: chosen
+        for name, chosen in case.settings.items()
+        if chosen.model.max_alpha < 1 and chosen.model.footprint == "ellipsoid"
+    }
 
 
 def beside_an_edge(scene: Gaussians, camera: Camera, settings: RenderSettings) -> np.ndarray:

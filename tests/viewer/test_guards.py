@@ -144,7 +144,13 @@ REFERENCE = (
         "star at 10²⁵",
         {"offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)": "offsets * dtype(1)"},
     ),
-    Removal("clamp", TRUTH, "quads", "grazing splat", {"if margin is not None": "if False"}),
+    Removal(
+        "clamp",
+        TRUTH,
+        "quads",
+        "grazing splat",
+        {"np.clip(x / z, u_min, u_max), np.clip(y / z, v_min, v_max)": "x / z, y / z"},
+    ),
     Removal(
         "order of ties",
         TRUTH,
@@ -186,10 +192,10 @@ CPU = (
     ),
     Removal(
         "clamp",
-        RASTER,
+        "raster/optics.py",
         "cpu",
         "grazing splat",
-        {"min(max(tx * nearness, view.min_u), view.max_u)": "tx * nearness"},
+        {"min(max(x_by_z, view.min_u), view.max_u)": "x_by_z"},
     ),
     Removal(
         "colours at least 0",
@@ -199,6 +205,51 @@ CPU = (
         {"max(red, 0.0), max(green, 0.0), max(blue, 0.0)": "red, green, blue"},
     ),
 )
+
+DISC = "shaders/common/disc.glsl"
+
+DISCS = (
+    Removal(
+        "least slope",
+        DISC,
+        "quads",
+        "disc edge-on along a column",
+        {"slope >= DISC_LEAST_SLOPE": "slope >= -1.0"},
+    ),
+    Removal(
+        "near plane of discs", DISC, "quads", "disc through the near plane", {" || !(lean <= plane.w)": ""}
+    ),
+    Removal(
+        "least width",
+        "shaders/common/disc_projection.glsl",
+        "quads",
+        "needle of a disc",
+        {"    s = max(s, DISC_LEAST_WIDTH * away / focal.x);\n": ""},
+    ),
+    Removal(
+        "widest ellipse",
+        "shaders/common/disc_projection.glsl",
+        "quads",
+        "largest disc",
+        {" || !(max(entries.x, entries.y) <= WIDEST)": "", "!is_finite(m0) || !is_finite(m1)": "false"},
+    ),
+    Removal(
+        "near plane of discs",
+        "raster/discs.py",
+        "cpu",
+        "disc through the near plane",
+        {"    slope = keep_if_at_least(slope, most_lean, lean)\n": ""},
+    ),
+    Removal(
+        "least slope",
+        "raster/discs.py",
+        "cpu",
+        "disc edge-on along a column",
+        {"slope = keep_if_at_least(slope, slope, fill(slope, DISC_LEAST_SLOPE))": "pass"},
+    ),
+)
+
+EVERYTHING = (*SHADERS, *REFERENCE, *CPU, *DISCS)
 
 RUN = """
 import sys
@@ -238,9 +289,7 @@ def stability(folder: Path, renderer: str, case: str) -> tuple[int, list[dict]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "removal", [*SHADERS, *REFERENCE, *CPU], ids=lambda removal: f"{removal.what} in {removal.file}"
-)
+@pytest.mark.parametrize("removal", EVERYTHING, ids=lambda removal: f"{removal.what} in {removal.file}")
 def test_without_a_guard_a_case_turns_red(removal: Removal, tmp_path: Path) -> None:
     package_without(removal, tmp_path)
     code, rows = stability(tmp_path, removal.renderer, removal.case)
@@ -252,7 +301,7 @@ def test_guards_are_where_this_file_says(tmp_path: Path) -> None:
     """Quick: so that a guard that is written anew is noticed at once, and its case is a case."""
     from splatview.measure.hard_cases import find_case
 
-    for removal in (*SHADERS, *REFERENCE, *CPU):
+    for removal in EVERYTHING:
         text = (ROOT / removal.file).read_text(encoding="utf8")
         assert all(text.count(guard) == 1 for guard in removal.changes), removal
         find_case(removal.case)
