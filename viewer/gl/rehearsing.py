@@ -131,13 +131,13 @@ class Rehearsals:
                     return
                 # What is not compiled ahead is compiled when it is needed: slower, and no harm.
                 problem = f"{task.title} cannot be compiled in the background: {error}"
+            if problem is None:
+                self._remember(task.keys)
             with self._change:
                 self._title = ""
                 self._problem = problem or self._problem
                 self._done |= task.keys
                 self._change.notify_all()
-            if problem is None:
-                self._remember(task.keys)
             self._on_change()
 
     def _in_a_process(self, rehearsal: Rehearsal) -> None:
