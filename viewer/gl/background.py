@@ -45,7 +45,7 @@ class BackgroundSource:
         return flags | {"PANORAMA": True}, values | {"u_behind": UNIT}
 
     def _show_panorama(self, panorama: Panorama) -> None:
-        if self._shown is not panorama:
+        if self._shown is not panorama.pixels:
             height, width = panorama.pixels.shape[:2]
             largest = int(self._ctx.info["GL_MAX_TEXTURE_SIZE"])
             if not max(width, height) <= largest:
@@ -54,7 +54,7 @@ class BackgroundSource:
                     "use a smaller picture"
                 )
             self._replace(self._ctx.texture((width, height), 3, panorama.pixels.tobytes(), alignment=1))
-            self._shown = panorama
+            self._shown = panorama.pixels  # by another up axis it is the same texture
         self._bind()
 
     def _show_picture(self, background: Background, camera: Camera) -> None:

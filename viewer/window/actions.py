@@ -76,6 +76,28 @@ def change_fov(core: Core, factor: float) -> None:
     core.go_to(replace(core.destination, lens=replace(lens, fov_y=fov_y)))
 
 
+def toggle_orthographic(core: Core) -> None:
+    """Parallel rays or a pinhole's; what is at the target's distance stays as large."""
+    lens = replace(core.destination.lens, orthographic=not core.destination.lens.orthographic)
+    core.steer(replace(core.destination, lens=lens))
+    core.tell("Orthographic: rays are parallel" if lens.orthographic else "Perspective: rays meet in the eye")
+
+
+def toggle_lenses(core: Core) -> None:
+    """Shows the views of loaded cameras through their lenses, or as pinholes would."""
+    core.through_lenses = not core.through_lenses
+    chosen = core.cameras[core.camera_index] if 0 <= core.camera_index < len(core.cameras) else None
+    lens = core.destination.lens
+    if not core.through_lenses:
+        core.steer(replace(core.destination, lens=replace(lens, distortion=None)))
+        core.tell("Without lenses: views are those of pinholes")
+    elif chosen is not None and chosen.lens is not None:
+        core.steer(replace(core.destination, lens=replace(lens, distortion=chosen.lens, orthographic=False)))
+        core.tell(f"Through the camera's lens, {chosen.lens.model}")
+    else:
+        core.tell("Through lenses, where the chosen camera has one")
+
+
 def focus_at(core: Core, x: float, y: float) -> None:
     """Turns about the surface at (x, y) px of the visible area; without one there, nothing happens."""
     if not core.scene:
@@ -168,6 +190,8 @@ def cancel(core: Core) -> None:
         core.problem = None
     elif core.dialog:
         core.dialog = None
+    elif core.depth_of_field.picking:
+        core.depth_of_field.picking = False
     elif core.loading:
         opening.cancel_loading(core)
     elif core.desk and core.desk.job:
@@ -195,6 +219,8 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     "level": make_level,
     "next_up": next_up,
     "up_from_view": up_from_view,
+    "toggle_orthographic": toggle_orthographic,
+    "toggle_lenses": toggle_lenses,
     "narrower": partial(change_fov, factor=1 / FOV_STEP),
     "wider": partial(change_fov, factor=FOV_STEP),
     "next_camera": partial(camera_list.step_camera, step=1),

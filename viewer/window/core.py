@@ -20,10 +20,13 @@ import numpy as np
 from ...edit.journal import AbandonedJournal
 from ...scene import Camera, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.other_rays import stepped_back
 from ..gl import FrameStats, VisualMode
 from ..gl.overlay import Overlay
 from .accuracy.state import Accuracy
+from .backdrop import Backdrop
 from .bookmarks import Bookmark
+from .depth_of_field import DepthOfField
 from .editing.desk import Desk
 from .effects.state import Effects
 from .loading import Examination, LoadedScene, Loading
@@ -82,6 +85,10 @@ class Core:
     """Shortcuts taken, what they cost, and the frame budget."""
     effects: Effects = field(default_factory=Effects)
     """What the scene calls for, and at which price."""
+    backdrop: Backdrop = field(default_factory=Backdrop)
+    """What is behind the scene, where that is more than a colour."""
+    depth_of_field: DepthOfField = field(default_factory=DepthOfField)
+    """The lens before the view."""
     stats: FrameStats | None = None
     """Of the picture, read once a frame."""
 
@@ -93,6 +100,8 @@ class Core:
     cameras: list[Camera] = field(default_factory=list)
     """Loaded camera list."""
     camera_index: int = -1
+    through_lenses: bool = True
+    """Whether the views of cameras with a lens are shown through it."""
     bookmarks: list[Bookmark] = field(default_factory=list)
     bookmark_index: int = -1
 
@@ -212,7 +221,12 @@ class Core:
     @property
     def camera(self) -> Camera:
         """The camera of the visible area at full resolution."""
-        return self.view.camera(*self.picture_size)
+        camera = self.view.camera(*self.picture_size)
+        if not camera.orthographic:
+            return camera
+        if self.scene is None:
+            return stepped_back(camera, self.view.target, self.view.distance)
+        return stepped_back(camera, self.scene.centre, self.scene.radius)
 
     @property
     def waiting(self) -> bool:
@@ -223,6 +237,7 @@ class Core:
             or (self.picture is not None and self.picture.busy)
             or (self.desk is not None and self.desk.job is not None)
             or self.accuracy.waiting
+            or self.depth_of_field.waiting(self)
             or self.effects.waiting
         )
 

@@ -11,11 +11,14 @@ from typing import Literal
 from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
-Kind = Literal["scene", "cameras", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"]
+Kind = Literal[
+    "scene", "cameras", "picture", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"
+]
 
 FILTERS: dict[Kind, list[str]] = {
     "scene": ["Splat scenes", "*.ply *.splat *.spz *.ksplat *.sog", "All files", "*"],
     "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
+    "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
     "save_picture": ["PNG pictures", "*.png"],
     "save_camera": ["Cameras", "*.json"],
     "save_scene": ["Splat scenes", "*.ply"],

@@ -50,6 +50,9 @@ def over_picture(core: Core) -> None:
     lowest = corner.y + imgui.get_window_height() - margin
     moving = core.picture is not None and bool(core.picture.note)
     on_picture.badges(core, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
+    if text := core.depth_of_field.badge:
+        size, line = imgui.calc_text_size(text), imgui.get_font_size()
+        on_picture.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
     waiting = rules.waiting_note(core)
     if waiting:
         note_below(f"{waiting} {keys_of('cancel')} lets go.")

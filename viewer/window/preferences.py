@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 from ..folders import config_folder
 
 NavigationMode = Literal["orbit", "fly", "trackball"]
+BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
 
@@ -33,6 +34,13 @@ class Preferences:
     """Whether jumps are shown as short motions."""
     fov_y: float = 50.0
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    background_kind: BackgroundKind = "colour"
+    sky: tuple[float, float, float] = (0.35, 0.53, 0.78)
+    """Of a gradient, straight up."""
+    ground: tuple[float, float, float] = (0.16, 0.15, 0.14)
+    """Of a gradient, straight down."""
+    panorama: str = ""
+    """Absolute path of an equirectangular picture."""
     blend: BlendPrecision = "float16"
     resolution_scale: float = 1.0
     frame_budget_ms: float = 33.0
@@ -64,10 +72,14 @@ RANGES = {
 
 CHOICES = {
     "navigation": get_args(NavigationMode),
+    "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
 }
 """What the fields that are one of a few words may be."""
+
+
+COLOURS = ("background", "sky", "ground")
 
 
 def load_preferences() -> tuple[Preferences, str | None]:
@@ -121,7 +133,11 @@ def checked(name: str, value: Any, default: Any) -> Any:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise ValueError(name)
         return float(value)
-    if name == "background":
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise ValueError(name)
+        return value
+    if name in COLOURS:
         if not isinstance(value, list) or len(value) != 3:
             raise ValueError(name)
         if not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in value):

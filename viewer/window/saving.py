@@ -11,8 +11,10 @@ import numpy as np
 from PIL import Image
 
 from ...scene import Camera, InputError
+from ...scene.aperture import mean_picture
 from ...scene.files import save_camera
 from .core import Core
+from .depth_of_field import SAVED_SAMPLES, is_pinhole
 
 MAX_SIDE = 8192
 """Px: larger than this and common GL implementations refuse the target."""
@@ -29,7 +31,15 @@ def save_picture(core: Core, camera: Camera, path: Path) -> None:
         return
     try:
         edits = core.desk.document.edits if core.desk else None
-        image = core.picture.read(camera, core.settings, core.mode, edits=edits)
+        picture, aperture = core.picture, core.depth_of_field.aperture(core)
+
+        def read(camera: Camera) -> np.ndarray:
+            return picture.read(camera, core.settings, core.mode, edits=edits)
+
+        if aperture is None or not is_pinhole(camera):
+            image = read(camera)
+        else:
+            image = mean_picture(read, camera, aperture, SAVED_SAMPLES)
         write_png(path, image)
     except InputError as error:
         core.complain(str(error))

@@ -11,6 +11,7 @@ from ...scene import InputError
 from .accuracy.on_picture import drag_line, draw_split
 from .actions import focus_at
 from .core import Core
+from .depth_of_field import focus_on
 from .editing.on_picture import draw_tool, on_handles, use_tool
 from .keys import held_step
 from .navigation import dolly, look, move, orbit, pan, trackball
@@ -48,7 +49,8 @@ def show(core: Core) -> None:
     )
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    tool_has_it = use_tool(core, corner, width, height) or on_handles(core)
+    tool_has_it = click_focus(core, corner, scale)
+    tool_has_it = tool_has_it or use_tool(core, corner, width, height) or on_handles(core)
     tool_has_it = drag_line(core, corner, width) or tool_has_it
     steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(core)
@@ -58,6 +60,18 @@ def show(core: Core) -> None:
     draw_tool(core, corner, width, height)
     if turning and core.preferences.navigation != "fly":
         mark_target(core, corner, width, height)
+
+
+def click_focus(core: Core, corner: ImVec2, scale: ImVec2) -> bool:
+    """Chooses what is in focus, where that is asked for. Whether the mouse is the lens's."""
+    if not core.depth_of_field.picking:
+        return False
+    if imgui.is_item_hovered():
+        imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
+        if imgui.is_mouse_clicked(_LEFT):
+            mouse = imgui.get_mouse_pos()
+            core.post(focus_on, (mouse.x - corner.x) * scale.x, (mouse.y - corner.y) * scale.y)
+    return True
 
 
 def mark_target(core: Core, corner: ImVec2, width: int, height: int) -> None:
@@ -73,9 +87,11 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     picture = core.picture
     if picture is None:
         return
+    core.backdrop.follow(core)
     camera, settings = core.accuracy.next_frame(core)
     try:
-        picture.draw(camera, settings, core.mode, edits=core.edits, overlay=core.overlay)
+        drawn = core.depth_of_field.next_camera(core, camera, settings)
+        picture.draw(drawn, settings, core.mode, edits=core.edits, overlay=core.overlay)
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if core.undrawn != str(error):
@@ -83,7 +99,7 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
         core.mode, core.undrawn = "splats", str(error)
         return
     core.undrawn = None
-    texture = picture.texture
+    texture = core.depth_of_field.shown(core) or picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"
     exact = texture.size == core.picture_size
@@ -149,5 +165,10 @@ def steer_by_keys(core: Core) -> bool:
     radius = core.scene.radius if core.scene else core.view.distance
     seconds = min(imgui.get_io().delta_time, LONGEST_STEP)
     length = core.preferences.fly_speed * FLY_SPEED * radius * seconds
+    if core.view.lens.orthographic:
+        # Along parallel rays nothing comes nearer: they are drawn together instead.
+        right, up, forward = step
+        step = (right, up, 0.0)
+        core.steer(dolly(core.view, math.exp(-forward * length / radius)))
     core.steer(move(core.view, [part * length for part in step]))
     return True

@@ -7,12 +7,20 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from .. import saving
-from ..actions import NAVIGATION_MODES, UP_NAMES, navigate, set_up, up_name
+from ..actions import (
+    NAVIGATION_MODES,
+    UP_NAMES,
+    navigate,
+    set_up,
+    toggle_lenses,
+    toggle_orthographic,
+    up_name,
+)
 from ..core import Core
 from ..navigation import AXIS_NAMES
 from ..preferences import RANGES
 from ..shortcuts import keys_of
-from . import widgets
+from . import lens, widgets
 
 NAVIGATION_NAMES = {"orbit": "Orbit", "fly": "Fly", "trackball": "Trackball"}
 
@@ -48,6 +56,7 @@ def show(core: Core) -> None:
     )
     if fov is not None:
         core.prefer(fov_y=fov)
+    rays(core)
     speeds(core)
 
     widgets.section("Look")
@@ -67,6 +76,29 @@ def show(core: Core) -> None:
     )
     imgui.same_line()
     widgets.action_button(core, "Load...", "open_cameras")
+
+
+    widgets.section("Lens")
+    lens.show(core)
+
+
+def rays(core: Core) -> None:
+    parallel = widgets.checkbox(
+        "Orthographic",
+        core.destination.lens.orthographic,
+        f"Parallel rays: equal lengths look equal however far away ({keys_of('toggle_orthographic')}). "
+        "The wheel changes the scale.",
+    )
+    if parallel is not None:
+        core.post(toggle_orthographic)
+    if any(camera.lens is not None for camera in core.cameras):
+        through = widgets.checkbox(
+            "Camera lenses",
+            core.through_lenses,
+            f"Shows the views of loaded cameras through their lenses ({keys_of('toggle_lenses')}).",
+        )
+        if through is not None:
+            core.post(toggle_lenses)
 
 
 def speeds(core: Core) -> None:

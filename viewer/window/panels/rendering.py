@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from imgui_bundle import ImVec4, imgui
-
 from ....scene.image_model import BLUR, DISC_BLUR, ImageModel
 from ..actions import VISUAL_MODES, set_mode
 from ..core import Core
 from ..preferences import RANGES
-from . import widgets
+from . import background, widgets
 
 MODE_NAMES = {
     "splats": "Splats",
@@ -23,13 +21,6 @@ MODE_TIP = (
     "What is drawn for each splat. Splats: the picture itself. Points: centres only, to see structure. "
     "Ellipsoids: solid bodies, to see needles and discs. Depth: near is bright. "
     "Overdraw: how many splats each pixel costs, to see where time goes."
-)
-BACKGROUNDS = (
-    ("Black", (0.0, 0.0, 0.0)),
-    ("Graphite", (0.10, 0.10, 0.11)),
-    ("Grey", (0.5, 0.5, 0.5)),
-    ("White", (1.0, 1.0, 1.0)),
-    ("Sky", (0.53, 0.70, 0.90)),
 )
 
 
@@ -49,7 +40,7 @@ def show(core: Core) -> None:
     if scale is not None:
         core.prefer(resolution_scale=scale)
     widgets.section("Background")
-    background(core)
+    background.show(core)
     widgets.section("Image model")
     image_model(core)
 
@@ -69,25 +60,6 @@ def sh_degree(core: Core) -> None:
     )
     if chosen is not None:
         core.settings = replace(core.settings, sh_degree=None if chosen == "all" else int(chosen))
-
-
-def background(core: Core) -> None:
-    tip = "Blended behind the scene, as it is: no gamma. Scenes are mostly trained on black or white."
-    widgets.label("Colour", tip)
-    changed, colour = imgui.color_edit3("##background", list(core.preferences.background))
-    widgets.tooltip(tip)
-    if changed:
-        r, g, b = (min(max(float(part), 0.0), 1.0) for part in colour)
-        core.prefer(background=(r, g, b))
-    widgets.label("Presets", "Backgrounds for one click.")
-    side = imgui.get_frame_height()
-    for i, (name, preset) in enumerate(BACKGROUNDS):
-        if i:
-            imgui.same_line()
-        flags = imgui.ColorEditFlags_.no_tooltip | imgui.ColorEditFlags_.no_drag_drop
-        if imgui.color_button(f"{name}##background", ImVec4(*preset, 1), flags, (side, side)):
-            core.prefer(background=preset)
-        widgets.tooltip(name)
 
 
 def image_model(core: Core) -> None:
