@@ -1,13 +1,15 @@
 # make run    install into .venv and open the viewer on the bundled demo (no display: a preview PNG)
 # make test   install, then format, lint, types and tests
 # make check  format, lint and types only
+# make soak   MINUTES (60) of a user at random, in real windows
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+MINUTES ?= 60
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test test-all check format system-run system-test tables pictures clean
+.PHONY: run test test-all check format soak system-run system-test tables pictures clean
 
 run: $(VENV)/.run-installed | system-run
 	@$(BIN)/splatview $(SCENE)
@@ -30,6 +32,10 @@ format: $(VENV)/.dev-installed
 # The tables in README.md, ACCURACY.md and SPEED.md, from the JSON in assets/benchmarks.
 tables: $(VENV)/.dev-installed
 	@$(BIN)/python -m splatview.measure.tables README.md ACCURACY.md SPEED.md
+
+# An hour of a user at random, in real windows; logs in soak/, the report in assets/benchmarks/soak.json.
+soak: $(VENV)/.dev-installed | system-test
+	@$(BIN)/python tests/soak/soak.py --minutes $(MINUTES)
 
 # The README's pictures, by the program itself.
 pictures: $(VENV)/.dev-installed | system-test

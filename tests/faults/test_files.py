@@ -183,7 +183,7 @@ def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
     run(core, lambda: core.loading is None)
     files.continue_restoring(core)
     assert "The scene has changed since it was edited" in core.problem
-    assert core.desk.document.history.position == 0
+    assert core.desk is not None and core.desk.document.history.position == 0
     assert journal.file.exists(), "they may fit the file's backup"
 
 

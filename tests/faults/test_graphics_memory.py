@@ -124,6 +124,7 @@ def test_a_picture_without_room_is_tried_again(
     wanted = whole.render(scene, camera)
     whole.release()
     refusing = Refusing(monkeypatch, quietly=False)
+    allowed = 0
     for allowed in range(MOST_ALLOCATIONS):
         renderer = kind(ctx)
         renderer.load(scene)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import glfw
 import moderngl
 import numpy as np
 from actions_editing import EDITING, Soaked
+from harm import HARM
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 from scenes import BROKEN, GOOD
 
@@ -22,6 +22,8 @@ from splatview.viewer.window.accuracy.painter import applicable
 from splatview.viewer.window.core import Core
 from splatview.viewer.window.picture import choose_picture
 from splatview.viewer.window.training import actions as training
+
+import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
 __all__ = ["ACTIONS", "Soaked"]
 
@@ -322,5 +324,6 @@ ACTIONS: dict[str, tuple[float, Callable[[Soaked, np.random.Generator], Any]]] =
     "measure": (0.3, measure),
     "compare": (1, compare),
     **EDITING,
+    **HARM,
 }
 """Name -> weight and what is done."""

@@ -107,6 +107,7 @@ def test_old_opengl_shows_the_same_picture(drive, files, scene):
     old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
     found = drive("look", files[1], environ=old)
     assert found["renderer"] == "quads (OpenGL 3.3)"
+    assert any("no compute shaders" in line for line in found["messages"])
     camera = Camera(**{**found["camera"], "world_to_camera": np.array(found["camera"]["world_to_camera"])})
     expected = float(headless_picture(scene, camera)[..., :3].sum())
     assert found["pixel_sum"] == pytest.approx(expected, rel=2e-3)
