@@ -16,6 +16,7 @@ from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.adjustment import IDENTITY, Adjustment
 from splatview.scene.crop import Crop
 from splatview.scene.edits import HIDDEN, PALETTE_SHIFT, SELECTED, SceneEdits
+from splatview.scene.lens import Lens
 from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.programs import switches
 from splatview.viewer.gl.quads import QuadsRenderer
@@ -50,6 +51,11 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 EDITS = ("hidden", "adjusted", "cropped", "selected")
 EVERYTHING = (*SETTINGS, *EDITS)
+
+CAMERAS = {
+    "lens": replace(CAMERA, lens=Lens(model="OPENCV", parameters=(0.1, -0.05, 0.01, -0.02))),
+    "parallel rays": replace(CAMERA, fx=15.0, fy=15.0, orthographic=True),
+}
 
 KNOWN_AT_LOADING = {"OWN_DEGREES", "REST"}
 """Flags that a general program has fixed: how a scene is stored, and that a pass is another stage."""
@@ -103,11 +109,12 @@ def pictures(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> tuple[np
     settings = replace(settings, model=model)
     shown: dict[str, Any] = {"mode": mode, "edits": edits_of(effects)}
     shown["overlay"] = Overlay() if "selected" in effects else None
+    camera = next((CAMERAS[effect] for effect in effects if effect in CAMERAS), CAMERA)
     renderer.load(scene)
-    special = renderer.render(scene, CAMERA, settings, **shown)
+    special = renderer.render(scene, camera, settings, **shown)
     renderer.load(scene)
     with variants.generally():
-        return special, renderer.render(scene, CAMERA, settings, **shown)
+        return special, renderer.render(scene, camera, settings, **shown)
 
 
 def compare(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> None:
@@ -125,7 +132,7 @@ def can(name: str, effects: tuple[str, ...]) -> bool:
     return True
 
 
-@pytest.mark.parametrize("effect", [None, *EVERYTHING])
+@pytest.mark.parametrize("effect", [None, *EVERYTHING, *CAMERAS])
 def test_one_effect_by_the_general_programs(made, random_gaussians, effect):
     effects = (effect,) if effect else ()
     if not can(made[0], effects):

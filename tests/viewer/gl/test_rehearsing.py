@@ -208,6 +208,7 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     discs = replace(SETTINGS, model=replace(SETTINGS.model, footprint="disc"))
     raster.render(scene, CAMERA, SETTINGS)
     kind = ahead.must_wait(scene, CAMERA, discs, None)
+    assert kind is not None
     assert kind == kind_of(scene, CAMERA, discs)
     assert kind != kind_of(scene, CAMERA, SETTINGS)
     stage.finish()
