@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...scene import Camera, Gaussians, InputError, look_at
+from ...scene import Camera, Gaussians, InputError, Lens, look_at
 from ...scene.files import load_cameras
 from ...scene.framing import WORLD_UP, frame_camera, robust_bounds
+from ...scene.other_rays import stepped_back, through_lens, with_parallel_rays
 from ...scene.turning import turned_about
-from .arguments import DEFAULT_SIZE, MAX_PIXELS, Parser, direction, field_of_view, index, size, vector
+from .arguments import DEFAULT_SIZE, MAX_PIXELS, Parser, direction, field_of_view, index, number, size, vector
 
 DEFAULT_FOV = 50.0
+
+NO_LENS_OPTION = Lens(model="PINHOLE")
+"""What `--lens` is where it is not given: None says that a camera's own is left out."""
 
 
 def add_camera_options(parser: Parser) -> None:
@@ -33,7 +37,33 @@ def add_camera_options(parser: Parser) -> None:
     group.add_argument(
         "--fov", type=field_of_view, metavar="DEG", help="vertical field of view (default: 50)"
     )
+    group.add_argument(
+        "--lens",
+        type=lens_or_none,
+        default=NO_LENS_OPTION,
+        metavar="MODEL:K,..",
+        help="one of COLMAP's lenses with its distortion, OPENCV_FISHEYE:0.1,0,0,0 say, at the same vertical "
+        "field of view; none: leave out the camera's own",
+    )
+    group.add_argument(
+        "--orthographic",
+        action="store_true",
+        help="parallel rays; what is as far away as the target stays as large",
+    )
     group.add_argument("--size", type=size, metavar="WxH", help="pixels (default: the camera's, or 1280x720)")
+
+
+def lens_or_none(text: str) -> Lens | None:
+    """MODEL:K1,K2,.. or none."""
+    if text == "none":
+        return None
+    model, _, numbers = text.partition(":")
+    try:
+        return Lens(
+            model=model.upper(), parameters=tuple(number(part) for part in numbers.split(",") if numbers)
+        )
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def check_camera_options(args: argparse.Namespace) -> None:
@@ -54,6 +84,8 @@ def check_camera_options(args: argparse.Namespace) -> None:
         raise InputError("--camera-index and --camera-name choose from the file that --camera names")
     if args.camera_index is not None and args.camera_name is not None:
         raise InputError("--camera-index and --camera-name both choose a camera; give one of them")
+    if args.orthographic and args.lens not in (None, NO_LENS_OPTION):
+        raise InputError("--orthographic has no lens: its rays are parallel; drop --lens or --orthographic")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +109,27 @@ def chosen_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
     """The camera of the options, or one that frames the scene.
 
     Raises:
-        InputError: the camera file is at fault.
+        InputError: the camera file is at fault, or the lens does not see as much as was asked for.
     """
+    orbit = _pinhole_orbit(args, gaussians)
+    camera = orbit.camera
+    if args.lens is None:
+        camera = replace(camera, lens=None)
+    elif args.lens != NO_LENS_OPTION:
+        if camera.orthographic:
+            raise InputError(f"{args.camera}: has parallel rays, which go through no lens; drop --lens")
+        try:
+            camera = through_lens(replace(camera, lens=None), args.lens)
+        except ValueError as error:
+            raise InputError(f"{error}; give a smaller --fov") from None
+    if args.orthographic and not camera.orthographic:
+        depth = float((orbit.target - camera.eye) @ camera.forward)
+        camera = stepped_back(with_parallel_rays(camera, depth), *robust_bounds(gaussians.means))
+    return replace(orbit, camera=camera)
+
+
+def _pinhole_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
+    """Before the options about rays. Raises InputError: the camera file is at fault."""
     if args.camera is not None:
         camera = camera_from_file(args)
         if args.size:

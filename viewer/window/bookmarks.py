@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...scene import InputError
+from ...scene.files.cameras import is_orthographic, lens_of
 from ..folders import config_folder
 from .navigation import Lens, View
 from .navigation.rotations import orthonormal, unit
@@ -91,7 +92,18 @@ def _as_json(bookmark: Bookmark) -> dict[str, Any]:
         "fov_y": view.lens.fov_y,
         "shift": list(view.lens.shift),
         "squeeze": view.lens.squeeze,
+        **_rays(view.lens),
     }
+
+
+def _rays(lens: Lens) -> dict[str, Any]:
+    """What only lenses that are no pinholes have, in the form of camera files."""
+    values: dict[str, Any] = {}
+    if lens.distortion is not None:
+        values["lens"] = {"model": lens.distortion.model, "parameters": list(lens.distortion.parameters)}
+    if lens.orthographic:
+        values["orthographic"] = True
+    return values
 
 
 def _bookmark(entry: dict[str, Any]) -> Bookmark:
@@ -119,6 +131,12 @@ def _bookmark(entry: dict[str, Any]) -> Bookmark:
             distance=distance,
             R_camera_world=orthonormal(rotation),
             up=unit(np.array(entry["up"], np.float64).reshape(3)),
-            lens=Lens(fov_y=fov_y, shift=(float(x), float(y)), squeeze=squeeze),
+            lens=Lens(
+                fov_y=fov_y,
+                shift=(float(x), float(y)),
+                squeeze=squeeze,
+                distortion=lens_of(entry, "a bookmark"),
+                orthographic=is_orthographic(entry, "a bookmark"),
+            ),
         ),
     )

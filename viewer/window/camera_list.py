@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 
 from ...scene import Camera
 from ...scene.errors import one_line
+from ...scene.files.cameras import camera_values, is_orthographic, lens_of
 from .core import Core
 from .navigation import view_from_camera
 
@@ -32,6 +34,8 @@ def take_position(core: Core, camera: Camera) -> None:
     """Looks as `camera` does; the turning point keeps its distance, the up axis stays."""
     width, height = core.picture_size
     view = core.destination
+    if not core.through_lenses:
+        camera = replace(camera, lens=None)
     core.go_to(view_from_camera(camera, distance=view.distance, up=view.up, width=width, height=height))
 
 
@@ -52,8 +56,7 @@ def paste_camera(core: Core) -> None:
 
 def camera_text(camera: Camera) -> str:
     """The camera as CAM.json has it."""
-    data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    return json.dumps({**data, "world_to_camera": camera.world_to_camera.tolist()})
+    return json.dumps(camera_values(camera))
 
 
 def camera_from_text(text: str) -> Camera:
@@ -72,6 +75,8 @@ def camera_from_text(text: str) -> Camera:
             cx=float(data["cx"]),
             cy=float(data["cy"]),
             world_to_camera=np.array(data["world_to_camera"], dtype=np.float64),
+            lens=lens_of(data, "the clipboard"),
+            orthographic=is_orthographic(data, "the clipboard"),
         )
     except json.JSONDecodeError:
         raise ValueError("it holds no JSON") from None

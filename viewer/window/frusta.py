@@ -26,6 +26,9 @@ MOST = 1000
 """Pyramids drawn at most: a video's every frame would be a carpet, and slow."""
 
 
+WIDEST = 2.0
+"""Slope of a pyramid's sides at most where the camera has a lens: a fisheye's pyramid would be flat."""
+
 GRAB = 0.4
 """Font heights from a line within which the mouse is on its camera."""
 
@@ -99,16 +102,24 @@ def pyramids(cameras: Sequence[Camera], seen_by: Camera, size: float) -> list[tu
     """
     found = []
     for index, camera in enumerate(cameras):
-        left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
-        top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
-        own = size * np.array(
-            [(0, 0, 0), (left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)]
-        )
+        own = np.concatenate([np.zeros((1, 3)), size * picture_corners(camera, size)])
         # By way of the difference of the eyes, so that scenes far from the origin do not jitter.
         points = own @ camera.R_camera_world + (camera.eye - seen_by.eye)
         t = points @ seen_by.R_camera_world.T
         if not (t[:, 2] >= NEAR).all():
             continue
-        pixels = t[:, :2] / t[:, 2:] * (seen_by.fx, seen_by.fy) + (seen_by.cx, seen_by.cy)
-        found.append((index, pixels[EDGES]))
+        pixels = seen_by.image_points(t)
+        if np.isfinite(pixels).all():
+            found.append((index, pixels[EDGES]))
     return found
+
+
+def picture_corners(camera: Camera, size: float) -> np.ndarray:
+    """(4, 3): where the picture's corners are `size` ahead, in camera axes and units of `size`."""
+    if camera.orthographic:
+        w, h = camera.width, camera.height
+        return camera.points_at([(0, 0), (w, 0), (w, h), (0, h)], size) / size
+    left, top, right, bottom = camera.seen_slopes
+    if camera.lens is not None:
+        left, top, right, bottom = np.clip((left, top, right, bottom), -WIDEST, WIDEST)
+    return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])

@@ -48,6 +48,8 @@ SHORTCUTS: tuple[Shortcut, ...] = (
     _once("Camera", "level", "L", "Make the horizon level"),
     _once("Camera", "next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X"),
     _once("Camera", "up_from_view", "Shift+U", "Take what is up in the picture as the up axis"),
+    _once("Camera", "toggle_orthographic", "Shift+P", "Orthographic: parallel rays, or perspective again"),
+    _once("Camera", "toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without"),
     _once("Camera", "narrower", "]", "Narrower field of view"),
     _once("Camera", "wider", "[", "Wider field of view"),
     _once("Camera", "next_camera", "PageDown", "Next loaded camera"),

@@ -24,10 +24,13 @@ def handles(
     name: str, camera: Camera, corner: ImVec2, matrix: np.ndarray, kind: str, *, local: bool
 ) -> np.ndarray | None:
     """Draws handles of a `kind` of OPERATIONS for the object that `matrix` (4, 4) places in the world, over
-    the picture of `camera` with its top left at `corner`. The new matrix while the user drags one.
+    the picture of `camera` with its top left at `corner`. The new matrix while the user drags one. None are
+    drawn through a lens, which bends lines.
     """
+    if camera.lens is not None:
+        return None
     guizmo.push_id(name)
-    guizmo.set_orthographic(False)
+    guizmo.set_orthographic(camera.orthographic)
     guizmo.set_drawlist(imgui.get_window_draw_list())
     guizmo.set_rect(corner.x, corner.y, camera.width, camera.height)
     placed = _columns(matrix)
@@ -52,9 +55,18 @@ def dragging() -> bool:
 
 
 def projection(camera: Camera) -> np.ndarray:
-    """OpenGL's clip matrix (4, 4) of a pinhole camera; the far plane is of no account here."""
+    """OpenGL's clip matrix (4, 4) of a camera without a lens; the far plane is of no account here."""
     near, far = NEAR, 1e5
     w, h = camera.width, camera.height
+    if camera.orthographic:
+        return np.array(
+            [
+                [2 * camera.fx / w, 0, 0, 2 * camera.cx / w - 1],
+                [0, 2 * camera.fy / h, 0, 1 - 2 * camera.cy / h],
+                [0, 0, -2 / (far - near), -(far + near) / (far - near)],
+                [0, 0, 0, 1],
+            ]
+        )
     return np.array(
         [
             [2 * camera.fx / w, 0, 1 - 2 * camera.cx / w, 0],

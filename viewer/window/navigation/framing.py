@@ -25,6 +25,11 @@ def axis(name: str) -> np.ndarray:
     return direction
 
 
+def plain_lens(view: View) -> Lens:
+    """Its angle and its kind of rays, without what only a photo's has."""
+    return Lens(fov_y=view.lens.fov_y, orthographic=view.lens.orthographic)
+
+
 def frame(view: View, centre: np.ndarray, radius: float, *, aspect: float = 1.0) -> View:
     """The view in its direction that has the sphere (centre (3,), radius > 0, world) in full.
 
@@ -38,18 +43,21 @@ def frame(view: View, centre: np.ndarray, radius: float, *, aspect: float = 1.0)
         target=np.asarray(centre, dtype=np.float64),
         # A scene of millimetres must not end up before the near plane.
         distance=max(distance, radius + 2 * NEAR),
-        lens=Lens(fov_y=view.lens.fov_y),
+        lens=plain_lens(view),
     )
 
 
 def focus(view: View, point: np.ndarray) -> View:
-    """Puts `point` (3,) world into the centre, as far away as it is, without turning the eye."""
+    """Puts `point` (3,) world into the centre, as far away as it is, without turning the eye. Where rays are
+    parallel how far it is makes no difference, and the scale stays."""
     depth = float((point - view.eye) @ view.forward)
+    if view.lens.orthographic:
+        depth = view.distance
     return replace(
         view,
         target=np.asarray(point, dtype=np.float64),
         distance=max(depth, MIN_DISTANCE),
-        lens=Lens(fov_y=view.lens.fov_y),
+        lens=plain_lens(view),
     )
 
 
@@ -65,7 +73,7 @@ def axis_view(view: View, name: str) -> View:
         if not np.any(upwards):  # an oblique up axis: no world axis is better than another
             upwards = view.R_camera_world[1]
     found = look_from(view.target + view.distance * outwards, view.target, upwards)
-    return replace(view, R_camera_world=found.R_camera_world, lens=Lens(fov_y=view.lens.fov_y))
+    return replace(view, R_camera_world=found.R_camera_world, lens=plain_lens(view))
 
 
 def level(view: View) -> View:

@@ -7,11 +7,13 @@ can reach the pixel, so that half a million splats take tens of milliseconds.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ....scene import Camera, Gaussians, RenderSettings
+from ....scene.lens import distort, distortion_jacobians
 from ....scene.projection import project, sigmoid
 from ....scene.reference import alphas
 
@@ -20,6 +22,13 @@ SURFACE = 0.5
 
 FAINTEST = 0.02
 """A pixel that lets more than 1 - this through shows no surface worth turning about."""
+
+
+SAMPLES = 24
+"""A side, of the rays at which a lens is looked at."""
+
+SAMPLES_SLACK = 1.5
+"""Between samples a lens may magnify more; a bound that is too wide costs a few splats more."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,11 +60,10 @@ def pick(gaussians: Gaussians, camera: Camera, settings: RenderSettings, x: floa
     else:
         hit = int(np.argmax(alpha * np.concatenate([[1.0], after[:-1]])))
     depth = float(footprints.depths[hit])
-    ray = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
     return Pick(
         index=int(candidates[footprints.indices[hit]]),
         depth=depth,
-        point=camera.eye + depth * ray @ camera.R_camera_world,
+        point=camera.eye + camera.points_at((x, y), depth) @ camera.R_camera_world,
     )
 
 
@@ -66,34 +74,46 @@ def may_reach(
 
     A footprint's half extent is at most reach·sqrt(|J|²·s² + blur) with s the largest scale,
     reach² = 2·ln(opacity / cut), and |J|² <= (f/z)²·(1 + u² + v²), u and v as the
-    Jacobian has them (clamped to within the margin).
+    Jacobian has them (clamped to within the margin), times the most that a lens magnifies; with
+    parallel rays |J| = f.
     """
     model = settings.model
     if not model.alpha_cut > 0:
         return np.arange(len(gaussians))
-    focal = max(camera.fx, camera.fy)
+    focal = max(camera.fx, camera.fy) * _largest_magnification(camera, model.jacobian_margin)
     with np.errstate(all="ignore"):
         offsets = (gaussians.means - camera.eye).astype(np.float32)
         t = offsets @ camera.R_camera_world.T.astype(np.float32)
         z = t[:, 2]
-        u, v = t[:, 0] / z, t[:, 1] / z
-        if model.jacobian_margin is None:
-            slant = 1 + u * u + v * v
-        else:
-            widest = [
-                (max(abs(c), abs(size - c)) + model.jacobian_margin * size / 2) / f
-                for c, size, f in (
-                    (camera.cx, camera.width, camera.fx),
-                    (camera.cy, camera.height, camera.fy),
-                )
-            ]
-            slant = 1 + np.minimum(np.abs(u), widest[0]) ** 2 + np.minimum(np.abs(v), widest[1]) ** 2
+        away = np.float32(1) if camera.orthographic else z
+        u, v = t[:, 0] / away, t[:, 1] / away
+        slant = np.float32(1)
+        if not camera.orthographic:
+            u_min, v_min, u_max, v_max = camera.slope_limits(model.jacobian_margin)
+            slant = 1 + np.clip(u, u_min, u_max) ** 2 + np.clip(v, v_min, v_max) ** 2
         reach = np.sqrt(np.maximum(2 * np.log(sigmoid(gaussians.opacity_logits) / model.alpha_cut), 0))
-        size = np.exp(gaussians.log_scales.max(axis=1)) * focal / z
+        size = np.exp(gaussians.log_scales.max(axis=1)) * focal / away
         # 1 px and 1 % of slack for float32.
         radius = reach * np.sqrt(size * size * slant + model.blur) * np.float32(1.01) + 1
+        hidden = z < model.near
+        if camera.lens is not None:
+            hidden |= u * u + v * v >= camera.lens.form.reach_squared
+            u, v = distort(np.stack([u, v], axis=1), camera.lens).T
         dx = u * np.float32(camera.fx) + np.float32(camera.cx - x)
         dy = v * np.float32(camera.fy) + np.float32(camera.cy - y)
         # Positive tests would drop a splat whose bound overflowed to NaN: here that means "maybe".
-        away = (z < model.near) | (np.abs(dx) > radius) | (np.abs(dy) > radius)
-    return np.flatnonzero(~away)
+        hidden |= (np.abs(dx) > radius) | (np.abs(dy) > radius)
+    return np.flatnonzero(~hidden)
+
+
+def _largest_magnification(camera: Camera, margin: float | None) -> float:
+    """How much larger than a pinhole's its Jacobian is anywhere that it is taken; inf where unknown."""
+    if camera.lens is None:
+        return 1.0
+    if margin is None:
+        return math.inf
+    # By angle: even steps of the slope crowd where a fisheye has nothing.
+    u_min, v_min, u_max, v_max = np.arctan(camera.slope_limits(margin))
+    angles = np.meshgrid(np.linspace(u_min, u_max, SAMPLES), np.linspace(v_min, v_max, SAMPLES))
+    rays = np.tan(np.stack(angles, axis=-1))
+    return SAMPLES_SLACK * float(np.linalg.norm(distortion_jacobians(rays, camera.lens), axis=(-2, -1)).max())

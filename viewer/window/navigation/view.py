@@ -1,4 +1,4 @@
-"""What the user steers: an eye that looks at a target from a distance, through a lens."""
+"""What the user steers: an eye that looks at a target from a distance, and how its rays go."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ....scene import Camera, look_at_matrix
+from ....scene import Lens as Distortion
 from .rotations import unit
 
 MIN_FOV, MAX_FOV = 1.0, 160.0
@@ -24,6 +25,10 @@ class Lens:
     """Principal point minus image centre, in focal lengths; not zero only in some photos."""
     squeeze: float = 1.0
     """fx / fy."""
+    distortion: Distortion | None = None
+    """Of a photo's lens; `fov_y` is then that of the pinhole with its focal length."""
+    orthographic: bool = False
+    """Parallel rays: what is at the target's distance is as large as by a pinhole of this angle."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,6 +59,9 @@ class View:
         """The camera of this view for a picture of width x height px."""
         fy = height / 2 / math.tan(math.radians(self.lens.fov_y) / 2)
         fx = fy * self.lens.squeeze
+        cx, cy = width / 2 + self.lens.shift[0] * fx, height / 2 + self.lens.shift[1] * fy
+        if self.lens.orthographic:
+            fx, fy = fx / self.distance, fy / self.distance
         matrix = np.eye(4)
         matrix[:3, :3] = self.R_camera_world
         matrix[:3, 3] = -self.R_camera_world @ self.eye
@@ -62,29 +70,35 @@ class View:
             height=height,
             fx=fx,
             fy=fy,
-            cx=width / 2 + self.lens.shift[0] * fx,
-            cy=height / 2 + self.lens.shift[1] * fy,
+            cx=cx,
+            cy=cy,
             world_to_camera=matrix,
+            lens=None if self.lens.orthographic else self.lens.distortion,
+            orthographic=self.lens.orthographic,
         )
 
 
-def fitted_lens(camera: Camera, width: int, height: int) -> Lens:
-    """A lens that shows all that `camera` shows in a picture of width x height px.
+def fitted_lens(camera: Camera, width: int, height: int, *, distance: float) -> Lens:
+    """A lens that shows all that `camera` shows in a picture of width x height px; where rays are parallel,
+    from `distance`.
 
     At the camera's own aspect ratio it is the camera's lens exactly; otherwise more is seen on two sides.
     """
     squeeze = camera.fx / camera.fy
-    tan_y = camera.height / (2 * camera.fy)
-    tan_x = camera.width / (2 * camera.fx)
+    nearness = 1 / distance if camera.orthographic else 1.0
+    tan_y = nearness * camera.height / (2 * camera.fy)
+    tan_x = nearness * camera.width / (2 * camera.fx)
     # A picture of this shape sees tan_y * width / height / squeeze to the side: enough for tan_x?
     tan_y = max(tan_y, tan_x * squeeze * height / width)
     return Lens(
         fov_y=min(max(math.degrees(2 * math.atan(tan_y)), MIN_FOV), MAX_FOV),
         shift=(
-            (camera.cx - camera.width / 2) / camera.fx,
-            (camera.cy - camera.height / 2) / camera.fy,
+            nearness * (camera.cx - camera.width / 2) / camera.fx,
+            nearness * (camera.cy - camera.height / 2) / camera.fy,
         ),
         squeeze=squeeze,
+        distortion=camera.lens,
+        orthographic=camera.orthographic,
     )
 
 
@@ -100,7 +114,7 @@ def view_from_camera(
         distance=distance,
         R_camera_world=camera.R_camera_world,
         up=unit(up),
-        lens=fitted_lens(camera, width or camera.width, height or camera.height),
+        lens=fitted_lens(camera, width or camera.width, height or camera.height, distance=distance),
     )
 
 
