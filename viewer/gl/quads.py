@@ -77,7 +77,7 @@ class QuadsRenderer(Renderer):
         self._early_stop = transmittance
 
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
         n = len(gaussians)
         limit = storage_limit(self._ctx)
@@ -87,7 +87,7 @@ class QuadsRenderer(Renderer):
                 f"{limit >> 20} MiB; use --renderer cpu or fewer splats"
             )
         try:
-            for step in upload_steps(self._ctx, gaussians, attributes=attributes, every_band=every_band):
+            for step in upload_steps(self._ctx, gaussians, attributes=attributes, every_band=self.every_band):
                 if isinstance(step, SceneBuffers):
                     self._use(step, gaussians)
                 else:
@@ -125,7 +125,8 @@ class QuadsRenderer(Renderer):
         scene = self._scene
         sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
         if self._source is not None and scene.harmonics.lacks(sh_degree):
-            self.load(self._source, scene.attributes, every_band=True)
+            self.every_band = True
+            self.load(self._source, scene.attributes)
             scene = self._scene
         check_rays(camera, mode)
         editing = self._edits.update(edits, overlay)
@@ -163,6 +164,7 @@ class QuadsRenderer(Renderer):
                     antialiased=settings.model.antialiased,
                     keys=keys,
                     kept=self._kept if keeps else None,
+                    slopes=order == "per-pixel",
                 )
             if order not in UNSORTED and not keeps:
                 with self._timers.stage("sort"):
@@ -229,6 +231,8 @@ class QuadsRenderer(Renderer):
         """What `Gathering.draw` is told of an order that takes no sort."""
         if order == "stochastic":
             return {"stochastic": True}
+        if order == "per-pixel":
+            return {"by_pixel": True}
         if order != "weighted":
             return {}
         least, greatest = self._depths(camera, near)

@@ -105,11 +105,11 @@ class LegacyQuadsRenderer(Renderer):
     # ---- loading
 
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
         if attributes != "float32":
             raise InputError(f"attributes in {attributes} need OpenGL 4.3; use float32 or --renderer cpu")
-        for step in upload_steps(self._ctx, gaussians, every_band=every_band):
+        for step in upload_steps(self._ctx, gaussians, every_band=self.every_band):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)
             else:
@@ -166,7 +166,8 @@ class LegacyQuadsRenderer(Renderer):
         if self._source is not None and scene.harmonics.lacks(
             3 if settings.sh_degree is None else settings.sh_degree
         ):
-            self.load(self._source, every_band=True)
+            self.every_band = True
+            self.load(self._source)
             _, sorter = self._loaded()
         check_rays(camera, mode)
         editing = self._edits.update(edits, overlay)

@@ -35,25 +35,23 @@ class Renderer(ABC):
         self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._source: Gaussians | None = None
         """The scene that is loaded."""
+        self.every_band = False
+        """Whether scenes are loaded with the bands of spherical harmonics that nobody can see, too. So it is
+        once settings ask for one that is not there, which takes as long as loading the scene again."""
         self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
-    def load(
-        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
-    ) -> None:
+    def load(self, gaussians: Gaussians, attributes: Attributes = "float32") -> None:
         """Replaces the scene, all at once; stored as `attributes` (`scene.stored`).
-
-        `every_band`: with the bands of spherical harmonics that nobody can see too. They are uploaded anyway
-        once settings ask for them, but that takes as long as loading does.
 
         Raises:
             InputError: the scene does not fit into the GPU's memory, buffers or textures.
         """
-        for _ in self.load_steps(gaussians, attributes, every_band=every_band):
+        for _ in self.load_steps(gaussians, attributes):
             pass
 
     @abstractmethod
     def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32", *, every_band: bool = False
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
         """Replaces the scene in steps of a few milliseconds: yields the share done after each.
 

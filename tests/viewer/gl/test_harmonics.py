@@ -158,8 +158,11 @@ def test_invisible_bands_come_when_they_are_asked_for(ctx, random_gaussians, mak
     assert held_bytes(renderer) - held >= 600 * 7 * 12
     assert 0 < np.abs(every - seen).max() <= VISIBLE
     assert np.abs(every - reference.render(scene, CAMERA)).max() < 1e-4
-    renderer.load(scene, every_band=True)
-    assert np.array_equal(renderer.render(scene, CAMERA, EXACT), every)
+    assert renderer.every_band  # and so from now on: a training shows one scene after the other
+    again = replace(scene)
+    renderer.load(again)
+    assert np.array_equal(renderer.render(again, CAMERA, EXACT), every)
+    assert renderer.stats.drawn == 3
     renderer.release()
 
 
