@@ -13,9 +13,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-import atheris
+import atheris  # pyright: ignore[reportMissingImports]
 
-with atheris.instrument_imports(
+with atheris.instrument_imports(  # pyright: ignore[reportAttributeAccessIssue]
     include=["splatview.scene", "splatview.edit", "splatview.trainer.checkpoint", "splatview.viewer.window"],
     exclude=["splatview.edit.loops", "splatview.scene.demo"],
 ):

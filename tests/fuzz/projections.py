@@ -198,7 +198,7 @@ def truth_of(block: Block, seed: int) -> Truth:
     culled[at[favoured.visible]] = False
     with np.errstate(invalid="ignore"):
         shown &= reference.opacities * (1 - RELATIVE) >= block.settings.model.alpha_cut
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         sums = np.abs(block.gaussians.sh).astype(np.float64).sum(axis=(1, 2))
         # NaN fails here: what has it is culled for certain.
         free = sums > OVERFLOWING * FLOAT32_MAX

@@ -87,4 +87,6 @@ def test_wrong_projections_are_told() -> None:
     assert "not culled" in wrong_rows(Projected(every, *parts), truth)
     for slot, name in enumerate(("mean", "conic", "opacity", "colour")):
         off = [values * 1.01 + 1e-4 if i == slot else values for i, values in enumerate(parts)]
-        assert name in wrong_rows(Projected(exact.visible, *off), truth)
+        means2d, conics, opacities, colours = off
+        projected = Projected(exact.visible, means2d, conics, opacities, colours)
+        assert name in wrong_rows(projected, truth)

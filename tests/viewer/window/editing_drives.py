@@ -191,5 +191,36 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["back"] = float(np.abs(hand.picture_of_edits() - seen).max())
 
 
+def health(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The Health report: prices of repairs, a repair, its undo, and a click that selects."""
+    settle(hand)
+    desk = core.desk
+    assert desk is not None
+    hand.wait(lambda: core.examination is not None and core.examination.done, "the health check")
+    hand.ctx.window_focus("//Scene")
+    hand.ctx.set_ref("//Scene")
+    hand.frames(3)
+    seen = hand.picture_of_edits()
+    hand.ctx.item_click("**/What would repairs cost?")
+    settle(hand)
+    found["prices"] = {name: [price.mean, price.worst] for name, price in desk.forms.health.prices.items()}
+    found["untouched"] = desk.document.history.position == 0
+    hand.frames(3)
+    hand.shoot(options.get("panel"))
+    hand.frames(3)
+    hand.ctx.item_click("**/Repair##rods")
+    settle(hand)
+    found["titles"] = [step.title for step in desk.document.history.done]
+    found["changed"] = float(np.abs(hand.picture_of_edits() - seen).max())
+    hand.press("Ctrl+Z")
+    settle(hand)
+    found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
+    hand.ctx.window_focus("//Scene")
+    hand.ctx.set_ref("//Scene")
+    hand.ctx.item_click("**/rods")
+    settle(hand)
+    found["selected"] = counts(core)["selected"]
+
+
 if __name__ == "__main__":
     sys.exit(drives.main(globals()))

@@ -77,6 +77,16 @@ class CleanForm:
 
 
 @dataclass(kw_only=True)
+class HealthForm:
+    """Of the health report."""
+
+    prices: dict[str, Price] = field(default_factory=dict)
+    """Of the repair of each finding, by its name, and..."""
+    of: object = None
+    """... the document's versions that they are of."""
+
+
+@dataclass(kw_only=True)
 class Forms:
     """All of them."""
 
@@ -87,6 +97,7 @@ class Forms:
     """Whether opacities and sizes are multiplied or set."""
     range: RangeForm = field(default_factory=RangeForm)
     clean: CleanForm = field(default_factory=CleanForm)
+    health: HealthForm = field(default_factory=HealthForm)
     crop: int = -1
     """Which crop has the handles; -1: none."""
     crop_handles: int = 0

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from imgui_bundle import imgui
-
-from ....edit.operations import Select
-from ....edit.operations.repairing import REPAIRS, Repair
-from ....edit.selecting import IllSplats
-from .. import theme
 from ..core import Core
-from ..editing.commands import apply
 from ..loading import Examination
-from . import widgets
+from . import health, widgets
 
 
 def show(core: Core) -> None:
@@ -60,19 +51,4 @@ def examination(core: Core, found: Examination) -> None:
     on = sum(effect.in_force for effect in receipt)
     tip = "The Effects panel tells which, why, and at which price."
     widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)
-    widgets.section("Health")
-    ill = [finding for finding in found.findings if finding.count]
-    if not ill:
-        widgets.note("No splat is ill.")
-    for finding in ill:
-        imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
-        imgui.same_line(imgui.get_font_size() * 5)
-        clicked, _ = imgui.selectable(finding.name, False, 0, (imgui.get_font_size() * 9, 0))
-        widgets.tooltip(f"{finding.what} Click to select them.")
-        if clicked:
-            core.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
-        if finding.name in REPAIRS:
-            imgui.same_line()
-            if imgui.small_button(f"Repair##{finding.name}"):
-                core.post(partial(apply, operation=Repair(finding=finding.name)))
-            widgets.tooltip(f"As a step that can be undone: {REPAIRS[finding.name]}.")
+    health.show(core, found.findings)

@@ -9,7 +9,7 @@ from imgui_bundle import ImVec4, imgui
 
 from .....edit.detecting import DETECTORS
 from .....edit.operations.pruning import Decimate
-from .....edit.price import NO_LOSS
+from .....edit.price import NO_LOSS, Price
 from ... import theme
 from ...panels import widgets
 from .. import cleaning
@@ -76,19 +76,19 @@ def threshold(core: Core, desk: Desk) -> None:
 def show_price(cost: Any) -> None:
     if cost is None:
         return
-    colour = (
-        ImVec4(0.45, 0.8, 0.5, 1)
-        if cost.worst >= GOOD
-        else theme.WARNING
-        if cost.worst >= FAIR
-        else theme.ERROR
-    )
     mean, worst = (">= 100" if value >= NO_LOSS else f"{value:.1f}" for value in (cost.mean, cost.worst))
-    widgets.note(f"Pictures stay at {mean} dB on average, {worst} dB at worst.", colour)
+    widgets.note(f"Pictures stay at {mean} dB on average, {worst} dB at worst.", quality(cost))
     widgets.tooltip(
         f"PSNR of {cost.views} views after against before; the largest error of any pixel is "
         f"{cost.largest_error * 255:.0f}/255. Above 45 dB nobody sees a difference."
     )
+
+
+def quality(cost: Price) -> ImVec4:
+    """A colour that says whether anybody would see the difference."""
+    if cost.worst >= GOOD:
+        return ImVec4(0.45, 0.8, 0.5, 1)
+    return theme.WARNING if cost.worst >= FAIR else theme.ERROR
 
 
 def decimation(core: Core, desk: Desk) -> None:
