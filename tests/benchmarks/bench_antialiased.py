@@ -77,8 +77,8 @@ def main() -> None:
         "rows": rows(results),
         "note": f"Without the effect → with it, against the averaged picture of {options.size}; none of these"
         " scenes was trained antialiased, so in the last column, switched on at full size, it changes"
-        " the picture. At half the size a kernel of 0.1 px² is nearly the 0.3 of the full size (0.075): scenes"
-        " trained so look right with it, at that size only.",
+        " the picture. At half the size a kernel of 0.1 px² is nearly the 0.3 of the full size (0.075):"
+        " scenes trained so look right with it, at that size only.",
     }
     for row in table["rows"]:
         print(*row, sep="   ")

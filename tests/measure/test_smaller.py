@@ -59,7 +59,8 @@ def test_a_scene_of_the_programs_own_at_each_size():
 
 def test_at_full_size_the_effect_is_the_model_itself():
     """Of a scene that is trained so nothing is lost by it; of another it is another picture."""
-    scene, camera = demo_scene(splats=3000), CAMERA.resized(128, 96)
+    scene = demo_scene(splats=6000)
+    camera = look_at((4, -3, -6), (0, 0, 0), up=(0, -1, 0), width=128, height=96)
     settings = RenderSettings(model=ImageModel(antialiased=True, blur=0.1))
     mip = next(one for one in compare_smaller(render, scene, camera, settings, (1,)) if one.kernel == 0.1)
     assert mip.antialiased == psnr(np.zeros((1, 1, 3)), np.zeros((1, 1, 3)))  # equal to the last bit
