@@ -269,21 +269,27 @@ class TrainingThread:
         self._closing = True
 
     def _step(self) -> None:
-        trainer = self._session.trainer
-        pace = pace_of(self.share, self.cores)
-        trainer.threads = pace.threads
-        begun = time.perf_counter()
+        """A step and what is due after it; what fails stops the run and is told of, and the thread lives."""
         try:
-            progress = self._session.step()
+            self._take_step()
         except Exception as error:
             traceback.print_exc()
             self._steps_wanted = 0
             self._session.stopwatch.pause()
             self._unseen = True
             self._tell(state="failed", failure=one_line(error), rate=0.0)
-            self._publish()
+            try:
+                self._publish()
+            except Exception as again:  # what is shown stays
+                self._note(again)
             self.on_change()
-            return
+
+    def _take_step(self) -> None:
+        trainer = self._session.trainer
+        pace = pace_of(self.share, self.cores)
+        trainer.threads = pace.threads
+        begun = time.perf_counter()
+        progress = self._session.step()
         ended = time.perf_counter()
         self._step_due = ended + (ended - begun) * (1 / pace.duty - 1)
         self._unseen = self._unsaved = True

@@ -248,6 +248,32 @@ def test_a_failure_is_told_and_the_scene_stays(begin, make_session, capsys) -> N
     assert thread.status.failure is None
 
 
+def test_a_snapshot_without_memory_stops_the_run_and_not_the_thread(
+    begin, make_session, tmp_path, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(threads, "PUBLISH_SHARE", 1e9)
+    session = make_session(iterations=100_000)
+    snapshot = session.trainer.snapshot
+    thread = begin(session=session, snapshot_seconds=0.0)
+    wait(lambda: thread.status.iteration > 3, "steps")
+
+    def exhausted() -> None:
+        raise MemoryError("no room for a snapshot")
+
+    session.trainer.snapshot = exhausted
+    thread.take_snapshot()
+    wait(lambda: thread.status.state == "failed", "the failure")
+    settled(thread)
+    assert thread.status.failure == "MemoryError: no room for a snapshot"
+    assert "no room for a snapshot" in capsys.readouterr().err
+    session.trainer.snapshot = snapshot
+    reached = thread.status.iteration
+    thread.resume()
+    wait(lambda: thread.status.iteration > reached + 2, "another try")
+    thread.close()
+    assert len(load_scene(tmp_path / "toy.ply")) > 0
+
+
 def test_closing_saves_what_was_trained(begin, tmp_path) -> None:
     thread = begin()
     wait(lambda: thread.status.iteration > 3, "steps")
