@@ -194,8 +194,11 @@ def test_info_is_what_the_scene_is(splatview, scene, gaussians):
     assert np.allclose(receipt["bounds"]["max"], gaussians.means.max(axis=0))
     assert {"name", "on", "why"} <= receipt["effects"][0].keys()
     assert {"name", "count"} <= receipt["health"][0].keys()
+    band = next(effect for effect in receipt["effects"] if effect["name"] == "SH band 2")
+    assert band["on"] and band["saved_bytes"] == 200 * 5 * 12 and band["largest_change"] > 1 / 510
     text = splatview("info", scene)
     assert "200 splats" in text
+    assert "leaving it out saves 12,000 bytes" in text and text.count("crop") == 1
     assert "SH degree 2" in text
 
 
@@ -224,6 +227,8 @@ def test_doctor_tries_the_renderers(splatview):
     assert findings["renderers"]["cpu"]["works"]
     assert findings["auto"]["renderer"] in ("cpu", "quads")
     assert findings["cores"] >= 1
+    if findings["gl"]["works"]:
+        assert "a new program takes" in findings["gl"]["background_compiling"]["why"]
     text = splatview("doctor")
     assert f"takes {findings['auto']['renderer']}" in text
 

@@ -81,6 +81,7 @@ def installed(name: str) -> str | None:
 
 def gl_context() -> dict[str, Any]:
     """What OpenGL without a window offers."""
+    from ..gl.cache_probe import probe_cache
     from ..gl.context import create_headless_context, describe
     from ..gl.resolving import float16_blending_truncates
 
@@ -90,6 +91,11 @@ def gl_context() -> dict[str, Any]:
         return {"works": False, "why": str(error)}
     info = describe(ctx)
     truncates = float16_blending_truncates(ctx)
+    try:
+        probe = probe_cache(ctx)
+        ahead = {"works": probe.works, "why": probe.why}
+    except Exception as error:  # as below
+        ahead = {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
     ctx.release()
     return {
         "works": True,
@@ -98,6 +104,7 @@ def gl_context() -> dict[str, Any]:
         "compute": info.has_compute,
         "software": info.is_software,
         "float16_blending": "truncates" if truncates else "rounds",
+        "background_compiling": ahead,
     }
 
 
@@ -142,6 +149,9 @@ def as_text(findings: dict[str, Any]) -> str:
         lines.append(f"OpenGL     {gl['version']}, {gl['renderer']} ({kind}; {compute})")
         if gl["float16_blending"] == "truncates":
             lines.append("float16    blending truncates instead of rounding: quads sums in float32 even so")
+        ahead = gl["background_compiling"]
+        does = "works" if ahead["works"] else "does NOT work: effects wait for the next scene"
+        lines.append(f"compiling  in the background {does}; {ahead['why']}")
     else:
         lines.append(f"OpenGL     {gl['why']}")
     for name, result in findings["renderers"].items():

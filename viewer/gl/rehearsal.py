@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import pickle
 import sys
+import time
 from dataclasses import dataclass, field, replace
 
 import moderngl
@@ -31,6 +32,10 @@ SPLATS = 64
 
 SIZE = (48, 32)
 """Pixels."""
+
+LINGER = 1.0
+"""Seconds: drivers write their caches in threads of their own, which Mesa ends with the process, done or
+not."""
 
 NICENESS = 5
 """The window comes first."""
@@ -146,6 +151,7 @@ def draw_by_gl(rehearsal: Rehearsal) -> None:
     for variant in rehearsal.variants - variants.made:
         load(ctx, variant)
     ctx.finish()
+    time.sleep(LINGER)
     ctx.release()
 
 

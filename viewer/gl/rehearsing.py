@@ -141,32 +141,17 @@ class Rehearsals:
             self._on_change()
 
     def _in_a_process(self, rehearsal: Rehearsal) -> None:
-        """Raises RuntimeError with the process's last line where it fails."""
+        def started(process: subprocess.Popen[bytes]) -> None:
+            with self._change:
+                self._process = process
+                if self._ended:
+                    process.terminate()
+
         try:
-            process = subprocess.Popen(
-                [sys.executable, "-c", STARTER],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-            )
-        except OSError as error:
-            raise RuntimeError(str(error)) from error
-        with self._change:
-            self._process = process
-            if self._ended:
-                process.terminate()
-        try:
-            _, said = process.communicate(pickle.dumps(rehearsal), timeout=LONGEST)
-        except subprocess.TimeoutExpired as error:
-            process.kill()
-            process.communicate()
-            raise RuntimeError(f"not done after {LONGEST:.0f} s") from error
+            in_a_process(rehearsal, started)
         finally:
             with self._change:
                 self._process = None
-        if process.returncode != 0:
-            lines = said.decode(errors="replace").strip().splitlines()
-            raise RuntimeError(lines[-1] if lines else f"exit code {process.returncode}")
 
     def _remember(self, keys: Iterable[str]) -> None:
         if self._memory is None or not keys:
@@ -189,3 +174,32 @@ def remembered(memory: Path | None) -> set[str]:
     except (OSError, UnicodeDecodeError):
         return set()
     return set(lines)
+
+
+def in_a_process(
+    rehearsal: Rehearsal, on_start: Callable[[subprocess.Popen[bytes]], object] = lambda process: None
+) -> None:
+    """Returns when it has been performed.
+
+    Raises:
+        RuntimeError: it has not; says what the process said last.
+    """
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-c", STARTER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+    except OSError as error:
+        raise RuntimeError(str(error)) from error
+    on_start(process)
+    try:
+        _, said = process.communicate(pickle.dumps(rehearsal), timeout=LONGEST)
+    except subprocess.TimeoutExpired as error:
+        process.kill()
+        process.communicate()
+        raise RuntimeError(f"not done after {LONGEST:.0f} s") from error
+    if process.returncode != 0:
+        lines = said.decode(errors="replace").strip().splitlines()
+        raise RuntimeError(lines[-1] if lines else f"exit code {process.returncode}")
