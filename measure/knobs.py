@@ -129,7 +129,7 @@ KNOBS: tuple[Knob, ...] = (
         values=(
             _setting("32-bit", order="32-bit"),
             _setting("16-bit", order="16-bit"),
-            _setting("per-pixel", CPU, order="per-pixel"),
+            _setting("per-pixel", TILES + CPU, order="per-pixel"),
             _setting("weighted", GL, order="weighted"),
             _setting("stochastic", GL, order="stochastic"),
         ),

@@ -140,16 +140,13 @@ def draw_frame(
         raise ValueError(f"background must be 3 finite numbers, got {behind}")
     if settings.order not in ORDERS:
         raise ValueError(f"order must be one of {', '.join(ORDERS)} on the CPU, got {settings.order}")
-    slopes_of = None
-    if settings.order == "per-pixel":
-        if edits is not None and edits.adjusts:
-            raise ValueError("per-pixel order needs the scene itself: bake its adjustments first")
-        slopes_of = partial(depth_slopes, splats, camera=camera, settings=settings)
     view = make_view(camera, settings, np.dtype(dtype))
     threads = threads or available_threads()
     edited = edit_arrays(edits, len(splats.means))
     key_bits = 16 if settings.order == "16-bit" else 32
-    order_of = None
+    slopes_of = order_of = None
+    if settings.order == "per-pixel":
+        slopes_of = partial(depth_slopes, splats, camera=camera, settings=settings, edits=edited)
     if keeps_order(settings):
         order_of = partial(
             in_kept_order, splats, camera, settings, view, workspace, edited, key_bits, threads

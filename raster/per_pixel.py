@@ -14,9 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import Camera, RenderSettings
+from ..scene.edits import PALETTE_SHIFT
 from ..scene.projection import projection_jacobians, rotation_matrices
 from .compiling import inline, kernel
 from .discs import met_at
+from .edited import LOG_FACTOR, QUAT, EditArrays
 from .parameters import Parameters
 from .project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from .view import TILE
@@ -29,18 +31,26 @@ HELD_DEPTH, HELD_ALPHA, HELD_SPLAT = range(3)
 
 
 def depth_slopes(
-    splats: Parameters, visible: np.ndarray, camera: Camera, settings: RenderSettings
+    splats: Parameters,
+    visible: np.ndarray,
+    camera: Camera,
+    settings: RenderSettings,
+    edits: EditArrays | None = None,
 ) -> np.ndarray:
     """g of each splat in `visible` (V,) int32: (N, 2) float64, world units a px; 0 for the others."""
     slopes = np.zeros((len(splats.means), 2))
-    offsets = splats.means[visible].astype(np.float64) - camera.eye
-    t = offsets @ camera.R_camera_world.T
-    scales = np.exp(splats.log_scales[visible].astype(np.float64))
-    axes = (
-        camera.R_camera_world
-        @ rotation_matrices(splats.quats[visible].astype(np.float64))
-        * scales[:, None, :]
+    means, quats, log_scales = (
+        values[visible].astype(np.float64) for values in (splats.means, splats.quats, splats.log_scales)
     )
+    R = rotation_matrices(quats)
+    if edits is not None:
+        rows = edits.palette[np.minimum(edits.marks[visible] >> PALETTE_SHIFT, len(edits.palette) - 1)]
+        to_world = rows[:, :12].reshape(-1, 3, 4)
+        means = np.einsum("nij,nj->ni", to_world[:, :, :3], means) + to_world[:, :, 3]
+        R = rotation_matrices(rows[:, QUAT : QUAT + 4]) @ R
+        log_scales += rows[:, LOG_FACTOR, None]
+    t = (means - camera.eye) @ camera.R_camera_world.T
+    axes = camera.R_camera_world @ R * np.exp(log_scales)[:, None, :]
     M = projection_jacobians(t, camera, settings.model.jacobian_margin) @ axes
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         S = M @ M.transpose(0, 2, 1)

@@ -1,6 +1,6 @@
 // EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
 // scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC, DISCS (splats are
-// flat: without ANTIALIASED and LENS).
+// flat: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/per_pixel.py has it).
 #include "common/lens.glsl"
 #include "common/numbers.glsl"
 #if HAS_DISCS
@@ -30,6 +30,9 @@ struct Footprint {
     float opacity;
     float depth;     // t.z
     vec3 direction;  // unit, world axes, from the eye
+#if HAS_SLOPES
+    vec2 depth_slope; // world units a px: where a pixel's ray meets the splat's densest point, less `depth`
+#endif
 #if HAS_DISCS
     Disc disc;       // what decides alpha: the conic and its axes are those of an ellipse around it
 #endif
@@ -115,6 +118,14 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     }
     float a = sqrt(yy / det) / spread;
     f.conic = vec3(a, -xy / yy * a, 1.0 / (sqrt(yy) * spread));
+#if HAS_SLOPES
+    vec3 along_z = vec3(axes[0].z, axes[1].z, axes[2].z);
+    vec2 covariance = spread * vec2(dot(m0, along_z), dot(m1, along_z));
+    float whitened = f.conic.x * covariance.x + f.conic.y * covariance.y;
+    f.depth_slope = vec2(f.conic.x * whitened, f.conic.y * whitened + f.conic.z * f.conic.z * covariance.y);
+    // What a determinant without digits says is not used.
+    if (!(det > 1e-9 * xx * yy) || !is_finite(f.depth_slope)) f.depth_slope = vec2(0.0);
+#endif
     if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;
 
     // The ellipse alpha = cut: along the eigenvectors, 1-sigma lengths sqrt(eigenvalue).

@@ -1,5 +1,5 @@
 // One invocation a splat: footprint, colour and depth key. A culled splat gets the key CULLED and no record.
-// Flags: GROUP_SIZE, SH_DEGREE, ANTIALIASED, and those of attributes, harmonics and edits.
+// Flags: GROUP_SIZE, WIDE, SH_DEGREE, ANTIALIASED, and those of attributes, harmonics and edits.
 #include "quads/culled.glsl"
 #include "common/edits.glsl"
 #include "common/sh.glsl"
@@ -20,6 +20,9 @@ layout(std430, binding = 8) buffer GroupCounts { uint group_counts[]; };
 #if HAS_DISCS
 layout(std430, binding = 9) writeonly buffer Discs { vec4 discs[]; };       // two a splat: rows, plane
 #endif
+#if HAS_SLOPES
+layout(std430, binding = 10) writeonly buffer Slopes { vec4 slopes[]; };    // of depth, then depth
+#endif
 
 uint depth_key(float depth) {
     // Orders as the float does, negative depths included.
@@ -34,6 +37,7 @@ void main() {
     depth_keys[splat] = CULLED;
     vec4 scale_opacity = scale_opacity_of(local);
     Splat s = unedited(position_of(local), quat_of(local), scale_opacity.xyz, scale_opacity.w);
+    if (WIDE) s.offset += position_rest_of(local, u_page_count);
     Footprint f;
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) return;
     vec3 colour = graded(splat, sh_colour(local, harmonics_direction(splat, f.direction)));
@@ -46,6 +50,9 @@ void main() {
         discs[2u * splat] = f.disc.rows;
         discs[2u * splat + 1u] = f.disc.plane;
     }
+#endif
+#if HAS_SLOPES
+    slopes[splat] = vec4(f.depth_slope, f.depth, 0.0);
 #endif
     depth_keys[splat] = depth_key(f.depth);
     atomicAdd(group_counts[splat / uint(GROUP_SIZE)], 1u);

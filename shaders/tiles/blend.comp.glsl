@@ -1,103 +1,10 @@
 // Blends what a tile has into the picture, front to back, a batch at a time; one work group a tile. It starts
 // from what the target holds, so one picture may take several of these, nearer splats first.
-// Flags: REST (tries all splats that found no room among the pairs), WORKGROUP, BATCH, ROUNDS, TINTS, DISCS
-// (splats are flat), and those of outline.
-#include "tiles/outline.glsl"
-#include "tiles/plan.glsl"
-#include "common/falloff.glsl"
-#include "common/tint.glsl"
-#if HAS_DISCS
-#include "common/disc.glsl"
-#endif
+// Flags: those of batches.
+#include "tiles/batches.glsl"
 #define PIXELS (TILE * TILE / WORKGROUP)
 
 layout(local_size_x = WORKGROUP) in;
-
-layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
-layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
-#if HAS_DISCS
-layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two a splat: rows, plane
-#endif
-layout(rgba32f, binding = 0) uniform image2D u_gathered;                       // rgb, T
-uniform uint u_round;
-uniform uint u_first;  // of the tile's splats, and at most how many from there on
-uniform uint u_most;
-uniform float u_max_alpha;
-uniform float u_early_stop;
-
-// One batch, with a, b and c in the unit that makes the exponent one of 2.
-shared vec4 batch_shapes[BATCH];
-shared float batch_cs[BATCH];
-shared vec4 batch_colours[BATCH];
-#if HAS_DISCS
-shared vec4 batch_rows[BATCH];
-shared vec4 batch_planes[BATCH];
-#endif
-shared uint borders[2];
-shared uint open_pixels;
-#if HAS_REST
-const uint WORDS = uint(BATCH) / 32u;
-shared uint hits[WORDS];
-#endif
-
-// The first pair of `tile` or a later one.
-uint first_pair(uint tile) {
-    uint low = 0u, high = plan.round_pairs[u_round];
-    while (low < high) {
-        uint middle = (low + high) / 2u;
-        if (pair_tiles[middle] < tile) low = middle + 1u;
-        else high = middle;
-    }
-    return low;
-}
-
-void put(uint place, uint splat) {
-    vec4 colour = colours[splat];
-    batch_shapes[place] = vec4(shapes[splat].xy, shapes[splat].zw * ROOT_HALF_LOG2_E);
-    batch_cs[place] = bounds[splat].x * ROOT_HALF_LOG2_E;
-    batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
-#if HAS_DISCS
-    if (DISCS) {
-        batch_rows[place] = discs[2u * splat];
-        batch_planes[place] = discs[2u * splat + 1u];
-    }
-#endif
-}
-
-#if HAS_REST
-bool touches(uint splat, ivec2 tile) {
-    Outline o = outline_of(splat);
-    ivec2 rows = rows_of(o);
-    if (tile.y < rows.x || tile.y > rows.y) return false;
-    ivec2 columns = columns_of(o, tile.y);
-    return tile.x >= columns.x && tile.x <= columns.y;
-}
-
-// Keeps what touches the tile, in order.
-uint fill_batch(uint first, uint count, ivec2 tile) {
-    uint me = gl_LocalInvocationID.x;
-    for (uint word = me; word < WORDS; word += uint(WORKGROUP)) hits[word] = 0u;
-    barrier();
-    for (uint i = me; i < count; i += uint(WORKGROUP))
-        if (touches(splats[first + i], tile)) atomicOr(hits[i / 32u], 1u << (i % 32u));
-    barrier();
-    for (uint i = me; i < count; i += uint(WORKGROUP)) {
-        uint word = i / 32u, bit = 1u << (i % 32u);
-        if ((hits[word] & bit) == 0u) continue;
-        uint place = uint(bitCount(hits[word] & (bit - 1u)));
-        for (uint below = 0u; below < word; below++) place += uint(bitCount(hits[below]));
-        put(place, splats[first + i]);
-    }
-    uint kept = 0u;
-    for (uint word = 0u; word < WORDS; word++) kept += uint(bitCount(hits[word]));
-    return kept;
-}
-#else
-uint fill_batch(uint first, uint count, ivec2 tile) {
-    for (uint i = gl_LocalInvocationID.x; i < count; i += uint(WORKGROUP)) put(i, splats[first + i]);
-    return count;
-}
-#endif
 
 // From an invocation's first pixel to its others: whole rows, or parts of one, as WORKGROUP and TILE are
 // multiples of each other.
@@ -106,17 +13,8 @@ ivec2 step_to(int index) { return ivec2(index * WORKGROUP % TILE, index * WORKGR
 void main() {
     uint me = gl_LocalInvocationID.x;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-#if HAS_REST
-    uvec2 range = uvec2(plan.rest_first, plan.rest_end);
-#else
-    uint number = gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
-    for (uint i = me; i < 2u; i += uint(WORKGROUP)) borders[i] = first_pair(number + i);
-    barrier();
-    uvec2 range = uvec2(borders[0], borders[1]);
-#endif
-    if (range.y - range.x <= u_first) return;
-    range.x += u_first;
-    range.y = range.x + min(range.y - range.x, u_most);
+    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
+    if (range.x == range.y) return;
     ivec2 size = imageSize(u_gathered), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T
     for (int i = 0; i < PIXELS; i++) {

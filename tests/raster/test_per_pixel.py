@@ -8,6 +8,8 @@ import pytest
 from splatview.raster import Workspace, differentiate, draw_frame, parameters_of, render
 from splatview.raster.per_pixel import NEAREST, depth_slopes
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
+from splatview.scene.adjustment import IDENTITY, Adjustment
+from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, bake
 from splatview.scene.projection import covariances_3d, project, projection_jacobians
 
 GLOBAL, PER_PIXEL = RenderSettings(early_stop=0.0), RenderSettings(order="per-pixel", early_stop=0.0)
@@ -132,3 +134,14 @@ def test_16_bit_keys_are_nearly_the_order(random_gaussians):
     exact, coarse = (render(scene, camera, RenderSettings(order=order)) for order in ("32-bit", "16-bit"))
     assert np.abs(exact - coarse).max() > 0
     assert -10 * np.log10(np.mean((exact - coarse) ** 2)) > 45
+
+
+def test_edits_are_seen_as_they_would_be_baked(random_gaussians):
+    scene = random_gaussians(60, seed=8)
+    turned = Adjustment(rotation=(0.8, 0.36, 0.48, 0.0), translation=(0.2, -0.1, 0.3), scale=1.3, size=0.8)
+    palette = (IDENTITY, turned)
+    marks = np.where(np.arange(60) % 3 == 0, 1 << PALETTE_SHIFT, 0).astype(np.uint32)
+    edits = SceneEdits(marks=marks, palette=palette)
+    image = render(scene, camera_at(0.1), PER_PIXEL, edits=edits)
+    np.testing.assert_allclose(image, render(bake(scene, edits), camera_at(0.1), PER_PIXEL), atol=2e-4)
+    assert np.abs(image - render(scene, camera_at(0.1), PER_PIXEL)).max() > 0.05

@@ -71,6 +71,8 @@ class Projector:
         self.commands = ctx.buffer(reserve=20 * SLABS)
         """DrawElementsIndirectCommand a slab."""
         self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
+        self.slopes: moderngl.Buffer | None = None
+        """A record a splat, once pictures in per-pixel order have been drawn."""
         self.discs: moderngl.Buffer | None = None
         """Two records a splat beside the others, once flat splats have been drawn."""
         self._sized: list[moderngl.Buffer] = []
@@ -109,9 +111,10 @@ class Projector:
         antialiased: bool,
         keys: DepthKeys = DepthKeys(),
         kept: KeptOrder | None = None,
+        slopes: bool = False,
     ) -> None:
         """Fills records and keys of all splats, then keys and order of the visible ones, by index; or their
-        order alone, which is final, by `kept`."""
+        order alone, which is final, by `kept`. With `slopes` also how depth goes with the pixel."""
         flags = {
             "GROUP_SIZE": GROUP_SIZE,
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
@@ -123,6 +126,9 @@ class Projector:
         if flags["DISCS"]:
             flags["ANTIALIASED"] = False  # of no effect on discs
             self._disc_buffer().bind_to_storage_buffer(9)
+        if slopes:
+            flags["SLOPES"] = True
+            self.slope_buffer().bind_to_storage_buffer(10)
         program = self._variants.compute("quads/project.comp.glsl", flags)
         set_uniforms(program, uniforms)
         edits.use(program)
@@ -157,6 +163,14 @@ class Projector:
             compact.run(self._groups)
         self._ctx.memory_barrier()
         self.visible.frame_done()
+
+    def slope_buffer(self) -> moderngl.Buffer:
+        """Slopes of depth, (x, y), and depth, a splat. Raises InputError where there is no room for it."""
+        if self.slopes is None:
+            what = f"{self.splats:,} depths along rays"
+            (self.slopes,) = reserve(self._ctx, [max(1, self.splats) * RECORD_BYTES], what)
+            self._sized.append(self.slopes)
+        return self.slopes
 
     def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[moderngl.Buffer, ...]:
         """What drawing needs besides, where the splats of `view_uniforms` are flat."""
@@ -199,7 +213,7 @@ class Projector:
             self._sorter = None
         while self._sized:
             self._sized.pop().release()
-        self.discs = None
+        self.discs = self.slopes = None
 
     def release(self) -> None:
         self._release_sized()

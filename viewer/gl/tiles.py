@@ -29,7 +29,7 @@ class TilesRenderer(QuadsRenderer):
     """
 
     name = "tiles"
-    orders = ("32-bit", "16-bit")
+    orders = ("32-bit", "16-bit", "per-pixel")
 
     def __init__(
         self,

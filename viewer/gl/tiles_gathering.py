@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import moderngl
 
+from ...scene import InputError
 from .context import describe
 from .edit_textures import EditTextures
 from .frame import VisualMode
@@ -17,6 +18,10 @@ from .targets import ColourTarget
 from .tiles_pairs import REST_GROUPS_OFFSET, PairTuning, TilePairs, bind, records
 from .variants import Variants
 from .view_uniforms import Uniform, disc_flags, set_uniforms
+
+NEAREST = 16
+"""Splats that a pixel holds back in its own order, as in `raster.per_pixel`, which this package's pictures
+are compared with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +79,15 @@ class TilesGathering(Gathering):
         early_stop: float,
         stochastic: bool = False,
         weights: Mapping[str, Uniform] | None = None,
+        by_pixel: bool = False,
     ) -> None:
-        """As `Gathering.draw`; splats need a float32 target."""
+        """As `Gathering.draw`; splats need a float32 target. `by_pixel`: in each pixel's own order.
+
+        Raises:
+            InputError: that order was asked for flat splats.
+        """
+        if by_pixel and disc_flags(uniforms)["DISCS"]:
+            raise InputError("--order per-pixel of flat splats is not for --renderer tiles: cpu can do it")
         if mode != "splats" or stochastic or weights is not None:
             given = (mode, target, scene, projector, uniforms, edits)
             super().draw(*given, early_stop=early_stop, stochastic=stochastic, weights=weights)
@@ -86,18 +98,27 @@ class TilesGathering(Gathering):
         values = {**uniforms, "u_tiles": self.pairs.tiles, "u_early_stop": early_stop}
         for index in range(rounds):
             tiles, splats = self.pairs.make(projector, index)
-            program = self._ready(False, target, edits, {**values, "u_round": index})
+            program = self._ready(False, target, edits, {**values, "u_round": index, "u_pixel": 0}, by_pixel)
             bind(tiles, splats, *records(projector))
-            self._bind_discs(projector, uniforms)
+            self._bind_more(projector, uniforms, by_pixel)
             for _ in self._parts(program, projector):
-                program.run(*self.pairs.tiles)
-        program = self._ready(True, target, edits, values)
+                program.run(*self.pairs.tiles, self._pixels if by_pixel else 1)
+        program = self._ready(True, target, edits, values, by_pixel)
         bind(projector.order, projector.order, *records(projector))
-        self._bind_discs(projector, uniforms)
-        for _ in self._parts(program, projector):
-            program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
+        self._bind_more(projector, uniforms, by_pixel)
+        for pixel in range(self._pixels if by_pixel else 1):
+            set_uniforms(program, {"u_pixel": pixel})
+            for _ in self._parts(program, projector):
+                program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
 
-    def _bind_discs(self, projector: Projector, uniforms: Mapping[str, Uniform]) -> None:
+    @property
+    def _pixels(self) -> int:
+        """Of an invocation."""
+        return self.tuning.tile**2 // self.tuning.workgroup
+
+    def _bind_more(self, projector: Projector, uniforms: Mapping[str, Uniform], by_pixel: bool) -> None:
+        if by_pixel:
+            projector.slope_buffer().bind_to_storage_buffer(8)
         for buffer in projector.disc_buffers(uniforms):
             buffer.bind_to_storage_buffer(7)
 
@@ -111,7 +132,12 @@ class TilesGathering(Gathering):
             self._ctx.memory_barrier()
 
     def _ready(
-        self, rest: bool, target: ColourTarget, edits: EditTextures, values: dict[str, Uniform]
+        self,
+        rest: bool,
+        target: ColourTarget,
+        edits: EditTextures,
+        values: dict[str, Uniform],
+        by_pixel: bool,
     ) -> moderngl.ComputeShader:
         tuning = self.tuning
         flags = {
@@ -123,7 +149,10 @@ class TilesGathering(Gathering):
             **disc_flags(values),
             **edits.now.flags(projects=False, shows="splats"),
         }
-        program = self._variants.compute("tiles/blend.comp.glsl", flags)
+        name = "blend"
+        if by_pixel:
+            name, flags = "blend_by_pixel", {**flags, "SLOPES": True, "NEAREST": NEAREST}
+        program = self._variants.compute(f"tiles/{name}.comp.glsl", flags)
         edits.use(program)
         set_uniforms(program, values)
         target.texture.bind_to_image(0, read=True, write=True)

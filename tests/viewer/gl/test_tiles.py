@@ -242,7 +242,7 @@ def test_early_stop_costs_at_most_its_transmittance(any_renderer, random_gaussia
 def test_orders_that_tiles_have_and_others(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(500), camera_at(0, 0, 2.2)
     assert_true(renderer, scene, camera, replace(EXACT, order="16-bit"), least=50, most=0.2)
-    for order in ("per-pixel", "stochastic"):
+    for order in ("weighted", "stochastic"):
         with pytest.raises(InputError, match=f"{order} order is not for tiles"):
             renderer.render(scene, camera, replace(EXACT, order=order))
 

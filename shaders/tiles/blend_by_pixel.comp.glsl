@@ -1,0 +1,62 @@
+// Blends what a tile has, each pixel in the order of the depths along its own ray as far as NEAREST splats that
+// are held back tell it: see raster/per_pixel.py. One invocation a pixel; PIXELS work groups a tile.
+// Flags: those of batches, with SLOPES, and NEAREST.
+#include "tiles/batches.glsl"
+
+layout(local_size_x = WORKGROUP) in;
+
+uniform uint u_pixel;  // the first of each invocation's that is drawn, as many as work groups in z
+
+const float BEFORE_ALL = -1e30;
+
+void main() {
+    int me = int(gl_LocalInvocationID.x), index = int(u_pixel + gl_WorkGroupID.z) * WORKGROUP + me;
+    ivec2 tile = ivec2(gl_WorkGroupID.xy);
+    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
+    if (range.x == range.y) return;
+    ivec2 pixel = tile * TILE + ivec2(index % TILE, index / TILE);
+    bool inside = all(lessThan(pixel, imageSize(u_gathered)));
+    vec4 sum = inside ? imageLoad(u_gathered, pixel) : vec4(0.0);  // rgb, T; beside the picture: closed
+    // Held back, nearest first; those that are not there yet are before all, and let all light through.
+    float depths[NEAREST];
+    vec4 held[NEAREST];  // rgb, alpha
+    for (int i = 0; i < NEAREST; i++) {
+        depths[i] = BEFORE_ALL;
+        held[i] = vec4(0.0);
+    }
+    for (uint first = range.x; first < range.y; first += uint(BATCH)) {
+        if (me == 0) open_pixels = 0u;
+        barrier();
+        if (sum.a >= u_early_stop) atomicOr(open_pixels, 1u);
+        uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
+        barrier();
+        if (open_pixels == 0u) break;
+        for (uint k = 0u; k < count; k++) {
+            vec4 shape = batch_shapes[k], colour = batch_colours[k], depth = batch_depths[k];
+            vec2 d = vec2(pixel) + 0.5 - shape.xy;
+            vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, batch_cs[k] * d.y);
+            float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
+            if (!(alpha >= max(u_alpha_cut, u_least_share * colour.a)) || !(sum.a >= u_early_stop)) continue;
+            // It takes its place from behind, after those of equal depth; what falls out in front is blended.
+            float z = depth.z + dot(depth.xy, d);
+            vec4 carried = vec4(colour.rgb, alpha);
+            for (int i = NEAREST - 1; i >= 0; i--) {  // without branches: compilers unroll it into registers
+                bool later = z >= depths[i];
+                float other_z = depths[i];
+                vec4 other = held[i];
+                depths[i] = later ? z : other_z;
+                held[i] = later ? carried : other;
+                z = later ? other_z : z;
+                carried = later ? other : carried;
+            }
+            sum.rgb += sum.a * carried.a * carried.rgb;
+            sum.a *= 1.0 - carried.a;
+        }
+        barrier();
+    }
+    for (int i = 0; i < NEAREST; i++) {
+        sum.rgb += sum.a * held[i].a * held[i].rgb;
+        sum.a *= 1.0 - held[i].a;
+    }
+    if (inside) imageStore(u_gathered, pixel, sum);
+}
