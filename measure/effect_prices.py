@@ -11,11 +11,15 @@ from ..scene import Camera, Gaussians
 from ..scene.effects import Effect
 from ..scene.effects.switching import in_force, switched
 from .knobs import Plan
-from .ladder import climb
+from .ladder import climb, timed_draw
+from .noise import LEAST_PAIRS
 from .rungs import Artist, Measured, Rung, is_clear
 
 EDITS = "edits in force"
 """Not an effect of the census: its are told apart by kind, but pictures have all edits or none."""
+
+FRAMES_A_RUNG = 2 + 2 * LEAST_PAIRS
+"""At least: two that are looked at, and pairs with the baseline."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +71,8 @@ def price_effects(
     """By name, the price of each of `effects` that settings can turn the other way; None where cancelled.
 
     `artist` draws by `plan`; `moved`, `seconds`, `rounds` as for `climb`. `unedited` draws the scene without
-    its edits, whose price is then told as EDITS. Effects for which there is no time are left out.
+    its edits, whose price is then told as EDITS. Where frames take so long that `seconds` are too few for all,
+    each still gets LEAST_PAIRS.
     """
     settings = plan.settings
     now = in_force(gaussians, settings)
@@ -82,6 +87,10 @@ def price_effects(
         rungs.append(_rung(EDITS, unedited, plan))
     artist.prepare(camera, plan)
     picture = artist.draw(camera, plan)
+    # The second has no memory to take and nothing to compile.
+    frame = 1e-3 * timed_draw(base, moved(0, 0))
+    if rounds is None and FRAMES_A_RUNG * len(rungs) * frame > seconds:
+        rounds = LEAST_PAIRS
     ladder = climb(
         rungs,
         [camera],

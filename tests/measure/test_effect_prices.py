@@ -95,6 +95,21 @@ def test_words_of_what_is_faster_with_it() -> None:
     assert str(replace(price, on=False)).startswith("would save 2 ms of 10")
 
 
+def test_a_slow_renderer_still_has_prices(random_gaussians) -> None:
+    gaussians = random_gaussians(5)
+    camera = look_at((0, 0.5, 3), (0, 0, 0), width=16, height=12)
+    prices = price_effects(
+        Clocked(gaussians, hidden=1e6),
+        Plan(),
+        gaussians,
+        scene_effects(gaussians),
+        camera,
+        moved=lambda view, number: camera,
+        seconds=0.5,
+    )
+    assert prices is not None and "SH band 3" in prices
+
+
 def test_a_cancelled_measurement_has_no_prices(random_gaussians) -> None:
     gaussians = random_gaussians(5)
     camera = look_at((0, 0.5, 3), (0, 0, 0), width=16, height=12)
