@@ -15,7 +15,8 @@ LensUse = Literal["undistort", "through"]
 """What is done about photos whose lens is no pinhole: their distortion is taken out when they are read, or
 they stay as they are and are compared with pictures that are rendered through their lens."""
 
-DEFAULT_LENS_USE: LensUse = "undistort"
+DEFAULT_LENS_USE: LensUse = "through"
+"""By measurement (tests/benchmarks/bench_lens.py): all of the photo is used, and no pixel is interpolated."""
 
 EXTENT_MARGIN = 1.1
 """How far a scene reaches beyond its cameras, by Kerbl et al. 2023."""

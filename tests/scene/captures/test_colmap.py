@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from splatview.scene import InputError
+from splatview.scene import InputError, Lens, look_at
 from splatview.scene.captures import LoadCancelled, load_capture
 
 
@@ -84,7 +85,7 @@ def test_downscaling_keeps_the_rays(tmp_path, colmap_capture):
 
 def test_distortion_is_taken_out(tmp_path, colmap_capture):
     colmap_capture(tmp_path, model=4, distortion=(0.3, 0.0, 0.0, 0.0))
-    photo = load_capture(tmp_path).photos[0]
+    photo = load_capture(tmp_path, lens="undistort").photos[0]
     mask = photo.mask()
     assert mask is not None
     # A pincushion: the corners of the pinhole picture are outside the photo.
@@ -95,8 +96,35 @@ def test_distortion_is_taken_out(tmp_path, colmap_capture):
 
 def test_what_undistortion_loses_is_said(tmp_path, colmap_capture):
     colmap_capture(tmp_path, model=4, distortion=(-0.3, 0.0, 0.0, 0.0))
-    (warning,) = load_capture(tmp_path).warnings
+    (warning,) = load_capture(tmp_path, lens="undistort").warnings
     assert "of each OPENCV photo lies outside" in warning
+
+
+def test_photos_stay_as_the_lens_took_them(tmp_path, colmap_capture, pixels_of):
+    colmap_capture(tmp_path, model=4, distortion=(-0.3, 0.0, 0.0, 0.0))
+    capture = load_capture(tmp_path, lens="through", downscale=2)
+    assert capture.warnings == ()
+    plain = capture.photos[0]
+    assert plain.camera.lens == Lens(model="OPENCV", parameters=(-0.3, 0.0, 0.0, 0.0))
+    assert plain.mask() is None
+    whole = load_capture(tmp_path, lens="through").photos[0]
+    np.testing.assert_array_equal(whole.image(), pixels_of(0))
+    # The lens is the same at any size.
+    point = np.array([0.3, -0.2, 1.5])
+    np.testing.assert_allclose(plain.camera.image_points(point) * 2, whole.camera.image_points(point))
+
+
+def test_what_a_fisheye_does_not_see_is_masked(tmp_path, colmap_capture):
+    """Pixels farther from the middle than what is seen at 90 degrees."""
+    cameras = [
+        replace(look_at((3 * np.sin(a), 0, 3 * np.cos(a)), (0, 0, 0), width=40, height=30), fx=12.0, fy=12.0)
+        for a in range(9)
+    ]
+    colmap_capture(tmp_path, cameras=cameras, model=5, distortion=(-0.1, 0.0, 0.0, 0.0))
+    mask = load_capture(tmp_path, lens="through").photos[0].mask()
+    x, y = np.meshgrid(np.arange(40) - 19.5, np.arange(30) - 14.5)
+    edge = np.pi / 2 * (1 - 0.1 * (np.pi / 2) ** 2)
+    np.testing.assert_array_equal(mask, np.hypot(x, y) / 12 < edge)
 
 
 @pytest.mark.parametrize("name", ["p02.png", "p02.png.png", "p02.jpg"])
@@ -117,7 +145,7 @@ def test_mask_and_distortion_together(tmp_path, colmap_capture, png):
     mask = np.full((30, 40), 255, np.uint8)
     mask[:, 20:] = 0
     png(tmp_path / "masks/p01.png", mask)
-    capture = load_capture(tmp_path)
+    capture = load_capture(tmp_path, lens="undistort")
     alone, masked = capture.photos[0].mask(), capture.photos[1].mask()
     assert alone is not None and masked is not None
     assert alone[15, 30] and not masked[:, 20:].any()
