@@ -22,7 +22,8 @@ from splatview.edit.operations import Delete, SelectAll, operation_from_json
 from splatview.scene import Gaussians, InputError
 from splatview.scene.files import load_scene, save_scene
 from splatview.viewer import claims
-from splatview.viewer.window import opening
+from splatview.viewer.window import actions, opening
+from splatview.viewer.window.bookmarks import beside, load_bookmarks
 from splatview.viewer.window.core import Core
 from splatview.viewer.window.editing import files
 from splatview.viewer.window.editing.taking_up import continue_editing
@@ -278,3 +279,22 @@ def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -
             if program.stdout is not None:
                 program.stdout.close()
     assert len(find_abandoned_journals(config / "journals")) == 2
+
+
+def test_bookmarks_of_another_window_on_the_scene_stay(core, scene) -> None:
+    actions.add_bookmark(core)
+    other = Core(preferences=Preferences(smooth=False))
+    opening.open_paths(other, [scene])
+    run(other, lambda: other.loading is None)
+    actions.rename_bookmark(other, 0, "Door")
+    actions.add_bookmark(other)
+    actions.add_bookmark(core)
+    names = sorted(bookmark.name for bookmark in load_bookmarks(scene))
+    assert names == ["Door", "View 1", "View 2"], "theirs and ours, equal ones once"
+    for _ in range(len(core.bookmarks)):
+        actions.delete_bookmark(core, 0)
+    assert load_bookmarks(scene) == [], "what is deleted does not come back"
+    beside(scene).write_text("{ damaged")
+    actions.add_bookmark(core)
+    assert "not a bookmarks file" in (core.problem or "")
+    assert beside(scene).read_text() == "{ damaged"

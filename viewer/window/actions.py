@@ -10,9 +10,10 @@ from dataclasses import replace
 from functools import partial
 from typing import get_args
 
+from ...scene import InputError
 from ..gl import VisualMode
 from . import camera_list, opening, saving
-from .bookmarks import Bookmark, save_bookmarks
+from .bookmarks import Bookmark, load_bookmarks, save_bookmarks
 from .core import Core
 from .editing.commands import EDIT_ACTIONS, cancel_job, take_tool
 from .navigation import AXIS_NAMES, View, axis_view, focus, frame, level, pick, with_up
@@ -148,8 +149,15 @@ def keep_bookmarks(core: Core) -> None:
         core.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
         return
     try:
+        # What another window on the scene has added since stays, and a file that is damaged is not lost.
+        core.bookmarks += [
+            bookmark
+            for bookmark in load_bookmarks(core.scene_path)
+            if bookmark.entry not in core.bookmarks_read
+        ]
         path = save_bookmarks(core.scene_path, core.bookmarks)
-    except OSError as error:
+        core.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(core.scene_path))
+    except (OSError, InputError) as error:
         core.complain(f"The bookmarks cannot be saved: {error}")
         return
     core.tell(f"Bookmarks saved in {path}")

@@ -217,11 +217,15 @@ class Window:
             core.attempt(core.training.stop)
         core.attempt(core.accuracy.end)
         core.attempt(core.effects.end)
-        if self._rehearsals is not None:
-            core.attempt(self._rehearsals.release)
+        core.attempt(self.end_rehearsals)
         if core.picture is not None:
             core.attempt(core.picture.release)
             core.picture = None
+
+    def end_rehearsals(self) -> None:
+        """Shaders that are being compiled beside the window are not waited for."""
+        if self._rehearsals is not None:
+            self._rehearsals.release()
 
     def keep(self) -> None:
         """Puts edits and preferences away, saying on standard error what the window can no longer show."""
@@ -289,6 +293,7 @@ def run_window(
     def rescue_all() -> None:
         window.keep()
         rescue()
+        window.end_rehearsals()
 
     try:
         with closing_on_signals(window.core), rescued_from_display(rescue_all):

@@ -23,6 +23,8 @@ from .preferences import write_json
 class Bookmark:
     name: str
     view: View
+    entry: str = ""
+    """The text that it was read from, which tells it from others of its name; none for a new one."""
 
 
 def beside(scene: Path) -> Path:
@@ -126,6 +128,7 @@ def _bookmark(entry: dict[str, Any]) -> Bookmark:
         raise ValueError("a rotation is not one")
     return Bookmark(
         name=str(entry["name"]),
+        entry=json.dumps(entry, sort_keys=True),
         view=View(
             target=target,
             distance=distance,

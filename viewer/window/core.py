@@ -104,6 +104,8 @@ class Core:
     """Whether the views of cameras with a lens are shown through it."""
     bookmarks: list[Bookmark] = field(default_factory=list)
     bookmark_index: int = -1
+    bookmarks_read: frozenset[str] = frozenset()
+    """Entries of their file, when it was last looked at."""
 
     picture_size: tuple[int, int] = (1, 1)
     """Px of the visible area; the rendered picture is `preferences.resolution_scale` times that."""

@@ -118,10 +118,11 @@ def adopt(core: Core, scene: LoadedScene) -> None:
             scene.settings, background=core.preferences.background, blend=core.preferences.blend
         )
         look_at_all_of(core, scene)
-        core.bookmarks, core.bookmark_index = [], -1
+        core.bookmarks, core.bookmark_index, core.bookmarks_read = [], -1, frozenset()
         core.cameras, core.camera_index = [], -1
         try:
             core.bookmarks = load_bookmarks(scene.paths[0]) if scene.paths else []
+            core.bookmarks_read = frozenset(bookmark.entry for bookmark in core.bookmarks)
         except InputError as error:
             core.complain(str(error))
     for path in reversed(scene.paths):
