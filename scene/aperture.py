@@ -7,7 +7,9 @@ number of pinholes grows, for any renderer, and where the opening is 0 it is the
 
 Pinholes lie by the R2 sequence (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"),
 mapped to a disc so that areas stay equal (Shirley and Chiu 1997). It can be cut off anywhere: every
-beginning of it covers the disc evenly. Its first point is the centre.
+beginning of it covers the disc evenly. Its first point is the centre. Of a skull of 95,000 splats, blurred
+by up to 34 px, 16 points give 41 dB and a largest error of 35 grey levels, 64 give 53 dB and 9, 256 give
+67 dB and 2.
 """
 
 from __future__ import annotations

@@ -17,6 +17,8 @@ from PIL import Image
 
 from splatview.measure.metrics import psnr
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at, reference
+from splatview.scene.aperture import Aperture, mean_picture
+from splatview.scene.background import Gradient, Panorama
 from splatview.scene.files import load_scene, save_camera, save_scene
 from splatview.scene.framing import frame_camera
 from splatview.viewer.cli import main
@@ -94,6 +96,39 @@ def test_options_change_the_image_model(rendered, gaussians):
     settings = RenderSettings(model=ImageModel(near=2.9, blur=0.1, antialiased=True), sh_degree=1)
     camera = look_at((-0.5, -1, -3), (0, 0.1, 0), up=(0, -1, 0), fov_y=30, width=48, height=32)
     assert close(image, reference.render(gaussians, camera, settings), 1e-6)
+
+
+def test_a_gradient_is_behind_the_scene(rendered, gaussians):
+    for text in ("gradient:#3366cc,black", "gradient:0.2,0.4,0.8,0,0,0"):
+        image = rendered(*VIEW, "--renderer", "reference", "--background", text)
+        sky = Gradient(top=(0.2, 0.4, 0.8), bottom=(0, 0, 0))
+        truth = reference.render(gaussians, CAMERA, RenderSettings(background=sky))
+        assert close(image, truth, 1e-6)
+
+
+def test_a_picture_is_behind_the_scene(rendered, gaussians, tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (16, 32, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "sky.png")
+    settings = RenderSettings(background=Panorama(pixels=pixels, up=(0.0, -1.0, 0.0)))
+    truth = reference.render(gaussians, CAMERA, settings)
+    for renderer in ("cpu", "tiles"):
+        image = rendered(*VIEW, "--renderer", renderer, "--background", tmp_path / "sky.png")
+        assert close(image, truth, 1e-3)
+
+
+@pytest.mark.parametrize("renderer", ["cpu", "tiles"])
+def test_a_lens_averages_pinholes(rendered, gaussians, renderer):
+    image = rendered(
+        *(*VIEW, "--renderer", renderer, "--sh-degree", 1),
+        *("--aperture", 0.4, "--focus", 2.5, "--lens-samples", 5),
+    )
+    truth = mean_picture(
+        lambda camera: reference.render(gaussians, camera, RenderSettings(sh_degree=1)),
+        CAMERA,
+        Aperture(diameter=0.4, focus=2.5),
+        5,
+    )
+    assert close(image, truth, 1e-3)
 
 
 def test_antialiasing_follows_the_file_unless_told(rendered, scene, gaussians):

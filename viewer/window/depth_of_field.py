@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from .core import Core
 
 SAMPLES = 256
-"""Pictures that are averaged. The largest error is then below a grey level for discs of twenty pixels."""
+"""Pictures that are averaged: some 67 dB, see `scene.aperture`."""
 
 SAVED_SAMPLES = 64
-"""Pictures that a saved one is the mean of, while the user waits."""
+"""Pictures that a saved one is the mean of, while the user waits: some 53 dB."""
 
 REST_SECONDS = 0.2
 """For so long nothing must have changed before the lens opens."""
