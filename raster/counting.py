@@ -128,7 +128,7 @@ def count_tiles(start, stop, offsets, base, lists, records, discs, view, early_s
                         power = record[LOG2_OPACITY] - u * u - v * v
                     else:
                         power = record[LOG2_OPACITY] - met_at(discs, lists[place], dx, dy, 0.0)[0]
-                    if power >= view.log2_cut:
+                    if power >= max(view.log2_cut, record[LOG2_OPACITY] + view.log2_share):
                         counts[row, column] += 1
                         through *= 1 - min(2.0**power, view.max_alpha)
                         light[row - top, column - left] = through

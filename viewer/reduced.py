@@ -7,13 +7,14 @@ subsets of larger ones.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..measure.knobs import Plan
 from ..scene import Gaussians
-from ..scene.edits import SceneEdits
+from ..scene.edits import HIDDEN, SceneEdits
 from ..scene.effects import settings_for
 from ..scene.stored import Attributes, stored
 
@@ -28,11 +29,11 @@ class Reduced:
     def form(self, gaussians: Gaussians, kept: float, attributes: Attributes) -> Gaussians:
         key = kept, attributes
         if key not in self._forms:
-            fewer = gaussians if kept >= 1 else gaussians.take(self._most_seen(gaussians, kept))
+            fewer = gaussians if kept >= 1 else gaussians.take(self.most_seen(gaussians, kept))
             self._forms[key] = stored(fewer, attributes)
         return self._forms[key]
 
-    def _most_seen(self, gaussians: Gaussians, share: float) -> np.ndarray:
+    def most_seen(self, gaussians: Gaussians, share: float) -> np.ndarray:
         if self._ranking is None:
             self._ranking = ranked_by_contribution(gaussians)
         return np.sort(self._ranking[: kept_count(len(gaussians), share)])
@@ -47,6 +48,19 @@ def reduced(gaussians: Gaussians, plan: Plan) -> Gaussians:
     if plan.kept >= 1 and plan.attributes == "float32":
         return gaussians
     return _reduced.setdefault(gaussians, Reduced()).form(gaussians, plan.kept, plan.attributes)
+
+
+def with_rest_hidden(gaussians: Gaussians, kept: float, edits: SceneEdits | None) -> SceneEdits | None:
+    """`edits` that hide what a share `kept` of the splats leaves out besides: what is loaded can stay."""
+    if kept >= 1:
+        return edits
+    chosen = _reduced.setdefault(gaussians, Reduced()).most_seen(gaussians, kept)
+    rest = np.ones(len(gaussians), bool)
+    rest[chosen] = False
+    made = edits or SceneEdits(marks=np.zeros(len(gaussians), np.uint32))
+    marks = made.marks.copy()
+    marks[rest] |= HIDDEN
+    return replace(made, marks=marks, flags=made.flags | HIDDEN, changes=())
 
 
 def kept_count(splats: int, share: float) -> int:

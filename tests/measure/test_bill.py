@@ -42,7 +42,7 @@ def counted(gaussians: Gaussians, settings: RenderSettings | None = None):
     return count_work(parameters_of(gaussians), CAMERA, settings or RenderSettings(), Workspace())
 
 
-def by_hand(gaussians: Gaussians) -> np.ndarray:
+def by_hand(gaussians: Gaussians, sigmas: float = math.inf) -> np.ndarray:
     """Pixels where each splat's alpha is not cut, summed, nothing being hidden."""
     footprints = project(gaussians, CAMERA, RenderSettings(), dtype=np.float64)
     y, x = np.indices((CAMERA.height, CAMERA.width)) + 0.5
@@ -50,7 +50,8 @@ def by_hand(gaussians: Gaussians) -> np.ndarray:
     parts = (footprints.means2d, footprints.conic_factors, footprints.opacities)
     for mean, (a, b, c), opacity in zip(*parts, strict=True):
         dx, dy = x - mean[0], y - mean[1]
-        counts += opacity * np.exp(-0.5 * ((a * dx + b * dy) ** 2 + (c * dy) ** 2)) >= 1 / 255
+        q = (a * dx + b * dy) ** 2 + (c * dy) ** 2
+        counts += (opacity * np.exp(-0.5 * q) >= 1 / 255) & (q <= sigmas**2)
     return counts
 
 
@@ -60,6 +61,14 @@ def test_evaluations_are_the_pixels_that_splats_reach():
     assert (work.evaluations == by_hand(scene)).all()
     assert work.visible == 3 and work.sh_degree == 0
     assert work.pixel_splats >= work.evaluations.sum() > 0 and work.pairs >= 3
+
+
+@pytest.mark.parametrize("sigmas", [2.0, 1.1])
+def test_what_a_nearer_cut_leaves_out_is_not_counted(sigmas):
+    scene = ball((0, 0, 2), (0.3, 0.1, 3), (-0.4, 0.2, 2.5), logit=3.0)
+    work = counted(scene, RenderSettings(sigma_cut=sigmas))
+    assert (work.evaluations == by_hand(scene, sigmas)).all()
+    assert work.evaluations.sum() < by_hand(scene).sum()
 
 
 def test_what_lies_behind_an_opaque_wall_costs_nothing():

@@ -11,6 +11,7 @@ import numpy as np
 from ... import raster
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
+from ...scene.stored import Attributes
 from ..gl import FrameStats, VisualMode, make_renderer
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
@@ -52,8 +53,9 @@ class Picture(Protocol):
     @sharp.setter
     def sharp(self, sharp: bool) -> None: ...
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+    def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
+        Its values fit into `attributes` (`scene.stored`), and a GPU stores them so.
 
         Raises InputError where it does not fit into memory. Closing the generator keeps the old scene.
         """
@@ -143,12 +145,12 @@ class GpuPicture:
         self._gaussians = EMPTY
         self._renderer.load(EMPTY)
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+    def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
         if self._standing_in is not None:
             for _ in self._standing_in.while_loading():
                 yield 0.0
         try:
-            yield from self._renderer.load_steps(gaussians)
+            yield from self._renderer.load_steps(gaussians, attributes)
             self._gaussians = gaussians
         except MemoryError as error:
             raise InputError(f"{len(gaussians):,} splats: not enough memory to upload them") from error
@@ -269,7 +271,7 @@ class CpuPicture:
         """What a picture may take while the camera moves; None: as much as is smooth."""
         self._cpu.budget_ms = milliseconds
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+    def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
         yield 0.0
         self._gaussians = gaussians
         self._cpu.load(gaussians)

@@ -91,7 +91,7 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
     camera, settings = core.accuracy.next_frame(core)
     try:
         drawn = core.depth_of_field.next_camera(core, camera, settings)
-        picture.draw(drawn, settings, core.mode, edits=core.edits, overlay=core.overlay)
+        picture.draw(drawn, settings, core.mode, edits=core.accuracy.edits(core), overlay=core.overlay)
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if core.undrawn != str(error):

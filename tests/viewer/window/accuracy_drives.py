@@ -11,6 +11,9 @@ import numpy as np
 from drives import Hand
 from imgui_bundle import ImVec2, imgui
 
+from splatview import raster
+from splatview.measure.knobs import Plan
+from splatview.viewer.reduced import reduced as fewer
 from splatview.viewer.window.core import Core
 from splatview.viewer.window.navigation import orbit
 
@@ -20,7 +23,7 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     hand.settle()
     core.prefer(smooth=False)
     accuracy = core.accuracy
-    accuracy.seconds = options.get("seconds", accuracy.seconds)
+    accuracy.rounds = options.get("rounds")
     exact = hand.picture()
     hand.ctx.window_focus("//Accuracy")
     hand.ctx.set_ref("//Accuracy")
@@ -80,12 +83,33 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     found["back"] = float(np.abs(seen(hand, core) - exact).max())
     found["choices_after"] = dict(accuracy.choices)
 
+    reduced(core, hand, found, exact)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")
     hand.frames(2)
     hand.ctx.item_click("**/###cancel")
     hand.wait(lambda: accuracy.measurement is None, "it to end")
     found["prices_kept"] = accuracy.ladder is not None
+
+
+def reduced(core: Core, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
+    """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
+    accuracy, picture = core.accuracy, core.picture
+    assert core.scene is not None and picture is not None
+    for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
+        hand.ctx.item_click(f"**/###{name} {value}")
+        hand.frames(3)
+        hand.wait(lambda: accuracy.storing is None, "the scene to be stored")
+        hand.settle()
+        shown = seen(hand, core)
+        plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
+        wanted = raster.render(fewer(core.scene.gaussians, plan), core.camera, core.settings)
+        found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]
+        hand.ctx.item_click(f"**/###{name} {value}")
+        hand.frames(3)
+        hand.wait(lambda: accuracy.storing is None, "the scene as it is")
+        hand.settle()
+        found[f"{name} back"] = float(np.abs(seen(hand, core) - exact).max())
 
 
 def drag_line(hand: Hand, dx: float) -> None:

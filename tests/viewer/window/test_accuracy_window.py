@@ -23,7 +23,7 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
         size=[900, 600] if renderer == "cpu" else [520, 360],
-        seconds=1,
+        rounds=3,
     )
     first, *rungs = found["rungs"]
     assert first[:2] == ["renderer", renderer] and first[2] > 60, "the baseline is all but the truth"
@@ -41,6 +41,11 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
     assert 0 < noticed < 1
     assert found["line"][1] > found["line"][0] + 0.03 and found["eye_moved"] == 0, "the line, not the eye"
     assert found["back"] < 2e-3 and found["choices_after"] == {}, "exact again"
+    assert ("keep", "25") in names and ("attributes", "8-bit-sh") not in names, "loaded anew: not priced here"
+    for name, least in (("keep", 0.1), ("attributes", 1e-4)):
+        from_wanted, from_exact = found[name]
+        assert from_wanted < 4e-3 and from_exact > least, name
+        assert found[f"{name} back"] < 2e-3, name
     assert found["prices_kept"], "a cancelled measurement takes nothing away"
 
 

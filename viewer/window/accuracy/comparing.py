@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import moderngl
 import numpy as np
 
+from .... import raster
 from ....measure.difference import heat, perceptual_map, signed_map
 from ....measure.knobs import Plan
 from ....measure.metrics import largest_error, psnr
@@ -148,7 +149,10 @@ class Comparing:
 
     def _work(self, painter: Painter, wish: Wish, wake: Callable[[], object]) -> None:
         try:
-            exact = painter.draw(wish.camera, wish.exact)
+            if wish.chosen.attributes == wish.exact.attributes:
+                exact = painter.draw(wish.camera, wish.exact)
+            else:  # the renderer has the rounded scene only
+                exact = raster.render(wish.gaussians, wish.camera, wish.exact.settings, edits=wish.edits)
             chosen = exact if wish.exact == wish.chosen else painter.draw(wish.camera, wish.chosen)
             self.latest = compare(wish, exact, chosen)
         except Cancelled:

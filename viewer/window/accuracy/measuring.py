@@ -33,7 +33,14 @@ FRAME_TURN = 1e-5
 class Measurement:
     """Begins when made; `ladder` is there when `done`."""
 
-    def __init__(self, core: Core, *, seconds: float = SECONDS, wake: Callable[[], object] = lambda: None):
+    def __init__(
+        self,
+        core: Core,
+        *,
+        seconds: float = SECONDS,
+        rounds: int | None = None,
+        wake: Callable[[], object] = lambda: None,
+    ):
         self.progress = 0.0
         self.text = "the truth in float64"
         self.ladder: Ladder | None = None
@@ -42,7 +49,7 @@ class Measurement:
         self._stop = threading.Event()
         self._wake = wake
         self._painter = Painter(core, self._stop, wake)
-        self._plan, self._seconds = Plan(settings=core.settings), seconds
+        self._plan, self._seconds, self._rounds = Plan(settings=core.settings), seconds, rounds
         view, size, scale = core.view, core.picture_size, core.preferences.resolution_scale
 
         def moved(_: int, number: int) -> Camera:
@@ -85,6 +92,7 @@ class Measurement:
                 [truth],
                 moved=self._moved,
                 seconds=self._seconds,
+                rounds=self._rounds,
                 on_progress=self._show,
                 cancelled=self._stop.is_set,
             )

@@ -6,16 +6,18 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ....measure.enlarging import enlarged, reduced_size
-from ....measure.knobs import KNOBS, Plan
+from ....measure.knobs import KNOBS, Knob, Plan
 from ....measure.paths import path_to_view
 from ....scene import Camera, Gaussians
 from ....scene.edits import SceneEdits
 from ....scene.turning import turned_about
+from ...reduced import with_rest_hidden
 from ..picture import CpuPicture, Picture
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ class Painter:
         self.name = renderer_name(core.picture)
         self.gaussians: Gaussians = core.scene.gaussians
         self.edits: SceneEdits | None = core.edits
+        self._kept: dict[float, SceneEdits | None] = {}
         self._post, self._picture = core.post, core.picture
         self._anywhere = isinstance(core.picture, CpuPicture)
         self._cancelled, self._wake = cancelled, wake
@@ -45,7 +48,8 @@ class Painter:
         """About which a camera turns, for pictures that depend on those before."""
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
-        """The scene is there."""
+        """Finds out what the plan leaves out; the scene itself is there."""
+        self._edits_by(plan)
 
     def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
         return self._path(camera, plan)[-1][0]
@@ -82,11 +86,16 @@ class Painter:
             if anew:
                 self._picture.forget_order()
             begun = time.perf_counter()
-            image = self._picture.read(small, plan.settings, "splats", self.edits)
+            image = self._picture.read(small, plan.settings, "splats", self._edits_by(plan))
             return image, 1e3 * (time.perf_counter() - begun)
 
         image, milliseconds = work() if self._anywhere else self._on_gl_thread(work)
         return enlarged(image, camera.width, camera.height), milliseconds
+
+    def _edits_by(self, plan: Plan) -> SceneEdits | None:
+        if plan.kept not in self._kept:
+            self._kept[plan.kept] = with_rest_hidden(self.gaussians, plan.kept, self.edits)
+        return self._kept[plan.kept]
 
     def _on_gl_thread(self, work: Callable[[], tuple[np.ndarray, float]]) -> tuple[np.ndarray, float]:
         done = threading.Event()
@@ -120,13 +129,13 @@ def renderer_name(picture: Picture) -> str:
 
 def applicable(plan: Plan) -> bool:
     """Whether the window can draw by `plan` without loading the scene anew."""
-    return plan == Plan(settings=plan.settings, resolution=plan.resolution)
+    return plan == replace(plan, attributes="float32")
 
 
-def elsewhere(renderer: str) -> tuple[str, ...]:
-    """Names of the knobs of `renderer` that only `splatview ladder` measures."""
+def unpriced_knobs(renderer: str) -> tuple[Knob, ...]:
+    """Those of `renderer` that can be turned here, but are priced by `splatview ladder` only."""
     return tuple(
-        knob.name
+        knob
         for knob in KNOBS
         if renderer in knob.renderers and not all(applicable(v.apply(Plan())) for v in knob.values)
     )

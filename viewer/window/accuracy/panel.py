@@ -7,7 +7,7 @@ from functools import partial
 from imgui_bundle import ImVec4, imgui
 
 from ....measure.bill import rows, sums
-from ....measure.knobs import knob
+from ....measure.knobs import Knob, Plan, knob
 from ....measure.rungs import Ladder, Measured, is_clear
 from .. import theme
 from ..core import Core
@@ -15,7 +15,7 @@ from ..panels import widgets
 from ..preferences import RANGES
 from . import commands
 from .comparing import RIGHTS
-from .painter import elsewhere, renderer_name
+from .painter import applicable, renderer_name, unpriced_knobs
 from .state import Accuracy, price_of
 
 RIGHT_NAMES = {
@@ -90,27 +90,50 @@ def prices(core: Core, accuracy: Accuracy, ladder: Ladder) -> None:
                 imgui.text_colored(theme.QUIET, knob(before).title)
                 widgets.tooltip(knob(before).changes)
             row(core, accuracy, ladder, one)
+        for other in unpriced_knobs(renderer_name(picture)) if picture is not None else ():
+            unpriced(core, accuracy, other)
         imgui.end_table()
-    others = elsewhere(renderer_name(picture)) if picture is not None else ()
-    if others:
-        widgets.note(f"Measured by splatview ladder only: {', '.join(others)}.")
+    if ladder.left_out:
+        left = ", ".join(f"{rung.knob} {rung.value}" for rung in ladder.left_out)
+        widgets.note(f"There was no time for {left}: a smaller window, or splatview ladder.")
 
 
-def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
-    name, value = one.rung.knob, one.rung.value
-    chosen = accuracy.choices.get(name) == value
+def unpriced(core: Core, accuracy: Accuracy, other: Knob) -> None:
+    """A knob for which the scene is loaded anew: splatview ladder tells what it saves."""
     imgui.table_next_row()
     imgui.table_next_column()
+    imgui.text_colored(theme.QUIET, other.title)
+    widgets.tooltip(f"{other.changes}. Priced by splatview ladder, as the scene is loaded anew for it.")
+    if accuracy.storing is not None:
+        imgui.same_line()
+        imgui.text_colored(theme.QUIET, "(loading)")
+    for value in other.values:
+        if not applicable(value.apply(Plan())):
+            imgui.table_next_row()
+            imgui.table_next_column()
+            choice(core, accuracy, other.name, value.text, f"{other.name} {value.text}.")
+
+
+def choice(core: Core, accuracy: Accuracy, name: str, value: str, words: str) -> None:
+    """A row's name, bright where it is chosen: a click takes the shortcut, another one gives it back."""
+    chosen = accuracy.choices.get(name) == value
     colour = imgui.get_color_u32(ImVec4(*theme.ACCENT, 0.75))
     imgui.push_style_color(imgui.Col_.header, colour)
     clicked, _ = imgui.selectable(
         f"  {value}###{name} {value}", chosen, imgui.SelectableFlags_.span_all_columns
     )
     imgui.pop_style_color()
-    best = " Nothing else here is both faster and nearer to the truth." if one.pareto else ""
-    widgets.tooltip(f"{name} {value}: {price_of(one, ladder)}.{best} Click to draw by it, again for exact.")
+    widgets.tooltip(f"{words} Click to draw by it, again for exact.")
     if clicked:
         core.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
+
+
+def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
+    name, value = one.rung.knob, one.rung.value
+    imgui.table_next_row()
+    imgui.table_next_column()
+    best = " Nothing else here is both faster and nearer to the truth." if one.pareto else ""
+    choice(core, accuracy, name, value, f"{name} {value}: {price_of(one, ladder)}.{best}")
     known = is_clear(one)
     saved = ladder.baseline.ms * (1 - one.ratio)
     cells = (

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ....measure.governor import Governor, Watch
 from ....measure.knobs import Plan, apply_choices
 from ....measure.rungs import Ladder, Measured, is_clear
 from ....measure.steps import Shortcut, priced, unpriced
-from ....scene import Camera, Gaussians, RenderSettings
+from ....scene import Camera, Gaussians, InputError, RenderSettings
+from ....scene.edits import SceneEdits
+from ....scene.stored import Attributes
+from ...reduced import with_rest_hidden
 from ..picture import CpuPicture, scaled_camera
 from .comparing import Comparing
 from .measuring import SECONDS, Measurement
 from .painter import renderer_name
+from .storing import Storing
 
 if TYPE_CHECKING:
     from ....measure.bill import Bill
@@ -39,10 +43,18 @@ class Accuracy:
     """What a frame may take while the camera moves; None: all that it takes."""
     comparing: Comparing = field(default_factory=Comparing)
     seconds: float = SECONDS
-    """How long measuring may take, about."""
+    """How long measuring may take."""
+    rounds: int | None = None
+    """Instead, how often each shortcut is drawn."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
     watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    stored: Attributes = "float32"
+    """How the renderer has the open scene now, and..."""
+    storing: Storing | None = None
+    """... how it is getting it."""
+    _kept: float = 1.0
+    _hidden: tuple[Any, Any, SceneEdits | None] | None = None
     _camera: Camera | None = None
     _gaussians: Gaussians | None = None
     _name: str = ""
@@ -53,8 +65,10 @@ class Accuracy:
 
     def measure(self, core: Core) -> None:
         """Begins to measure the view that is seen, where nothing is being measured."""
-        if self.measurement is None and core.scene is not None and core.picture is not None:
-            self.measurement = Measurement(core, seconds=self.seconds, wake=self.wake)
+        if self.choices.get("attributes", "float32") != "float32":
+            core.complain("Take attributes back first: prices are measured on the scene as it is")
+        elif self.measurement is None and core.scene is not None and core.picture is not None:
+            self.measurement = Measurement(core, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.measurement is not None:
@@ -103,7 +117,22 @@ class Accuracy:
                 plan = apply_choices(plan, dict(step.choices), renderer_name(core.picture))
                 plan = replace(plan, resolution=plan.resolution * step.scale)
                 self.note = step.note
+        self._kept = plan.kept if core.mode == "splats" else 1.0
         return scaled_camera(camera, core.preferences.resolution_scale * plan.resolution), plan.settings
+
+    def edits(self, core: Core) -> SceneEdits | None:
+        """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
+        edits = core.edits
+        if self._kept >= 1 or core.scene is None:
+            self._hidden = None
+            return edits
+        key = (core.scene.gaussians, self._kept, edits)
+        versions = edits and (edits.marks_version, edits.palette_version, edits.crops_version)
+        held = self._hidden
+        if held is None or any(a is not b for a, b in zip(held[0], key, strict=True)) or held[1] != versions:
+            held = (key, versions, with_rest_hidden(*key))
+            self._hidden = held
+        return held[2]
 
     def governs(self, core: Core) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
@@ -118,7 +147,8 @@ class Accuracy:
     def waiting(self) -> bool:
         """Whether the next frames will show something else, though nobody touches the window."""
         governed = self.budget_ms is not None and not self.watch.resting
-        return self.measurement is not None or governed or self.comparing.busy
+        loading = self.measurement is not None or self.storing is not None
+        return loading or governed or self.comparing.busy
 
     # ---- between two frames
 
@@ -130,6 +160,7 @@ class Accuracy:
         if self._gaussians is not gaussians:
             # Another scene, or the next moment of one that trains: prices and times are of the old one.
             self._gaussians, self.ladder, self.bill = gaussians, None, None
+            self.stored = "float32"  # as scenes are loaded
             self._full_ms = 0.0
             self.watch.governor.follow(())
         name = core.scene.name if core.scene else ""
@@ -138,7 +169,31 @@ class Accuracy:
             self.choices.clear()
         if self.measurement is not None and self.measurement.done:
             self._collect(core, self.measurement)
+        self._store(core)
         self._learn(core)
+
+    def _store(self, core: Core) -> None:
+        """Loads the scene in the form that was chosen, where it is in another."""
+        if core.scene is None or core.picture is None or core.loading is not None:
+            return
+        wanted: Any = self.choices.get("attributes", "float32")
+        gaussians, made = core.scene.gaussians, self.storing
+        if made is not None and (made.gaussians is not gaussians or made.attributes != wanted):
+            made.end()
+            self.storing = made = None
+        if made is None and wanted != self.stored:
+            self.storing = made = Storing(core.picture, gaussians, wanted)
+        if made is None:
+            return
+        try:
+            done = made.advance()
+        except InputError as error:
+            self.choices.pop("attributes", None)
+            self.storing = None
+            core.complain(str(error))
+            return
+        if done:
+            self.storing, self.stored = None, made.attributes
 
     def _collect(self, core: Core, made: Measurement) -> None:
         self.measurement = None
@@ -170,6 +225,9 @@ class Accuracy:
             self.measurement.cancel()
             self.measurement.join()
             self.measurement = None
+        if self.storing is not None:
+            self.storing.end()
+            self.storing = None
         self.comparing.end()
 
 
