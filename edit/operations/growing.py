@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from ...scene.edits import SELECTED
 from ..changes import Change
 from ..selecting import grow, shrink
+from ..selecting.checks import above_zero
 from ..watch import UNWATCHED, Watch
 from .operation import Operation
 from .select import MODES, selection
@@ -28,8 +27,8 @@ class _ByNearness(Operation):
     def __post_init__(self) -> None:
         if (self.distance is None) == (self.neighbours is None):
             raise ValueError("give either distance or neighbours")
-        if self.distance is not None and not 0 < self.distance < np.inf:
-            raise ValueError(f"distance must be above 0, got {self.distance:g}")
+        if self.distance is not None:
+            above_zero("distance", self.distance)
         if self.neighbours is not None and not 1 <= self.neighbours <= 64:
             raise ValueError(f"neighbours must be in 1 to 64, got {self.neighbours}")
 

@@ -89,8 +89,8 @@ def star(depth: float, size: float) -> Gaussians:
 
 
 def two_towns() -> Gaussians:
-    """Half of the scene is at the origin, the other half 5 km away."""
-    return concatenate([neighbours(count=30, seed=3), shifted(neighbours, (5e3, 0, 0), np.float64)])
+    """Half of the scene is at the origin, the other half 20 km away."""
+    return concatenate([neighbours(count=30, seed=3), shifted(neighbours, (2e4, 0, 0), np.float64)])
 
 
 def lost_outliers() -> Gaussians:
@@ -131,11 +131,11 @@ CASES = (
         "10¹² m from the origin", "What float64 can still do: steps of 0.1 mm.", (1e12, 0.0, 0.0), same=False
     ),
     HardCase(
-        name="two towns 5 km apart",
+        name="two towns 20 km apart",
         theme=THEME,
         what="No centre is near both halves.",
         build=two_towns,
-        cameras=(FRONT, moved(FRONT, (5e3, 0, 0))),
+        cameras=(FRONT, moved(FRONT, (2e4, 0, 0))),
         settings=ONLY_PLAIN,
         most_excluded=3,
     ),

@@ -14,6 +14,9 @@ uniform sampler2DArray u_sh;    // one layer a coefficient; or, by degrees, one 
 uniform usampler2D u_places;    // where a splat's coefficients begin, times four, plus its degree
 uniform int u_sh_layer;         // texels of one layer
 #endif
+#if HAS_WIDE
+uniform sampler2D u_rests;      // what float32 has left over of the positions
+#endif
 uniform int u_splats;
 
 layout(location = 0) out vec4 shape;   // mean.xy, a, b
@@ -44,6 +47,9 @@ void main() {
     vec4 position = texelFetch(u_positions, texel, 0);
     vec4 quat = texelFetch(u_quats, texel, 0);
     Splat s = unedited(position.xyz, quat, texelFetch(u_scales, texel, 0).xyz, position.w);
+#if HAS_WIDE
+    if (WIDE) s.offset += texelFetch(u_rests, texel, 0).xyz;
+#endif
     Footprint f;
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) discard;
     vec3 rgb = graded(splat, sh_colour(splat, harmonics_direction(splat, f.direction)));

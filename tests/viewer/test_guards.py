@@ -98,7 +98,14 @@ SHADERS = (
         "viewer/gl/placement.py",
         "quads",
         "10⁷ m from the origin",
-        {"centre=centre if far else np.zeros(3)": "centre=np.zeros(3)"},
+        {"centre = centre if far else np.zeros(3)": "centre = np.zeros(3)", "wide=wide)": "wide=False)"},
+    ),
+    Removal(
+        "what float32 leaves over of positions",
+        "viewer/gl/placement.py",
+        "quads",
+        "two towns 20 km apart",
+        {"wide=wide)": "wide=False)"},
     ),
 )
 

@@ -12,7 +12,7 @@ from .texel_array import TEXTURE_WIDTH
 from .variants import Variants
 from .view_uniforms import Uniform, ray_flags, set_uniforms
 
-PLACES_UNIT = 4
+PLACES_UNIT, RESTS_UNIT = 4, 5
 """The texture unit after those of the attributes."""
 
 
@@ -113,6 +113,9 @@ class ProjectionPass:
         if scene.places is not None:
             scene.places.use(PLACES_UNIT)
             set_uniforms(program, {"u_places": PLACES_UNIT, "u_sh_layer": scene.sh_layer})
+        if scene.rests is not None:
+            scene.rests.use(RESTS_UNIT)
+            set_uniforms(program, {"u_rests": RESTS_UNIT})
         set_uniforms(program, {"u_splats": scene.splats})
         framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)

@@ -37,7 +37,8 @@ class Page:
     first: int
     count: int
     positions: moderngl.Buffer
-    """count x 3 float32, relative to the scene's centre."""
+    """count x 3 float32, relative to the scene's centre; where it is wide, then count x 3 that float32 left
+    over."""
     quats: moderngl.Buffer
     """count x 4 float32, wxyz, raw; or float16."""
     scales_opacity: moderngl.Buffer
@@ -64,6 +65,7 @@ class SceneBuffers:
             "ATTRIBUTES": FORMATS.index(self.attributes),
             "SH_WORDS": int(words_by_degree(self.attributes)[self.sh_degree]),
             "OWN_DEGREES": self.harmonics.own_degrees is not None,
+            "WIDE": self.placement.wide,
         }
 
     @property
@@ -100,11 +102,12 @@ def upload_steps(
     """
     n = len(gaussians)
     harmonics = stored_harmonics(gaussians, every_band=every_band)
-    placement = placement_of(gaussians.means)
+    placement = placement_of(gaussians.means, gaussians.log_scales)
     words = words_by_degree(attributes)
     row = 16 if attributes == "float32" else 8
     place = 0 if harmonics.own_degrees is None else 4
-    largest = max(16, 4 * int(words[harmonics.sh_degree]) + place)
+    position_row = 24 if placement.wide else 12
+    largest = max(16, position_row, 4 * int(words[harmonics.sh_degree]) + place)
     fitting = min(limit or storage_limit(ctx), MOST_ADDRESSED) // largest
     page_size = max(GROUP_SIZE, fitting // GROUP_SIZE * GROUP_SIZE)
     pages: list[Page] = []
@@ -115,7 +118,7 @@ def upload_steps(
             count = min(page_size, n - first)
             degrees = harmonics.of(slice(first, first + count))
             sh_size = 4 * int(words[degrees].sum()) + count * place
-            sizes = (count * 12, count * row, count * row, sh_size)
+            sizes = (count * position_row, count * row, count * row, sh_size)
             positions, quats, scales_opacity, sh = reserve(ctx, sizes, f"{n:,} splats")
             page = Page(
                 first=first,
@@ -129,7 +132,7 @@ def upload_steps(
             sh_at = count * place
             for start in range(first, first + count, UPLOAD_SLICE):
                 part = slice(start, min(start + UPLOAD_SLICE, first + count))
-                _fill(page, gaussians, part, placement.centre, attributes)
+                _fill(page, gaussians, part, placement, attributes)
                 sh_at = _fill_harmonics(page, gaussians, part, harmonics, attributes, sh_at)
                 yield part.stop / n
         done = True
@@ -139,16 +142,20 @@ def upload_steps(
             scene(pages=tuple(pages)).release()
 
 
-def _fill(page: Page, gaussians: Gaussians, part: slice, centre: np.ndarray, attributes: Attributes) -> None:
+def _fill(
+    page: Page, gaussians: Gaussians, part: slice, placement: Placement, attributes: Attributes
+) -> None:
     """Writes all but the harmonics of some splats."""
     at = part.start - page.first
+    positions, rest = placement.split(gaussians.means[part])
     with np.errstate(over="ignore", invalid="ignore"):
-        positions = (gaussians.means[part].astype(np.float64) - centre).astype(np.float32)
         activated = np.empty((part.stop - part.start, 4), dtype=np.float32)
         scales = gaussians.log_scales[part]
         activated[:, :3] = np.exp(scales) if attributes == "float32" else scales
         activated[:, 3] = sigmoid(gaussians.opacity_logits[part])
     page.positions.write(positions, offset=at * 12)
+    if placement.wide:
+        page.positions.write(rest, offset=(page.count + at) * 12)
     if attributes == "float32":
         page.quats.write(np.ascontiguousarray(gaussians.quats[part]), offset=at * 16)
         page.scales_opacity.write(activated, offset=at * 16)

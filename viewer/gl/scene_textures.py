@@ -36,6 +36,8 @@ class SceneTextures:
     sh: moderngl.TextureArray
     """One layer a coefficient. Where splats have their own degrees, all coefficients one after the other, row
     by row and layer by layer."""
+    rests: moderngl.Texture | None
+    """What float32 leaves over of the positions, where the scene is wide."""
     places: moderngl.Texture | None
     """uint32, where splats have their own degrees: see `harmonics.places`, counted in coefficients."""
 
@@ -51,10 +53,13 @@ class SceneTextures:
 
     def flags(self) -> dict[str, float | bool]:
         """Of ``legacy/project.frag.glsl``."""
-        return {"OWN_DEGREES": self.places is not None}
+        return {"OWN_DEGREES": self.places is not None, "WIDE": self.rests is not None}
 
     def release(self) -> None:
-        for texture in (self.positions, self.quats, self.scales, self.sh, self.places):
+        for texture in (
+            *(self.positions, self.quats, self.scales, self.sh),
+            *(self.places, self.rests),
+        ):
             if texture is not None:
                 texture.release()
 
@@ -92,16 +97,18 @@ def _allocate(ctx: moderngl.Context, gaussians: Gaussians, harmonics: StoredHarm
     layers, own = SH_COEFFICIENTS[harmonics.sh_degree], harmonics.own_degrees
     if own is not None:
         layers = -(-int(np.array(SH_COEFFICIENTS)[own].sum()) // (TEXTURE_WIDTH * rows))
+    placement = placement_of(gaussians.means, gaussians.log_scales)
     try:
         scene = SceneTextures(
             splats=n,
             rows=rows,
-            placement=placement_of(gaussians.means),
+            placement=placement,
             harmonics=harmonics,
             positions=ctx.texture(size, 4, dtype="f4"),
             quats=ctx.texture(size, 4, dtype="f4"),
             scales=ctx.texture(size, 3, dtype="f4"),
             sh=ctx.texture_array((*size, layers), 3, dtype="f4"),
+            rests=ctx.texture(size, 3, dtype="f4") if placement.wide else None,
             places=None if own is None else ctx.texture(size, 1, dtype="u4"),
         )
         if ctx.error == "GL_OUT_OF_MEMORY":
@@ -118,14 +125,9 @@ def _allocate(ctx: moderngl.Context, gaussians: Gaussians, harmonics: StoredHarm
 
 def _fill(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int) -> None:
     part = slice(row * TEXTURE_WIDTH, (row + rows) * TEXTURE_WIDTH)
+    high, rest = scene.placement.split(gaussians.means[part])
     with np.errstate(over="ignore", invalid="ignore"):
-        placed = np.concatenate(
-            [
-                gaussians.means[part] - scene.placement.centre,
-                sigmoid(gaussians.opacity_logits[part])[:, None],
-            ],
-            axis=1,
-        )
+        placed = np.concatenate([high, sigmoid(gaussians.opacity_logits[part])[:, None]], axis=1)
         scales = np.exp(gaussians.log_scales[part])
     viewport = (0, row, TEXTURE_WIDTH, rows)
     for texture, values in (
@@ -134,6 +136,8 @@ def _fill(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int) -> No
         (scene.scales, scales),
     ):
         texture.write(_whole_rows(values, rows), viewport=viewport)
+    if scene.rests is not None:
+        scene.rests.write(_whole_rows(rest, rows), viewport=viewport)
 
 
 def _fill_harmonics(scene: SceneTextures, gaussians: Gaussians, row: int, rows: int, first: int) -> int:

@@ -57,7 +57,7 @@ CAMERAS = {
     "parallel rays": replace(CAMERA, fx=15.0, fy=15.0, orthographic=True),
 }
 
-KNOWN_AT_LOADING = {"OWN_DEGREES", "REST"}
+KNOWN_AT_LOADING = {"OWN_DEGREES", "REST", "WIDE"}
 """Flags that a general program has fixed: how a scene is stored, and that a pass is another stage."""
 
 

@@ -43,10 +43,12 @@ def edited() -> Iterator[Editing]:
 
 
 def projections(name: str) -> Iterator[Variant]:
-    own = {**PINHOLE, "SH_WORDS": 48, "OWN_DEGREES": False, "DEPTH": False, "ATTRIBUTES": 0}
+    own = {**PINHOLE, "SH_WORDS": 48, "OWN_DEGREES": False, "WIDE": False, "DEPTH": False}
+    own["ATTRIBUTES"] = 0
     for attributes, own_degrees in itertools.product(range(3), (False, True)):
         flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes, "OWN_DEGREES": own_degrees}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
+    yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, "WIDE": True, **Editing().flags()}
     for editing in edited():
         yield name, {**GEOMETRY, **own, "SH_DEGREE": 3, "ANTIALIASED": False, **editing.flags()}
     for degree, antialiased, depth in itertools.product(range(4), (False, True), (False, True)):
