@@ -148,9 +148,10 @@ class Cpu:
     def draw(
         self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, mode: VisualMode = "splats"
     ) -> np.ndarray:
-        from ...raster import draw_frame, parameters_of
+        from ...raster import draw_frame, nonzero_bands, parameters_of
 
-        frame = draw_frame(parameters_of(gaussians), camera, settings, self._workspace)
+        nonzero = nonzero_bands(gaussians)
+        frame = draw_frame(parameters_of(gaussians), camera, settings, self._workspace, nonzero=nonzero)
         visible = sum(int(stop - start) for start, stop in frame.runs)
         self._last = visible, dict(frame.milliseconds)
         self._image_bytes = frame.image.nbytes

@@ -150,14 +150,14 @@ def price(
     """Of each level, in full size."""
     for each in levels:
         level = each.gaussians
-        splats = raster.parameters_of(level)
+        splats, nonzero = raster.parameters_of(level), raster.nonzero_bands(level)
         if stop():
             return None
-        frame = raster.draw_frame(splats, camera, settings, workspace, threads=threads)
+        frame = raster.draw_frame(splats, camera, settings, workspace, nonzero=nonzero, threads=threads)
         full_ms, picture, level_work = time_of(frame), frame.image[..., :3], work_of(frame)
         if stop():
             return None
-        frame = raster.draw_frame(splats, half, settings, workspace, threads=threads)
+        frame = raster.draw_frame(splats, half, settings, workspace, nonzero=nonzero, threads=threads)
         if full_picture is None:
             full_picture, work = picture, level_work
             halving = squared_error(doubled(frame.image[..., :3]), picture)
