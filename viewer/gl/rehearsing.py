@@ -1,4 +1,7 @@
-"""Has pictures rehearsed in the background, one after the other, and knows which have been."""
+"""Has pictures rehearsed in the background, and knows which have been.
+
+One at a time of the GPU's and one of the CPU's: kernels take many times as long as programs.
+"""
 
 from __future__ import annotations
 
@@ -50,16 +53,16 @@ class Rehearsals:
         self._memory = memory
         self._on_change = on_change
         self._perform = perform or self._in_a_process
-        self._process: subprocess.Popen[bytes] | None = None
         self._change = threading.Condition()
         # Guarded by _change:
         self._done = remembered(memory)
         self._asked: set[str] = set()
-        self._title = ""
+        self._titles: dict[bool, str] = {}
         self._problem: str | None = None
         self._ended = False
-        self._tasks: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._tasks: dict[bool, queue.SimpleQueue[_Task | None]] = {}
+        """By whether the CPU draws; each has a thread."""
 
     def is_done(self, keys: Iterable[str]) -> bool:
         """Whether there is nothing to wait for: all is compiled, or cannot be in the background."""
@@ -74,10 +77,14 @@ class Rehearsals:
             if not missing or self._ended:
                 return
             self._asked |= missing
-            self._tasks.put(_Task(missing, title, rehearsal()))
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="splatview-rehearsals", daemon=True)
-                self._thread.start()
+            task = _Task(missing, title, rehearsal())
+            by_cpu = task.rehearsal.renderer == "cpu"
+            if by_cpu not in self._tasks:
+                self._tasks[by_cpu] = queue.SimpleQueue()
+                threading.Thread(
+                    target=self._work, args=(by_cpu,), name="splatview-rehearsals", daemon=True
+                ).start()
+            self._tasks[by_cpu].put(task)
 
     def note(self, keys: Iterable[str]) -> None:
         """`keys` have been compiled otherwise."""
@@ -98,7 +105,7 @@ class Rehearsals:
     def title(self) -> str:
         """What is being compiled, or ""."""
         with self._change:
-            return self._title
+            return ", ".join(self._titles.values())
 
     def take_problem(self) -> str | None:
         """Why something could not be compiled in the background, once."""
@@ -111,19 +118,20 @@ class Rehearsals:
         with self._change:
             self._ended = True
             self._change.notify_all()
-            if self._process is not None:
-                self._process.terminate()
-        self._tasks.put(None)
+            for process in self._processes:
+                process.terminate()
+            for tasks in self._tasks.values():
+                tasks.put(None)
 
-    def _work(self) -> None:
+    def _work(self, by_cpu: bool) -> None:
         while True:
-            task = self._tasks.get()
+            task = self._tasks[by_cpu].get()
             if task is None or self._ended:
                 return
             with self._change:
-                self._title = task.title
+                self._titles[by_cpu] = task.title
             self._on_change()
-            problem = None
+            problem: str | None = None
             try:
                 self._perform(task.rehearsal)
             except Exception as error:
@@ -134,7 +142,7 @@ class Rehearsals:
             if problem is None:
                 self._remember(task.keys)
             with self._change:
-                self._title = ""
+                del self._titles[by_cpu]
                 self._problem = problem or self._problem
                 self._done |= task.keys
                 self._change.notify_all()
@@ -143,7 +151,7 @@ class Rehearsals:
     def _in_a_process(self, rehearsal: Rehearsal) -> None:
         def started(process: subprocess.Popen[bytes]) -> None:
             with self._change:
-                self._process = process
+                self._processes.add(process)
                 if self._ended:
                     process.terminate()
 
@@ -151,7 +159,7 @@ class Rehearsals:
             in_a_process(rehearsal, started)
         finally:
             with self._change:
-                self._process = None
+                self._processes = {process for process in self._processes if process.poll() is None}
 
     def _remember(self, keys: Iterable[str]) -> None:
         if self._memory is None or not keys:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +30,7 @@ COUNT = 200
 CAMERA = look_at((0.4, -0.6, -2.4), (0, 0, 0), width=48, height=40)
 SETTINGS = RenderSettings(blend="float32")
 PATIENCE = 20.0
+NOTHING: Any = SimpleNamespace(renderer="quads")
 
 
 def some_edits() -> SceneEdits:
@@ -63,9 +66,9 @@ def test_each_key_is_compiled_once_and_remembered_by_the_next_session(tmp_path):
     memory = tmp_path / "cache" / "compiled.txt"
     changes: list[str] = []
     stage = Stage(memory=memory, on_change=lambda: changes.append(stage.rehearsals.title))
-    asked: list[str] = []
+    asked: list[list[str]] = []
     for keys in (["a"], ["a", "b"], ["b"]):
-        stage.rehearsals.ask(keys, f"crops {keys}", lambda keys=keys: asked.append(keys))  # pyright: ignore
+        stage.rehearsals.ask(keys, f"crops {keys}", lambda keys=keys: asked.append(keys) or NOTHING)
     assert asked == [["a"], ["a", "b"]]
     assert not stage.rehearsals.is_done(["a"])
     stage.finish("a", "b")
@@ -87,12 +90,29 @@ def test_a_memory_that_cannot_be_used_is_done_without(tmp_path):
     assert not Rehearsals(memory=tmp_path).is_done(["a"])
 
 
+def test_programs_do_not_wait_for_kernels():
+    curtain = threading.Event()
+
+    def perform(rehearsal) -> None:
+        assert rehearsal.renderer == "quads" or curtain.wait(PATIENCE)
+
+    rehearsals = Rehearsals(perform=perform)
+    rehearsals.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
+    rehearsals.ask(["program"], "points", lambda: NOTHING)
+    assert rehearsals.wait(["program"])
+    assert not rehearsals.is_done(["kernel"])
+    assert rehearsals.title == "edits"
+    curtain.set()
+    assert rehearsals.wait(["kernel"])
+    rehearsals.release()
+
+
 def test_what_fails_is_told_once_and_not_waited_for():
     def fail(rehearsal) -> None:
         raise RuntimeError("no second OpenGL context")
 
     rehearsals = Rehearsals(perform=fail)
-    rehearsals.ask(["a"], "crops", lambda: None)  # pyright: ignore[reportArgumentType]
+    rehearsals.ask(["a"], "crops", lambda: NOTHING)
     assert rehearsals.wait(["a"])
     assert rehearsals.take_problem() == (
         "crops cannot be compiled in the background: no second OpenGL context"
@@ -103,7 +123,7 @@ def test_what_fails_is_told_once_and_not_waited_for():
 
 def test_an_end_wakes_who_waits():
     stage = Stage()
-    stage.rehearsals.ask(["a"], "crops", lambda: None)  # pyright: ignore[reportArgumentType]
+    stage.rehearsals.ask(["a"], "crops", lambda: NOTHING)
     told: list[bool] = []
     waiting = threading.Thread(target=lambda: told.append(stage.rehearsals.wait(["a"])))
     waiting.start()
