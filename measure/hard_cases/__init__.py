@@ -6,7 +6,19 @@ Each module is a theme. Where a case was seen in another project, its sentence n
 from __future__ import annotations
 
 from ...scene import InputError
-from . import colours, discs, far_away, ill_values, near_eye, opacities, order, pictures, rotations, shapes
+from . import (
+    colours,
+    discs,
+    far_away,
+    ill_values,
+    near_eye,
+    opacities,
+    order,
+    pictures,
+    rays,
+    rotations,
+    shapes,
+)
 from .case import HardCase, Same
 
 __all__ = ["CASES", "HardCase", "Same", "find_case"]
@@ -22,6 +34,7 @@ CASES: tuple[HardCase, ...] = (
     *order.CASES,
     *far_away.CASES,
     *pictures.CASES,
+    *rays.CASES,
 )
 
 

@@ -1,12 +1,12 @@
 """Photos through a pinhole and at another size: undistortion and averaging by area.
 
-Distortion is taken out of the photo once, when it is loaded. The other way, to put it into the projection,
-would burden every renderer, and the derivatives of each, with a dozen lens models in every step. What the
-choice costs was measured on pictures of a demo scene, 750x498, taken through a lens that shifts pixels by
-up to 13 (k1 = -0.05) or 40 (k1 = -0.15) and brought back: PSNR against the picture of the pinhole itself
+Where photos are to look as a pinhole would have taken them, their distortion is taken out once, when they
+are loaded. What that costs was measured on pictures of a demo scene, 750x498, taken through a lens that
+shifts pixels by up to 13 (k1 = -0.05) or 40 (k1 = -0.15) and brought back: PSNR against the pinhole's picture
 is 45.3 and 44.2 dB at full size, 49.4 and 48.4 dB after downscaling by 2, 54.7 and 54.0 dB by 4, where
 trained scenes reach 25 to 35 dB; leaving the distortion in gives 26.2 and 21.8 dB. It takes some 0.1 s a
-megapixel on one core, once.
+megapixel on one core, once. What lies outside the pinhole's frame is lost, which is why training through the
+lens is better where a lens bends much.
 """
 
 from __future__ import annotations
