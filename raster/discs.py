@@ -134,8 +134,7 @@ def disc_power(u, v, lean, slope, most_lean, screen):
     slope = keep_if_at_least(slope, most_lean, lean)
     # A slope of 0 makes these infinite, or NaN at the mean: minimum gives its second argument then.
     inverse = divide(fill(slope, 1.0), slope)
-    u, v = u * inverse, v * inverse
-    return minimum(fma(u, u, v * v), screen)
+    return minimum(fma(u, u, v * v) * (inverse * inverse), screen)
 
 
 @inline

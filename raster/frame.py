@@ -186,7 +186,8 @@ def draw(
     slopes = None
     if slopes_of is not None:
         with clock.stage("slopes"):
-            slopes = slopes_of(bins.order)
+            # Discs are met at depths of their own.
+            slopes = slopes_of(bins.order) if arranged.discs is None else np.empty((0, 2))
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS if slopes is None else 0
     lights = workspace.take("lights", (pixels,), dtype)
     met_of = workspace.take("met_of", (pixels,), dtype)
