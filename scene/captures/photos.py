@@ -43,6 +43,15 @@ def read_pixels(
     shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
 ) -> tuple[Pixels, bool]:
     """The photo as it is trained on, and whether any of the background shows in it. Raises InputError."""
+    # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo. Here, as each thread that
+    # reads has its own state of errors.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _read_pixels(shot, downscale, background, lens)
+
+
+def _read_pixels(
+    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+) -> tuple[Pixels, bool]:
     size = shot.camera.width, shot.camera.height
     decoded = _decode(shot.path, size, background)
     _check_size(shot.path, decoded.rgb, *size)
@@ -53,9 +62,7 @@ def read_pixels(
     if shot.camera.lens is not None and lens == "undistort":
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
-        # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
+        image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
         image, mask = image[..., :3], valid
