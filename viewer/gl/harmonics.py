@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,18 +87,7 @@ def places(degrees: np.ndarray, attributes: Attributes, start: int) -> np.ndarra
 
 
 def own_words(sh: np.ndarray, degrees: np.ndarray, attributes: Attributes) -> np.ndarray:
-    """(words,) uint32: of sh (n, K, 3), what each splat has by its own degree, one splat after the other."""
-    starts = places(degrees, attributes, 0) >> DEGREE_BITS
-    words = np.empty(int(starts[-1]), np.uint32)
-    for at, rows in _by_degree(sh, degrees, attributes):
-        words[starts[at][:, None].astype(np.int64) + np.arange(rows.shape[1])] = rows
-    return words
-
-
-def _by_degree(
-    sh: np.ndarray, degrees: np.ndarray, attributes: Attributes
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Splats of the same degree, (m,), and their words (m, words)."""
-    for degree in np.unique(degrees):
-        at = np.flatnonzero(degrees == degree)
-        yield at, sh_words(sh[at, : SH_COEFFICIENTS[degree]], attributes)
+    """(words,) uint32: of sh (n, K, 3), what each splat has by its own degree, one splat after the other.
+    Beyond that it has zeros, in which some words end."""
+    words = sh_words(sh, attributes)
+    return words[np.arange(words.shape[1]) < words_by_degree(attributes)[degrees][:, None]]
