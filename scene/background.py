@@ -79,7 +79,9 @@ def pixel_rays(camera: Camera) -> np.ndarray | None:
 
 
 def seen(background: Background, camera: Camera, dtype: type[np.floating] = np.float64) -> np.ndarray:
-    """What `camera` sees of it, in `dtype`: (H, W, 3), or (3,) where it is one colour."""
+    """What `camera` sees of it, in `dtype`: (H, W, 3), or (3,) where it is one colour.
+
+    Black where a lens shows nothing, so far out that no ray comes there."""
     if isinstance(background, tuple):
         return np.asarray(background, dtype)
     picture = np.empty((camera.height, camera.width, 3), dtype)
@@ -90,6 +92,8 @@ def seen(background: Background, camera: Camera, dtype: type[np.floating] = np.f
             rows[:] = _gradient(background, *rays)
         else:
             rows[:] = _panorama(background, *rays)
+        if camera.lens is not None:
+            rows[~np.isfinite(rays).all(axis=0)] = 0
     return picture
 
 
@@ -138,7 +142,8 @@ def _panorama(background: Panorama, right: np.ndarray, up: np.ndarray, front: np
     fall = number(0.5) - np.arctan2(up, np.sqrt(right * right + front * front)) * number(1 / np.pi)
     x = turn * width - number(0.5)
     y = np.clip(fall * height - number(0.5), 0, height - 1)
-    left, top = np.floor(x), np.floor(y)
+    with np.errstate(invalid="ignore"):
+        left, top = np.nan_to_num(np.floor(x)), np.nan_to_num(np.floor(y))
     across, down = (x - left)[..., None], (y - top)[..., None]
     left, top = left.astype(np.int32) % width, top.astype(np.int32) * width
     beside, below = (left + 1) % width, np.minimum(top + width, (height - 1) * width)

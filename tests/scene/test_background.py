@@ -99,6 +99,19 @@ def test_pixels_of_all_cameras_look_where_points_are_seen():
     assert seen(sky, parallel)[0, 0] == pytest.approx(colour_towards(sky, tuple(pinhole.forward)))
 
 
+def test_where_a_lens_shows_nothing_it_is_black():
+    camera = look_at((0, 0, 0), (0, 0, 1), width=60, height=40, fov_y=100)
+    camera = replace(camera, lens=Lens(model="FOV", parameters=(1.2,)))
+    for background in (Gradient(top=BLUE, bottom=BROWN), replace(panorama(), pixels=panorama().pixels + 1)):
+        picture = seen(background, camera)
+        nothing = ~np.isfinite(camera.points_at(np.mgrid[:40, :60][::-1].transpose(1, 2, 0) + 0.5, 1)).all(
+            axis=2
+        )
+        assert 0 < nothing.sum() < nothing.size
+        assert (picture[nothing] == 0).all()
+        assert (picture[~nothing].max(axis=1) > 0).all()
+
+
 def test_light_that_comes_through_is_the_backgrounds(random_gaussians):
     camera = look_at((0, 0, -3), (0, 0, 0), width=37, height=23)
     scene = random_gaussians(20)
