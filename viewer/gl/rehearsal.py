@@ -21,6 +21,7 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, RenderSettings
 from ...scene.adjustment import IDENTITY
+from ...scene.background import Panorama
 from ...scene.crop import Crop
 from ...scene.edits import SceneEdits
 from ...scene.framing import frame_camera
@@ -95,6 +96,9 @@ def rehearsal_of(
         opacity_logits=np.zeros(count, np.float32),
     )
     placed = frame_camera(few, *SIZE)
+    behind = settings.background
+    if isinstance(behind, Panorama):
+        settings = replace(settings, background=replace(behind, pixels=behind.pixels[:2, :2]))
     if edits is not None:
         edits = SceneEdits(
             marks=np.zeros(count, np.uint32),
