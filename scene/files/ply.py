@@ -153,6 +153,8 @@ def _read_splats(
     read_rows(file, file_bytes, header, vertex, targets, path, watch)
 
     comments = header.comments
+    if any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in used if name not in POSITION):
+        comments += ("splatview: the file's doubles were rounded to float32, but for positions",)
     if "scale_2" not in column:
         log_scales[:, 2] = log_scales[:, :2].min(axis=1) - np.float32(math.log(FLAT_RATIO))
         comments += (
