@@ -71,8 +71,8 @@ def price_effects(
     """By name, the price of each of `effects` that settings can turn the other way; None where cancelled.
 
     `artist` draws by `plan`; `moved`, `seconds`, `rounds` as for `climb`. `unedited` draws the scene without
-    its edits, whose price is then told as EDITS. Where frames take so long that `seconds` are too few for all,
-    each still gets LEAST_PAIRS.
+    its edits, whose price is then told as EDITS. Where `seconds` are too few for all, each still
+    gets LEAST_PAIRS.
     """
     settings = plan.settings
     now = in_force(gaussians, settings)
