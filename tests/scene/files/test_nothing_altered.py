@@ -93,9 +93,12 @@ def test_every_number_of_an_ascii_ply(data, count, tmp_path: Path, make_ply):
     path.write_bytes(make_ply(columns, form="ascii"))
     scene = load_scene(path)
     # Text has no payloads of NaN; all else comes to the bit.
-    names = ("means", "quats", "log_scales", "opacity_logits", "sh")
     found = Gaussians(
-        **{name: plain_nan(getattr(scene, name)) for name in names},
+        means=plain_nan(scene.means),
+        quats=plain_nan(scene.quats),
+        log_scales=plain_nan(scene.log_scales),
+        opacity_logits=plain_nan(scene.opacity_logits),
+        sh=plain_nan(scene.sh),
         extras={name: plain_nan(values) for name, values in scene.extras.items()},
     )
     check_bits(found, {name: plain_nan(values) for name, values in columns.items()})
