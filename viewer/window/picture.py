@@ -242,6 +242,7 @@ class CpuPicture:
         self._gaussians = EMPTY
         self._gpu_holds: Gaussians | None = None
         self._by_gpu = False
+        self._mode_to_come = False
 
     @property
     def threads(self) -> int | None:
@@ -289,6 +290,7 @@ class CpuPicture:
         overlay: Overlay | None = None,
     ) -> None:
         self._by_gpu = mode != "splats" and self._mode_compiled(camera, settings, mode)
+        self._mode_to_come = mode != "splats" and not self._by_gpu
         if self._by_gpu:
             self._loaded_gpu().draw(camera, settings, mode, edits, overlay)
         else:
@@ -343,7 +345,7 @@ class CpuPicture:
 
     @property
     def busy(self) -> bool:
-        return not self._by_gpu and self._cpu.busy
+        return self._mode_to_come or (not self._by_gpu and self._cpu.busy)
 
     @property
     def stats(self) -> FrameStats:
