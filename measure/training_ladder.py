@@ -23,7 +23,8 @@ class TrainingRung:
     knob: str
     value: str
     changes: Mapping[str, Any]
-    """Fields of the recipe that differ from the baseline; "splats" is a factor on its cap on splats."""
+    """Fields of the recipe that differ from the baseline; "splats" is a factor on its cap on splats,
+    "precision" the dtype of pictures and of what is differentiated through them."""
 
 
 BASELINE = TrainingRung(knob="recipe", value="as it is", changes={})
@@ -48,6 +49,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
     *_rungs("optimiser", all_splats={"seen_only": False}),
+    *_rungs("precision", float64={"precision": "float64"}),
     *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),
 )
 """Baseline first; each other one differs in one knob."""
@@ -141,7 +143,7 @@ def cells(one: Trained, baseline: Trained) -> list[str]:
 
 
 def _width(value: float) -> str:
-    return "" if math.isinf(value) else f" ± {value:.2f}"
+    return "" if math.isinf(value) else f" ±{value:.{2 if value < 10 else 0}f}"
 
 
 def as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:

@@ -120,6 +120,8 @@ class Trainer:
         self.control.begin(len(self.splats))
         self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
         self._workspace = Workspace()
+        self.picture_dtype: type[np.floating] = np.float32
+        """Of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
             model=settings.model, background=settings.background, blend="float32"
         )
@@ -279,7 +281,12 @@ class Trainer:
                 rng = np.random.default_rng([self.settings.seed, place, 2])
                 parameters = some_dropped(parameters, share, rng)
         frame = draw_frame(
-            parameters, shot.camera, self.render_settings, self._workspace, threads=self.threads
+            parameters,
+            shot.camera,
+            self.render_settings,
+            self._workspace,
+            dtype=self.picture_dtype,
+            threads=self.threads,
         )
         image, exposures = frame.image, self.exposures
         with self.clock.stage("loss"):
@@ -302,7 +309,10 @@ class Trainer:
         if observing:
             with self.clock.stage("density"):
                 self.control.observe(frame, gradients, seen)
-        return gradients.parameters, seen, compared.loss
+        found = gradients.parameters
+        if self.picture_dtype is not np.float32:
+            found = Parameters(*(array.astype(np.float32, copy=False) for array in found))
+        return found, seen, compared.loss
 
     def _refinement_is_due(self, progress: float) -> bool:
         settings, counters = self.settings, self.counters

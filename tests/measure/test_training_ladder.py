@@ -27,7 +27,7 @@ def curve(*psnr: float) -> Curve:
 
 
 def test_every_rung_changes_what_the_recipe_has():
-    names = {field.name for field in fields(TrainSettings)} | {"splats", "early_stop"}
+    names = {field.name for field in fields(TrainSettings)} | {"splats", "early_stop", "precision"}
     assert TRAINING_RUNGS[0] is BASELINE
     for rung in TRAINING_RUNGS:
         assert set(rung.changes) <= names
@@ -57,7 +57,7 @@ def test_gains_are_taken_seed_by_seed():
     gain, width = better.gain(baseline)
     assert (gain, width) == (pytest.approx(1), pytest.approx(0, abs=1e-9))
     assert better.psnr[1] > 5, "seeds differ far more than the rungs do"
-    assert cells(better, baseline)[2] == "+1.00 ± 0.00"
+    assert cells(better, baseline)[2] == "+1.00 ±0.00"
     assert len(cells(better, baseline)) == len(cells(baseline, baseline)) == len(COLUMNS)
 
 

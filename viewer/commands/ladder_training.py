@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -42,6 +43,8 @@ from .train_setup import ready_kernels
 EVALUATIONS = 6
 """Points of a curve; the time they take is not the run's."""
 
+PRECISIONS: dict[str, type[np.floating]] = {"float32": np.float32, "float64": np.float64}
+
 DEMO = "demo"
 """For the capture's name: the photos that the program makes itself."""
 
@@ -61,6 +64,10 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     if not held_out:
         raise InputError(f"{name}: has no held-out photos to measure by")
     ready_kernels(console)
+    for rung in TRAINING_RUNGS:
+        if "precision" in rung.changes:
+            with console.status(f"Compiling for {rung.value}"):
+                make_trainer(capture, rung, minutes, 0).step(0.0)
     trained = [Trained(rung=rung) for rung in TRAINING_RUNGS]
     runs = len(trained) * seeds
     console.print(f"{runs} runs of {minutes:g} minutes: about {runs * minutes:.0f} minutes in all")
@@ -125,6 +132,7 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     """A trainer of the recipe that `splatview train` would take, with the rung's changes."""
     changes = dict(rung.changes)
     factor, early_stop = float(changes.pop("splats", 1.0)), changes.pop("early_stop", None)
+    precision = changes.pop("precision", "float32")
     shots = Shots(shots_of(capture.train), seed)
     pull = automatic_pull(len(shots))
     settings = TrainSettings(
@@ -143,6 +151,7 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
         capture.points, capture.point_colours, capture.scene_radius, limit=settings.max_splats, seed=seed
     )
     trainer = Trainer(shots, parameters, capture.scene_radius, settings)
+    trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:
         trainer.render_settings = replace(trainer.render_settings, early_stop=early_stop)
     return trainer
@@ -150,7 +159,8 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
 
 def print_training_ladder(console: Console, trained: list[Trained], title: str) -> None:
     baseline = trained[0]
-    table = Table(title=title)
+    # Without lines between columns it fits a terminal of 80.
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column(COLUMNS[0], no_wrap=True)
     for column in COLUMNS[1:]:
         table.add_column(column, justify="right", no_wrap=True)
@@ -159,6 +169,7 @@ def print_training_ladder(console: Console, trained: list[Trained], title: str) 
     console.print(table)
     console.print(
         "Gain: against the baseline, seed by seed; “same” where the 95 % interval over seeds holds 0."
-        " Seconds (s) to equal: until the PSNR that the baseline ended with.",
+        " Seconds (s) to equal: until the PSNR that the baseline ended with. ±: 95 % by Student's t, wide for"
+        " few seeds: --seeds.",
         highlight=False,
     )

@@ -1,0 +1,25 @@
+"""Pictures and gradients in float64, of a scene in float32: the same recipe, with fewer roundings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def test_a_step_in_float64_is_nearly_that_in_float32(make_trainer) -> None:
+    single, double = make_trainer(), make_trainer()
+    double.picture_dtype = np.float64
+    (g32, seen32, loss32), (g64, seen64, loss64) = (
+        each._look_at(each.shots.at(0, 1), True) for each in (single, double)
+    )
+    assert abs(loss32 - loss64) < 1e-5 * max(loss64, 1e-3) + 1e-6
+    assert [len(each) for each in seen32] == [len(each) for each in seen64]
+    differ = 0.0
+    for ours, truth in zip(g32, g64, strict=True):
+        assert truth.dtype == np.float32
+        rows = np.concatenate(seen64)
+        scale = np.abs(truth[rows]).max()
+        differ += np.abs(ours[rows] - truth[rows]).max()
+        assert np.abs(ours[rows] - truth[rows]).max() <= 2e-3 * scale + 1e-9
+    assert differ > 0
+    double.step()
+    assert all(array.dtype == np.float32 for array in double.splats.parameters)
