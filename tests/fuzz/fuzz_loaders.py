@@ -11,7 +11,6 @@ file is kept in DIR. The exit code is 1 if there was any.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import multiprocessing.sharedctypes
 import os
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from loaders import BY_NAME, LOADERS, Loader
+from results import add_to, read
 from trials import (
     SECONDS,
     SPARE_BYTES,
@@ -184,10 +184,8 @@ def _shrunk(data: bytes, still: Callable[[bytes], bool]) -> bytes:
 
 def read_counts(path: Path) -> dict[str, Counts]:
     """Of an earlier run; empty where there is none."""
-    if not path.is_file():
-        return {}
     known = {field.name for field in fields(Counts)}
-    entries = json.loads(path.read_text())["loaders"]
+    entries = read(path).get("loaders", {})
     return {
         name: Counts(**{key: value for key, value in entry.items() if key in known})
         for name, entry in entries.items()
@@ -236,8 +234,7 @@ def main() -> int:
             flush=True,
         )
         if arguments.json:
-            kept = json.loads(arguments.json.read_text()) if arguments.json.is_file() else {}
-            arguments.json.write_text(json.dumps({**kept, **report(table)}, indent=1) + "\n")
+            add_to(arguments.json, report(table))
     return int(sum(counts.failed for counts in table.values()) > before)
 
 

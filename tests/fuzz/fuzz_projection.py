@@ -11,7 +11,6 @@ gradients. Blocks are drawn by a number, and those of failures are named. The ex
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping
@@ -33,6 +32,7 @@ from projections import (
     truth_of,
     wrong_rows,
 )
+from results import add_to, read
 
 from splatview.viewer.gl.context import create_headless_context
 
@@ -97,9 +97,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--more", action="store_true", help="go on where the counts in the JSON file end")
     arguments = parser.parse_args()
-    kept: dict[str, Any] = {}
-    if arguments.json and arguments.json.is_file():
-        kept = json.loads(arguments.json.read_text())
+    kept = read(arguments.json)
     seed, table = arguments.start, {}
     if arguments.more and "projections" in kept:
         seed = kept["next_block"]
@@ -128,7 +126,7 @@ def main() -> int:
                 },
                 "projections": {name: asdict(counts) for name, counts in table.items()},
             }
-            arguments.json.write_text(json.dumps({**kept, **entry}, indent=1) + "\n")
+            add_to(arguments.json, entry)
     for name, counts in table.items():
         print(f"{name:20} {counts.splats:12,} splats, {counts.wrong or 'none wrong'}")
     return int(failed)
