@@ -60,9 +60,8 @@ def early_stop_for(gaussians: Gaussians) -> float | None:
     return VISIBLE / brightest if brightest < math.inf else 0.0
 
 
-def hidden_light_effect(gaussians: Gaussians) -> Effect:
-    """The light that comes through nearly opaque pixels from what lies behind."""
-    brightest = brightest_colour(gaussians)
+def hidden_light_effect(gaussians: Gaussians, brightest: float) -> Effect:
+    """The light that comes through nearly opaque pixels from what lies behind; `brightest_colour`."""
     bound = brightest * LEAST_LIGHT
     with np.errstate(invalid="ignore"):
         opaque = int((sigmoid(gaussians.opacity_logits) >= 0.5).sum())
@@ -81,7 +80,7 @@ def hidden_light_effect(gaussians: Gaussians) -> Effect:
     )
 
 
-def transparency_effect(gaussians: Gaussians) -> Effect:
+def transparency_effect(gaussians: Gaussians, brightest: float) -> Effect:
     with np.errstate(invalid="ignore"):
         translucent = int((sigmoid(gaussians.opacity_logits) < OPAQUE).sum())
     return Effect(
@@ -90,7 +89,7 @@ def transparency_effect(gaussians: Gaussians) -> Effect:
         why=f"{translucent:,} of {len(gaussians):,} splats have an opacity below {OPAQUE:g}, and every splat "
         "fades to its edge: all are blended in depth order",
         saving=Saving(what="blending, at every splat of a pixel"),
-        bound=brightest_colour(gaussians) if len(gaussians) else 0.0,
+        bound=brightest if len(gaussians) else 0.0,
     )
 
 

@@ -11,7 +11,13 @@ from ..health import Finding, check
 from ..image_model import RenderSettings
 from .edited import edit_effects
 from .effect import Effect
-from .light import background_effect, hidden_light_effect, left_out_effects, transparency_effect
+from .light import (
+    background_effect,
+    brightest_colour,
+    hidden_light_effect,
+    left_out_effects,
+    transparency_effect,
+)
 from .overriding import NOTHING_FORCED, Overrides
 from .positions import centred_effect
 from .sh_bands import band_effects, own_degrees_effect
@@ -45,14 +51,15 @@ def scene_effects(
     gaussians: Gaussians, *, findings: list[Finding] | None = None, overrides: Overrides = NOTHING_FORCED
 ) -> list[Effect]:
     """What the scene alone decides, which takes time: a second for some millions of splats."""
+    brightest = brightest_colour(gaussians)
     effects = [
         *band_effects(gaussians),
         own_degrees_effect(gaussians),
         antialiased_effect(gaussians),
         flat_effect(gaussians),
         centred_effect(gaussians),
-        transparency_effect(gaussians),
-        hidden_light_effect(gaussians),
+        transparency_effect(gaussians, brightest),
+        hidden_light_effect(gaussians, brightest),
         *left_out_effects(gaussians, check(gaussians) if findings is None else findings),
         sorting_effect(gaussians),
     ]

@@ -11,9 +11,19 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
-from splatview.scene.effects import VISIBLE, Effect, antialiasing, census, settings_for, used_sh_degree
+from splatview.scene.effects import (
+    VISIBLE,
+    Effect,
+    antialiasing,
+    census,
+    own_degrees,
+    settings_for,
+    used_sh_degree,
+)
+from splatview.scene.files import load_scene
 from splatview.scene.health import check
 from splatview.scene.reference import render
+from splatview.scene.sh import sh_basis
 
 
 def receipt(scene: Gaussians) -> dict[str, Effect]:
@@ -174,3 +184,48 @@ def test_none_and_one(random_gaussians):
         assert effects["transparency"].on == (count > 0)
         assert settings_for(random_gaussians(count)).model == ImageModel()
     assert receipt(random_gaussians(2))["sorting"].on
+
+
+def test_own_degrees_where_counted_bytes_say_so(random_gaussians):
+    """Of 100 splats some have no higher bands: 16 and 1 coefficients of 12 bytes, a place of 4."""
+    for plain, on in ((0, False), (12, False), (15, True), (90, True), (100, False)):
+        scene = random_gaussians(100)
+        sh = scene.sh.copy()
+        sh[:plain, 1:] = 0
+        effect = receipt(replace(scene, sh=sh))["own SH degree a splat"]
+        apart = (100 - plain) * 16 * 12 + plain * 12 + 100 * 4
+        alike = 100 * 16 * 12 if plain < 100 else 100 * 12
+        assert effect.on == on == (apart < 0.9 * alike) and effect.bound == 0
+        assert (own_degrees(sh) is not None) == on
+        assert f"{apart:,}" in effect.why and f"{alike:,}" in effect.why
+        if 0 < plain < 100:
+            assert f"{plain} of degree 0, {100 - plain} of degree 3" in effect.why
+
+
+def test_what_bands_take_is_counted(random_gaussians):
+    effects = receipt(random_gaussians(100))
+    assert [effects[f"SH band {band}"].saving.bytes for band in (1, 2, 3)] == [
+        100 * coefficients * 3 * 4 for coefficients in (15, 12, 7)
+    ]
+    # A sum of three colours is two operations a coefficient each; the basis takes 41 at degree 3, 17 at 2.
+    assert effects["SH band 3"].saving.operations == 100 * (7 * 6 + 41 - 17)
+    assert effects["SH band 3"].leaving_out.startswith(
+        "leaving it out saves 8,400 bytes, 6,600 operations a "
+    )
+
+
+@pytest.mark.parametrize("name", ["skull", "playbot_lod0", "train-1000"])
+def test_receipts_of_trained_scenes_can_be_checked_by_hand(data_file, name):
+    """What is said of the highest band, from the worst splat seen from 4,000 sides."""
+    scene = load_scene(data_file(f"scenes/{name}.ply"))
+    degree = scene.sh_degree
+    effects = receipt(scene)
+    effect = effects[f"SH band {degree}"]
+    first = degree * degree
+    worst = np.unravel_index((scene.sh[:, first:] ** 2).sum(axis=1).argmax(), (len(scene), 3))
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    changes = sh_basis(directions, degree)[:, first:] @ scene.sh[worst[0], first:, worst[1]]
+    assert effect.on and effect.saving.bytes == len(scene) * (2 * degree + 1) * 12
+    assert VISIBLE < 0.5 * effect.bound < np.abs(changes).max() <= effect.bound
+    assert not effects["own SH degree a splat"].on
