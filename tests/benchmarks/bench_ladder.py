@@ -1,6 +1,7 @@
 """The accuracy ladder and the bill of real scenes, for ACCURACY.md.
 
     python tests/benchmarks/bench_ladder.py [SCENE.ply ...] [--size WxH] [--seconds S] [--renderers A,B]
+                                            [--name NAME]
 
 Runs `splatview ladder` and `splatview bill` as a user would; writes ladder_NAME.json, ladder_NAME.png,
 bill_NAME.json and bill_playbot.png. On a quiet machine: `make tables` then brings the page up to date.
@@ -37,12 +38,14 @@ def main() -> None:
     parser.add_argument("--size", default="640x360")
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--renderers")
+    parser.add_argument("--name", help="of the files, in place of the scene's; then there is no bill")
     args = parser.parse_args()
     data = ROOT.parent / "shared" / "data" / "scenes"
     given = {path.stem.partition("_")[0]: path for path in args.scenes}
     for name, path in (given or {name: data / file for name, file in SCENES.items()}).items():
         print(name, flush=True)
         folder = ROOT / FOLDER
+        name = args.name or name
         extra = ["--renderers", args.renderers] if args.renderers else []
         ladder = splatview(
             "ladder",
@@ -56,6 +59,8 @@ def main() -> None:
             *extra,
         )
         write_results(folder / f"ladder_{name}.json", {**ladder, "table": ladder_table(ladder)})
+        if args.name:
+            continue
         shown = ["--heatmap", folder / f"bill_{name}.png"] if name == SHOWN else []
         bill = splatview("bill", path, "--size", args.size, *shown)
         rows, sums = [tuple(row) for row in bill["rows"]], bill["sums"]
