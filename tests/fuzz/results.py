@@ -61,7 +61,7 @@ def note(growth: int, fixed: int) -> str:
     found = f"{fixed} inputs that once failed were found this way, and stay in the corpus. " if fixed else ""
     return (
         "Damaged files end in a scene or in one line that says what is wrong; the process grew by "
-        f"{growth / 2**20:.1f} MiB at most. {found}Splats have any bits in any attribute, and must be seen or "
-        "culled as in float64, with the same footprint and colour; of those between, rounding decides, or they "
-        "lie beside the picture."
+        f"{growth / 2**20:.1f} MiB at most. {found}Splats have any bits in any attribute, and must be seen "
+        "or culled as in float64, with the same footprint and colour; of those between, rounding decides, "
+        "or they lie beside the picture."
     )
