@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec4, imgui
 
 from ....trainer.settings import TrainSettings
+from .. import theme
 from ..core import Core
 from ..panels import widgets
 from . import actions
@@ -70,7 +71,10 @@ def effects(core: Core) -> None:
         on = effect.in_force
         if effect.name == "SH bands":
             on = core.training.status.sh_degree > 0
-        widgets.fact(effect.name, "on" if on else "off", effect.why)
+        imgui.text_colored(ImVec4(*theme.ACCENT, 1) if on else theme.QUIET, "on" if on else "off")
+        imgui.same_line(imgui.get_font_size() * 2.6)
+        imgui.text(effect.name)
+        widgets.tooltip(effect.why)
 
 
 def length(core: Core, settings: TrainSettings) -> None:
