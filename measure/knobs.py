@@ -40,6 +40,8 @@ class Value:
     apply: Callable[[Plan], Plan]
     renderers: tuple[str, ...] | None = None
     """Which of the knob's have it; None: all."""
+    dear: bool = False
+    """Takes many times as long as the exact value: it is there for something else."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +77,10 @@ class Knob:
         raise InputError(f"{self.option} {text}: choose from {', '.join(v.text for v in self.values)}")
 
 
-def _setting(text: str, renderers: tuple[str, ...] | None = None, **changes: Any) -> Value:
-    return Value(text=text, apply=partial(_with_settings, changes=changes), renderers=renderers)
+def _setting(
+    text: str, renderers: tuple[str, ...] | None = None, *, dear: bool = False, **changes: Any
+) -> Value:
+    return Value(text=text, apply=partial(_with_settings, changes=changes), renderers=renderers, dear=dear)
 
 
 def _with_settings(plan: Plan, changes: Mapping[str, Any]) -> Plan:
@@ -130,7 +134,7 @@ KNOBS: tuple[Knob, ...] = (
         values=(
             _setting("32-bit", order="32-bit"),
             _setting("16-bit", order="16-bit"),
-            _setting("per-pixel", TILES + CPU, order="per-pixel"),
+            _setting("per-pixel", TILES + CPU, dear=True, order="per-pixel"),
             _setting("weighted", GL, order="weighted"),
             _setting("stochastic", GL, order="stochastic"),
         ),

@@ -193,15 +193,19 @@ def rungs_for(
                             artist=artist,
                             plan=changed,
                             options=(*options, knob.option, value.text),
-                            rank=1 if first else _rank(knob, value, artists[0].name),
+                            rank=_rank(knob, value, artists[0].name, first=first),
                         )
                     )
     return rungs
 
 
-def _rank(knob: Knob, value: Value, first: str) -> int:
-    """Of a rung of another renderer than the first: what that one does not have tells most, then the ends of
-    the knobs."""
-    if value not in knob.values_for(first):
-        return 3
-    return 4 if value is knob.values[-1] else 5
+def _rank(knob: Knob, value: Value, baseline: str, *, first: bool) -> int:
+    """Before all: knobs of the first renderer, then others' defaults (2). Of the others what the first does
+    not have tells most, then the ends of the knobs."""
+    if value.dear:
+        return 3 if first else 6
+    if first:
+        return 1
+    if value not in knob.values_for(baseline):
+        return 4
+    return 5 if value is knob.values[-1] else 6
