@@ -23,8 +23,9 @@ from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
 from splatview.viewer.gl.rehearsal import rehearsal_of
 from splatview.viewer.gl.rehearsing import MOST_REMEMBERED, Rehearsals
 from splatview.viewer.gl.shown_edits import shown_edits
-from splatview.viewer.gl.standing_in import StandingIn, title_of
+from splatview.viewer.gl.standing_in import StandingIn, mode_key, title_of
 from splatview.viewer.gl.variants import Variants
+from splatview.viewer.window.picture import CpuPicture
 
 COUNT = 200
 CAMERA = look_at((0.4, -0.6, -2.4), (0, 0, 0), width=48, height=40)
@@ -235,3 +236,21 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     assert ahead.wait(kind)
     assert ahead.must_wait(scene, CAMERA, discs, None) is None
     stage.rehearsals.release()
+
+
+def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
+    stage, ready = Stage(), threading.Event()
+    picture = CpuPicture(ctx, on_ready=ready.set, rehearsals=stage.rehearsals)
+    for _ in picture.load_steps(random_gaussians(COUNT, seed=5)):
+        pass
+    picture.draw(CAMERA, SETTINGS, "points")
+    assert picture.busy
+    assert ready.wait(PATIENCE), "splats meanwhile"
+    assert picture.status == "Compiling for this machine: points"
+    stage.finish(mode_key(ctx, "points"))
+    picture.draw(CAMERA, SETTINGS, "points")
+    assert not picture.busy
+    assert picture.texture.size == (CAMERA.width, CAMERA.height)
+    assert picture.read(CAMERA, SETTINGS, "points").std() > 0.01
+    stage.rehearsals.release()
+    picture.release()
