@@ -171,7 +171,7 @@ def _antialiased(capture: Capture, settings: TrainSettings, asked: Antialiased) 
     elif settings.model.antialiased:
         why = f"{found}, {SCALE_RATIO:g} or more; kernel {settings.model.blur:g} px²"
     else:
-        why = f"{found}, less than {SCALE_RATIO:g}: no gain there, and every viewer shows the scene alike"
+        why = f"{found}, less than {SCALE_RATIO:g}: 0.1 dB at most, and every viewer shows it alike"
     return Effect(
         name="antialiased opacity",
         on=settings.model.antialiased,

@@ -10,7 +10,7 @@ import pytest
 from splatview.measure.metrics import psnr
 from splatview.measure.smaller import KERNELS, averaged, compare_smaller
 from splatview.raster import render
-from splatview.scene import ImageModel, RenderSettings, look_at
+from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
 from splatview.scene.demo import demo_scene
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=512, height=384)
@@ -43,8 +43,12 @@ def test_an_eighth_of_the_size_is_truer_with_the_effect(random_gaussians, shape)
         assert one.antialiased > 25, one
 
 
-def test_a_scene_of_the_programs_own_at_each_size():
-    scene = demo_scene(splats=6000)
+@pytest.fixture(scope="module")
+def scene() -> Gaussians:
+    return demo_scene(splats=6000)
+
+
+def test_a_scene_of_the_programs_own_at_each_size(scene):
     camera = look_at((4, -3, -6), (0, 0, 0), up=(0, -1, 0), width=512, height=384)
     for model in (ImageModel(), ImageModel(antialiased=True, blur=0.1)):
         settings = RenderSettings(model=model)
@@ -57,9 +61,8 @@ def test_a_scene_of_the_programs_own_at_each_size():
         assert worse == (set() if model.antialiased else {(2, 0.1)})
 
 
-def test_at_full_size_the_effect_is_the_model_itself():
+def test_at_full_size_the_effect_is_the_model_itself(scene):
     """Of a scene that is trained so nothing is lost by it; of another it is another picture."""
-    scene = demo_scene(splats=6000)
     camera = look_at((4, -3, -6), (0, 0, 0), up=(0, -1, 0), width=128, height=96)
     settings = RenderSettings(model=ImageModel(antialiased=True, blur=0.1))
     mip = next(one for one in compare_smaller(render, scene, camera, settings, (1,)) if one.kernel == 0.1)
