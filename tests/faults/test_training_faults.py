@@ -28,7 +28,8 @@ def capture(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_request_to_end_saves(capture: Path, tmp_path: Path, name: str) -> None:
     """Ctrl-C does the same: see tests/trainer/test_train_command."""
     metrics = tmp_path / "m.jsonl"
