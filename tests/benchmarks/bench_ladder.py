@@ -1,7 +1,7 @@
 """The accuracy ladder and the bill of real scenes, for ACCURACY.md.
 
     python tests/benchmarks/bench_ladder.py [SCENE.ply ...] [--size WxH] [--seconds S] [--renderers A,B]
-                                            [--name NAME]
+                                            [--rounds N] [--name NAME]
 
 Runs `splatview ladder` and `splatview bill` as a user would; writes ladder_NAME.json, ladder_NAME.png,
 bill_NAME.json and bill_playbot.png. On a quiet machine: `make tables` then brings the page up to date.
@@ -37,6 +37,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", type=Path)
     parser.add_argument("--size", default="640x360")
     parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--rounds", type=int, help="pairs of each shortcut, however long they take")
     parser.add_argument("--renderers")
     parser.add_argument("--name", help="of the files, in place of the scene's; then there is no bill")
     args = parser.parse_args()
@@ -52,8 +53,7 @@ def main() -> None:
             path,
             "--size",
             args.size,
-            "--seconds",
-            args.seconds,
+            *(("--seconds", args.seconds) if args.rounds is None else ("--rounds", args.rounds)),
             "--plot",
             folder / f"ladder_{name}.png",
             *extra,
