@@ -12,7 +12,7 @@ from typing import get_args
 
 from ...scene import InputError
 from ..gl import VisualMode
-from . import camera_list, opening, saving
+from . import backdrop, camera_list, depth_of_field, opening, saving
 from .bookmarks import Bookmark, load_bookmarks, save_bookmarks
 from .core import Core
 from .editing.commands import EDIT_ACTIONS, cancel_job, take_tool
@@ -229,6 +229,8 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     "up_from_view": up_from_view,
     "toggle_orthographic": toggle_orthographic,
     "toggle_lenses": toggle_lenses,
+    "depth_of_field": depth_of_field.switch,
+    "focus_by_click": depth_of_field.focus_by_click,
     "narrower": partial(change_fov, factor=1 / FOV_STEP),
     "wider": partial(change_fov, factor=FOV_STEP),
     "next_camera": partial(camera_list.step_camera, step=1),
@@ -239,6 +241,7 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     "paste_camera": camera_list.paste_camera,
     **{f"navigate_{mode}": partial(navigate, mode=mode) for mode in NAVIGATION_MODES},
     "next_navigation": next_navigation,
+    "open_background": backdrop.ask_for_picture,
     **{f"mode_{mode}": partial(set_mode, mode=mode) for mode in VISUAL_MODES},
     "pause_training": training.pause_or_resume,
     "step_training": training.step_once,

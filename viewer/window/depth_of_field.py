@@ -63,7 +63,7 @@ class DepthOfField:
         """By what the frame that comes is drawn instead of by `camera`."""
         aperture = self.aperture(core)
         if aperture is None or core.picture is None or not is_pinhole(camera):
-            self.close()
+            self.close(core)
             return camera
         self._edits = shown_edits(core.edits, core.overlay, self._edits)
         gaussians = core.scene.gaussians if core.scene else None
@@ -99,8 +99,10 @@ class DepthOfField:
         """How far the picture has come, or ""."""
         return f"lens: {self.samples} of {SAMPLES} pictures" if 0 < self.samples < SAMPLES else ""
 
-    def close(self) -> None:
-        """Gives back what the mean takes."""
+    def close(self, core: Core) -> None:
+        """Gives back what the mean takes; pictures of a camera that moves may be coarse again."""
+        if self._open and core.picture is not None:
+            core.picture.sharp = False
         self._key, self._edits, self.samples, self._open = None, None, 0, False
         if self._mean is not None:
             self._mean.release()
@@ -136,6 +138,11 @@ def focus_on(core: Core, x: float, y: float) -> None:
     core.depth_of_field.focus = found.depth
     core.depth_of_field.on = True
     core.tell(f"In focus: splat {found.index:,}, {found.depth:.4g} units ahead")
+
+
+def switch(core: Core) -> None:
+    core.depth_of_field.on = not core.depth_of_field.on
+    core.tell(f"Depth of field {'on' if core.depth_of_field.on else 'off'}")
 
 
 def focus_by_click(core: Core) -> None:

@@ -143,6 +143,8 @@ def camera_menu(core: Core) -> None:
     item(core, "toggle_orthographic", "Orthographic", selected=core.destination.lens.orthographic)
     has_lenses = any(camera.lens is not None for camera in core.cameras)
     item(core, "toggle_lenses", "Camera lenses", selected=core.through_lenses, enabled=has_lenses)
+    item(core, "depth_of_field", "Depth of field", selected=core.depth_of_field.on)
+    item(core, "focus_by_click", "Focus by click")
     item(core, "narrower")
     item(core, "wider")
     imgui.separator()

@@ -101,7 +101,11 @@ def lens(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any])
     hand.ctx.item_click("**/##Depth of field")
     hand.frames(3)
     hand.settle()
-    found["closed"] = [lens.samples, lens._mean is None]
+    found["closed"] = [lens.samples, lens._mean is None, core.picture.sharp if core.picture else None]
+    hand.press("Shift+B")
+    found["by_key"] = [lens.on]
+    hand.press("Shift+B")
+    found["by_key"].append(lens.on)
 
 
 def through(hand: Hand, core: Core) -> np.ndarray:

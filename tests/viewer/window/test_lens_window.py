@@ -44,4 +44,5 @@ def test_what_is_behind_and_what_is_in_focus(drive, random_gaussians, tmp_path, 
     assert found["blurred"] > 0.05
     assert found["idle"] == 0
     assert found["saved_error"] <= 0.5 / 255 + 1e-3
-    assert found["closed"] == [0, True]
+    assert found["closed"] == [0, True, False]
+    assert found["by_key"] == [True, False]
