@@ -28,6 +28,10 @@ SSIM_SIDE = 11
 NUDGED = 1
 """Number of the camera that differs least from a view but for 0; timed frames have larger ones."""
 
+UNKNOWN = 8.0
+"""Frames of the fastest renderer that one of another is thought to take until it is known: software OpenGL
+takes about so many of the CPU's."""
+
 SHARE_FOR_JUDGING = 0.5
 """Of the progress shown: comparing with the truth, before timing."""
 
@@ -117,8 +121,8 @@ def climb(
 
 def _price(budget: Budget, rung: Rung, views: int) -> float:
     """Seconds that a rung takes, as far as that is known before: as long as its renderer's defaults."""
-    frame = budget.frame.get(rung.artist.name, 0.0)
     base = min(budget.frame.values(), default=0.0)
+    frame = budget.frame.get(rung.artist.name, UNKNOWN * base)
     return (views + 1) * frame + LEAST_PAIRS * (frame + base)
 
 
