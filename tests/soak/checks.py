@@ -86,12 +86,12 @@ class Memory:
         return [a - b for a, b in zip(self.resident, self.accounted, strict=True)]
 
     @property
-    def growth(self) -> float:
+    def growth(self) -> float | None:
         """MiB, from the median of the second third to that of the last: the first one fills caches."""
         rest = self._rest
         third = len(rest) // 3
         if len(rest) < LEAST_LOOKS:
-            return 0.0
+            return None
         return statistics.median(rest[-third:]) - statistics.median(rest[third : 2 * third])
 
     @property
@@ -100,15 +100,16 @@ class Memory:
         return ALLOWED_MIB + ALLOWED_SHARE * (statistics.median(rest) if rest else 0.0)
 
     def problems(self) -> list[str]:
-        if not self.growth > self.allowed:
+        growth = self.growth
+        if growth is None or not growth > self.allowed:
             return []
-        return [f"memory grew by {self.growth:.0f} MiB, {self.allowed:.0f} are allowed"]
+        return [f"memory grew by {growth:.0f} MiB, {self.allowed:.0f} are allowed"]
 
     def summary(self) -> dict[str, Any]:
         return {
             "end_mib": round(self.resident[-1], 1) if self.resident else 0.0,
             "most_mib": round(max(self.resident, default=0.0), 1),
-            "growth_mib": round(self.growth, 1),
+            "growth_mib": None if self.growth is None else round(self.growth, 1),
             "allowed_mib": round(self.allowed, 1),
             "seconds": [round(value, 1) for value in self.seconds],
             "resident_mib": [round(value, 1) for value in self.resident],

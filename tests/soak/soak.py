@@ -115,7 +115,7 @@ def report(parts: list[Result], seed: int, minutes: float) -> dict[str, Any]:
                 f"{part['exports']:,}",
                 f"{part['undos']:,}",
                 f"{memory['end_mib']:.0f}",
-                f"{memory['growth_mib']:.0f}",
+                "too short" if memory["growth_mib"] is None else f"{memory['growth_mib']:.0f}",
                 f"{memory['allowed_mib']:.0f}",
                 str(len(part["problems"])),
             ]
