@@ -59,7 +59,9 @@ class Resolving:
             "OVERDRAW": mode == "overdraw",
             "WEIGHTED": weights is not None,
         }
-        program, array = self._variants.drawing("quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags)
+        program, array = self._variants.drawing(
+            "quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags
+        )
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         gathered.texture.use(0)
