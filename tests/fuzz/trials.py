@@ -25,7 +25,7 @@ larger one."""
 
 TIMES_THE_FILE = 4
 
-SPARE_BYTES = 8 << 20
+SPARE_BYTES = 16 << 20
 """Of memory beyond four times the file. Readers take buffers of 1 MiB whatever the file's size, JSON takes up
 to thirty times its text as Python's objects (files here have some KiB), and Pillow's decoders and the threads
 that read photos have theirs; the highest seen is stated with the results."""

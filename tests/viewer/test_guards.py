@@ -149,7 +149,7 @@ REFERENCE = (
         TRUTH,
         "reference",
         "star at 10²⁵",
-        {"offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)": "offsets * dtype(1)"},
+        {"offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)": "offsets * 1.0"},
     ),
     Removal(
         "clamp",
@@ -256,7 +256,33 @@ DISCS = (
     ),
 )
 
-EVERYTHING = (*SHADERS, *REFERENCE, *CPU, *DISCS)
+FOLDED = "a lens that folds back"
+
+RAYS = (
+    Removal(
+        "reach of the lens",
+        PROJECTION,
+        "quads",
+        FOLDED,
+        {"        if (!(dot(ray, ray) < u_lens_reach)) return false;\n": ""},
+    ),
+    Removal(
+        "reach of the lens",
+        TRUTH,
+        "reference",
+        FOLDED,
+        {"(axis=1) < camera.lens.form.reach_squared": "(axis=1) < np.inf"},
+    ),
+    Removal(
+        "reach of the lens",
+        "raster/optics.py",
+        "cpu",
+        FOLDED,
+        {"keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)": "drawn"},
+    ),
+)
+
+EVERYTHING = (*SHADERS, *REFERENCE, *CPU, *DISCS, *RAYS)
 
 RUN = """
 import sys
