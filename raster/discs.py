@@ -36,6 +36,14 @@ REACH_SLACK = 4e-3
 """By how much, relative and in itself, the reach of a disc is taken larger than it is; `bins` take an ellipse
 a hair larger too."""
 
+STRONG = 1.5
+"""By this factor a disc's reach is nearer than its mean where a box may be smaller than the ellipse."""
+
+NO_BOUND = 1e30
+
+BOX_SLACK = 1e-5
+"""Of slopes, by which boxes about discs are larger than they are."""
+
 DISC_SCALE = math.sqrt(HALF_LOG2_E)
 
 
@@ -74,9 +82,45 @@ def picked(share, x, y):
 
 
 @inline
+def seen_between(along, z, a, b, a_z, b_z, reach):
+    """Least and greatest x/z (or y/z) of what is before the eye of a disc at (along, z) with scaled axes a
+    and b: where the planes along = k·z touch it. Of a disc that goes through the eye's plane at least one is
+    NO_BOUND."""
+    zero, one, far = fill(z, 0.0), fill(z, 1.0), fill(z, NO_BOUND)
+    p = z * z - reach * (a_z * a_z + b_z * b_z)
+    q = along * z - reach * (a * a_z + b * b_z)
+    r = along * along - reach * (a * a + b * b)
+    inside = q * q - p * r
+    root = math.sqrt(max(inside, zero))
+    size = max(abs(p), 1e-9 * z * z)
+    one_side, other = (q - root) / size, (q + root) / size
+    through = keep_if_below(one, p, 1e-9 * z * z)
+    # Before the eye are those on the side of the mean: with p below 0 the roots change places and sign.
+    above = keep_if_at_least(one, along, z * max(-one_side, -other))
+    below = keep_if_at_least(one, z * min(-one_side, -other), along)
+    clear = keep_if_below(one, 1e-9 * z * z, -p) * keep_if_below(one, zero, inside)
+    above, below = above * clear, below * clear * (one - above)
+    low = (one - through) * one_side + through * (above * max(-one_side, -other) - (one - above) * far)
+    high = (one - through) * other + through * (below * min(-one_side, -other) + (one - below) * far)
+    return low, high
+
+
+@inline
+def half_box(low, high, focal, centre, size, mean, dot):
+    """How far from the mean, px, a disc is seen within the picture; less than 0 where it is not."""
+    low = low - (abs(low) + 1.0) * BOX_SLACK
+    high = high + (abs(high) + 1.0) * BOX_SLACK
+    first = max(low * focal + centre - dot, fill(low, 0.0))
+    last = min(high * focal + centre + dot, fill(low, size))
+    half = max(max(last - mean, mean - first), dot)  # noqa: PLW3301 vectors come in twos
+    return half - keep_if_below(half + 1.0, last, first)
+
+
+@inline
 def project_discs(view, perspective, tx, ty, tz, axes, scales, reach, lanes, first):
-    """Writes the rows of LANES splats to the columns of `lanes` from `first` on. Returns M, (2, 3) row by
-    row: what is seen of u² + v² <= reach is within the ellipse of M·Mᵀ with that reach about the mean.
+    """Writes the rows of LANES splats to the columns of `lanes` from `first` on. Returns whether anything can
+    be seen, 1 or 0, and M, (2, 3) row by row: what the picture sees of u² + v² <= reach is within the ellipse
+    of M·Mᵀ with that reach about the mean.
 
     All are float64 vectors: camera points, three unit axes in camera axes, three scales, reach.
     """
@@ -121,10 +165,25 @@ def project_discs(view, perspective, tx, ty, tz, axes, scales, reach, lanes, fir
     u_length, v_length = s_u * growth / distance, s_v * growth / distance
     m0, m1 = (e_u[0] - rx * e_u[2]) * u_length * view.fx, (e_v[0] - rx * e_v[2]) * v_length * view.fx
     m3, m4 = (e_u[1] - ry * e_u[2]) * u_length * view.fy, (e_v[1] - ry * e_v[2]) * v_length * view.fy
+    seen = one
+    if perspective > 0:
+        # Where the ellipse would be far too large: one around a box, as far as that is in the picture.
+        dot = math.sqrt(reach * view.blur)
+        a_z, b_z = s_u * e_u[2], s_v * e_v[2]
+        low, high = seen_between(tx, tz, s_u * e_u[0], s_v * e_v[0], a_z, b_z, reach)
+        x_half = half_box(low, high, view.fx, view.cx, view.width, rx * view.fx + view.cx, dot)
+        low, high = seen_between(ty, tz, s_u * e_u[1], s_v * e_v[1], a_z, b_z, reach)
+        y_half = half_box(low, high, view.fy, view.cy, view.height, ry * view.fy + view.cy, dot)
+        strong = keep_if_at_least(one, growth, fill(growth, STRONG))
+        seen = one - strong * keep_if_below(one, min(x_half, y_half), zero)
+        boxed = strong * keep_if_below(one, 2.0 * x_half * y_half, abs(m0 * m4 - m1 * m3) * reach)
+        to_m = boxed * math.sqrt(2.0 / reach)
+        solid = one - boxed
+        m0, m1, m3, m4 = solid * m0 + to_m * x_half, solid * m1, solid * m3, solid * m4 + to_m * y_half
     longest = max(max(abs(m0), abs(m1)), max(abs(m3), abs(m4)))  # noqa: PLW3301 vectors come in twos
     fits = keep_if_at_least(one, fill(longest, WIDEST), longest)
     wide = (one - fits) * WIDEST
-    return fits * m0 + wide, fits * m1, zero, fits * m3, fits * m4 + wide, zero
+    return seen, (fits * m0 + wide, fits * m1, zero, fits * m3, fits * m4 + wide, zero)
 
 
 @inline

@@ -294,9 +294,10 @@ def project_group(view, optics, discs, lanes):
     else:
         reach = reach_of(view, log2_lanes(opacity)) * (1 + REACH_SLACK) + REACH_SLACK
         turned_axes = camera_axes(view, rotation)
-        axes = project_discs(
+        seen, axes = project_discs(
             view, discs.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), reach, lanes, DISC_ROW
         )
+        drawn = keep_if_below(drawn, nothing, seen)
     xx, xy, yy, det, unblurred = covariance(axes, view.blur)
     drawn = if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)
     if discs is None and view.antialiased:
