@@ -133,6 +133,9 @@ class LegacyQuadsRenderer(Renderer):
 
     # ---- drawing
 
+    def forget_order(self) -> None:
+        """It keeps none: the worker sorts every view."""
+
     def draw(
         self,
         camera: Camera,

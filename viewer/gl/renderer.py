@@ -114,6 +114,7 @@ class Renderer(ABC):
         """Makes this the picture that `read` gives."""
         self.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
 
+    @abstractmethod
     def forget_order(self) -> None:
         """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
 

@@ -37,7 +37,7 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
             progress.append(accuracy.measurement.progress)
         return accuracy.measurement is None
 
-    hand.wait(over, "the prices", 200)
+    hand.wait(over, "the prices", 400)
     hand.frames(3)
     assert accuracy.ladder is not None, hand.said
     found["progress"] = [progress[0], max(progress)]
