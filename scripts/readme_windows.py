@@ -71,7 +71,7 @@ def accuracy(core: Core, ctx: Any) -> None:
     while core.waiting or core.scene is None or core.transition is not None:
         ctx.yield_(1)
     ctx.window_focus("//Accuracy")
-    core.accuracy.rounds = 7
+    core.accuracy.rounds = 5
     core.post(commands.measure)
     ctx.yield_(3)
     while core.accuracy.ladder is None:
