@@ -3,9 +3,6 @@
 // flat: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/per_pixel.py has it).
 #include "common/lens.glsl"
 #include "common/numbers.glsl"
-#if HAS_DISCS
-#include "common/disc_projection.glsl"
-#endif
 
 uniform mat3 u_camera_from_world;  // world axes to camera axes
 uniform vec3 u_eye_high;           // the eye relative to the scene's centre; high + low carry float64's digits
@@ -18,6 +15,10 @@ uniform float u_near;
 uniform float u_blur;              // px²
 uniform float u_alpha_cut;
 uniform float u_least_share;       // of its opacity, below which a splat's alpha is 0 too
+
+#if HAS_DISCS
+#include "common/disc_projection.glsl"
+#endif
 
 const float MIN_QUAT_COMPONENT = 1e-30;
 const float WHOLE_IMAGE = 1e18;    // px; half an axis where no alpha cut bounds the footprint
@@ -95,7 +96,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     if (DISCS) {
         float least = max(u_alpha_cut, u_least_share * opacity);
         float disc_reach = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : DISC_MOST_REACH;
-        f.disc = disc_of(t, unit_axes, scale, disc_reach, u_focal, u_near, m0, m1);
+        if (!disc_of(t, unit_axes, scale, disc_reach, f.disc, m0, m1)) return false;
     }
 #endif
     if (!is_finite(m0) || !is_finite(m1)) return false;
