@@ -145,6 +145,7 @@ CASES = (
         lambda: among_neighbours(
             splats([(0, 0.5, 3.0)], log_scales=(88, 88, -30), quats=about_axis((1, 0.2, 0), 80))
         ),
+        cameras=(FRONT, TURNED, PARALLEL),
         visible=(0,),
     ),
     case("disc beyond float32", "exp(100) is infinite.", lambda: one((math.inf, 1.0, 0)), culled=(0,)),

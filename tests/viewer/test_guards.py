@@ -231,7 +231,7 @@ DISCS = (
         "shaders/common/disc_projection.glsl",
         "quads",
         "needle of a disc",
-        {"    s = max(s, DISC_LEAST_WIDTH * away / focal.x);\n": ""},
+        {"    s = max(s, DISC_LEAST_WIDTH * away / u_focal.x);\n": ""},
     ),
     Removal(
         "widest ellipse",
