@@ -29,6 +29,9 @@ VERSION = 1
 
 SUFFIX = ".journal.jsonl"
 
+LOCK_SECONDS = 1.0
+"""Far longer than a look at a journal that has just been begun takes."""
+
 SYNC_SECONDS = 2.0
 """A crash of the program loses no step; one of the whole machine loses at most those of so many seconds."""
 
@@ -84,7 +87,9 @@ class Journal:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._path = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}{SUFFIX}"
         self._file = open(self._path, "xb", buffering=0)  # noqa: SIM115, open as long as the document
-        take_lock(self._file)
+        until = time.monotonic() + LOCK_SECONDS
+        while not take_lock(self._file) and time.monotonic() < until:
+            time.sleep(0.001)  # another program that starts just now looks whether it was left behind
         document = self._document
         self._append(
             {
@@ -158,7 +163,9 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
         try:
             line = json.loads(text)
             if "do" in line:
-                steps = [*steps[:position], operation_from_json(line["do"])]
+                operation = operation_from_json(line["do"])
+                del steps[position:]
+                steps.append(operation)
                 position = len(steps)
             else:
                 position = min(max(int(line["position"]), 0), len(steps))

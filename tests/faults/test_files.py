@@ -21,6 +21,7 @@ from splatview.edit.journal import Journal, find_abandoned_journals
 from splatview.edit.operations import Delete, SelectAll, operation_from_json
 from splatview.scene import Gaussians, InputError
 from splatview.scene.files import load_scene, save_scene
+from splatview.scene.files.locked import take_lock
 from splatview.viewer import claims
 from splatview.viewer.window import actions, opening
 from splatview.viewer.window.bookmarks import beside, load_bookmarks
@@ -260,7 +261,7 @@ def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -
         for program in programs:
             assert program.stdout is not None and program.stdout.readline() == "ready\n"
         marks = scene.with_name("scene.ply.bookmarks.json")
-        limit = time.monotonic() + 30
+        limit = time.monotonic() + 200
         while not (marks.exists() and (config / "preferences.json").exists()):
             assert time.monotonic() < limit
         for _ in range(150):
@@ -298,3 +299,23 @@ def test_bookmarks_of_another_window_on_the_scene_stay(core, scene) -> None:
     actions.add_bookmark(core)
     assert "not a bookmarks file" in (core.problem or "")
     assert beside(scene).read_text() == "{ damaged"
+
+
+def test_a_journal_that_another_program_looks_at_as_it_begins_is_locked_all_the_same(
+    tmp_path, scene, monkeypatch
+) -> None:
+    tries: list[bool] = []
+
+    def taken(file: Any) -> bool:
+        tries.append(len(tries) >= 3)
+        return tries[-1] and take_lock(file)
+
+    monkeypatch.setattr(journals, "take_lock", taken)
+    document = Document(load_scene(scene), name=scene.name)
+    journal = Journal(document, tmp_path / "journals", scene=scene)
+    document.apply(SelectAll())
+    monkeypatch.setattr(journals, "take_lock", take_lock)
+    assert tries == [False, False, False, True]
+    assert find_abandoned_journals(tmp_path / "journals") == []
+    journal.close(keep=True)
+    assert len(find_abandoned_journals(tmp_path / "journals")) == 1
