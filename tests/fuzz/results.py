@@ -58,7 +58,7 @@ def table(results: Mapping[str, Any]) -> dict[str, Any]:
 
 def note(growth: int, fixed: int) -> str:
     """Below the table; `growth` in bytes."""
-    found = f"{fixed} inputs that once failed were found this way, and stay in the corpus. " if fixed else ""
+    found = f"{fixed} inputs failed when they were first tried; what made them is mended. " if fixed else ""
     return (
         "Damaged files end in a scene or in one line that says what is wrong; the process grew by "
         f"{growth / 2**20:.1f} MiB at most. {found}Splats have any bits in any attribute, and must be seen "
