@@ -11,7 +11,6 @@ uniform float u_perspective;  // 1, or 0 where rays are parallel
 float disc_power(vec4 rows, vec4 plane, vec2 d) {
     float on_screen = u_sharpness * dot(d, d);
     float lean = dot(plane.yz, d), slope = plane.x + u_perspective * lean;
-    if (!(slope >= DISC_LEAST_SLOPE) || !(lean <= plane.w)) return on_screen;
     vec2 uv = vec2(dot(rows.xy, d), dot(rows.zw, d)) / slope;
-    return min(dot(uv, uv), on_screen);
+    return slope >= DISC_LEAST_SLOPE && lean <= plane.w ? min(dot(uv, uv), on_screen) : on_screen;
 }

@@ -34,12 +34,15 @@ void main() {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
             vec2 offset = vec2(own) + 0.5 - shape.xy;
             float c = batch_cs[k], cut = max(u_alpha_cut, u_least_share * colour.a);
+#if HAS_DISCS
+            vec4 rows = batch_rows[k], plane = batch_planes[k];
+#endif
             for (int i = 0; i < PIXELS; i++) {
                 vec2 d = offset + vec2(step_to(i));
                 vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
                 float power = dot(whitened, whitened);
 #if HAS_DISCS
-                if (DISCS) power = disc_power(batch_rows[k], batch_planes[k], d);
+                if (DISCS) power = disc_power(rows, plane, d);
 #endif
                 float alpha = min(colour.a * exp2(-power), u_max_alpha);
                 alpha = alpha >= cut ? alpha : 0.0;  // NaN too

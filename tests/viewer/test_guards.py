@@ -223,9 +223,7 @@ DISCS = (
         "disc edge-on along a column",
         {"slope >= DISC_LEAST_SLOPE": "slope >= -1.0"},
     ),
-    Removal(
-        "near plane of discs", DISC, "quads", "disc through the near plane", {" || !(lean <= plane.w)": ""}
-    ),
+    Removal("near plane of discs", DISC, "quads", "disc through the near plane", {" && lean <= plane.w": ""}),
     Removal(
         "least width",
         "shaders/common/disc_projection.glsl",
