@@ -244,6 +244,12 @@ while True:
 """
 
 
+def has_steps(folder: Path, *, count: int) -> list[bool]:
+    """Of each journal, whether more than a step is in it; `count` there are to be."""
+    sizes = [len(path.read_bytes().split(b"\n")) for path in folder.glob("*")]
+    return [size > 5 for size in sizes] if len(sizes) == count else [False]
+
+
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -> None:
     config = tmp_path / "config"
@@ -262,8 +268,9 @@ def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -
             assert program.stdout is not None and program.stdout.readline() == "ready\n"
         marks = scene.with_name("scene.ply.bookmarks.json")
         limit = time.monotonic() + 200
-        while not (marks.exists() and (config / "preferences.json").exists()):
+        while not (marks.exists() and all(has_steps(config / "journals", count=2))):
             assert time.monotonic() < limit
+            time.sleep(0.01)
         for _ in range(150):
             number = json.loads((config / "preferences.json").read_text())["fly_speed"]
             assert number in (1, 9)
