@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -145,6 +146,8 @@ def main() -> None:
     parser.add_argument("--size", choices=("small", "full"), default="full")
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "soak.json")
     options = parser.parse_args()
+    # A request to end ends the part under way and its display too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     names = options.renderers.split(",")
     print(f"seed {options.seed}, logs in {options.logs}")
     parts = []
