@@ -77,7 +77,6 @@ def show(core: Core) -> None:
     imgui.same_line()
     widgets.action_button(core, "Load...", "open_cameras")
 
-
     widgets.section("Lens")
     lens.show(core)
 
