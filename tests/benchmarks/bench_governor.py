@@ -85,12 +85,16 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             assert time.monotonic() < limit, "the window does not settle"
             time.sleep(0.01)
 
+    def one_step(core: Core, number: int, done: threading.Event) -> None:
+        fly(core, number)
+        done.set()
+
     def pictures_while_flying(core: Core, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
         frames.clear()
         number, limit = 0, time.monotonic() + PATIENCE
         while len(frames) < wanted and time.monotonic() < limit:
             done = threading.Event()
-            core.post(lambda core, number=number, done=done: (fly(core, number), done.set()))
+            core.post(one_step, number, done)
             core.accuracy.wake()
             done.wait(1.0)
             number += 1

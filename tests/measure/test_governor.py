@@ -125,6 +125,9 @@ class Nobody:
     def draw(self, camera, plan) -> np.ndarray:
         return np.zeros((1, 1, 4))
 
+    def follow(self, camera, plan) -> np.ndarray:
+        return self.draw(camera, plan)
+
     def prepare(self, camera, plan) -> None: ...
     def memory(self, plan) -> int:
         return 0

@@ -33,7 +33,7 @@ def test_an_eighth_of_the_size_is_truer_with_the_effect(random_gaussians, shape)
     }
     scene = replace(
         scene,
-        log_scales=np.tile(np.float32(sizes[shape]), (1500, 1)),
+        log_scales=np.tile(np.array(sizes[shape], np.float32), (1500, 1)),
         opacity_logits=scene.opacity_logits - 1,
     )
     found = compare_smaller(render, scene, CAMERA, RenderSettings(), (8,))

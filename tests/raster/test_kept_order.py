@@ -60,7 +60,7 @@ def test_what_comes_into_view_has_its_place():
     # A red splat is culled when the order is made, behind the eye, and then stands before a green one.
     scene = Gaussians(
         means=np.array([[0, 0, -3.5], [0, 0, 0]], np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (2, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1)),
         log_scales=np.full((2, 3), np.float32(-1)),
         opacity_logits=np.array([6, 6], np.float32),
         sh=np.array([[[1.7, -1.7, -1.7]], [[-1.7, 1.7, -1.7]]], np.float32),

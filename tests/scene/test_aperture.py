@@ -86,7 +86,7 @@ def test_a_splat_out_of_focus_is_a_disc_of_the_lenses_size(camera, flat_gaussian
 def test_more_samples_come_nearer(camera, random_gaussians):
     """Of discs of some 10 px."""
     scene = random_gaussians(40, sh_degree=0)
-    scene = replace(scene, means=scene.means + np.float32([0, 0, 4]))
+    scene = replace(scene, means=scene.means + np.array([0, 0, 4], np.float32))
     camera, settings = camera.resized(24, 24), RenderSettings(background=(0.2, 0.3, 0.4))
 
     def error(samples: int) -> tuple[float, float]:

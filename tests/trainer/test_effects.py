@@ -14,7 +14,7 @@ from splatview.scene.captures import Capture, Photo, Pixels
 from splatview.scene.captures.evidence import PhotoEvidence
 from splatview.scene.effects import antialiasing
 from splatview.scene.files import load_scene
-from splatview.trainer.effects import SCALE_RATIO, capture_effects, model_for, scale_ratio
+from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
 from splatview.trainer.session import Outputs, Session
 from splatview.trainer.settings import TrainSettings
 
@@ -42,7 +42,7 @@ def capture(distances: list[float], *, width: int = 40, **evidence) -> Capture:
     )
 
 
-def told(capture: Capture, antialiased="auto", **settings) -> dict[str, tuple[bool, str]]:
+def told(capture: Capture, antialiased: Antialiased = "auto", **settings) -> dict[str, tuple[bool, str]]:
     chosen = TrainSettings(model=model_for(capture, antialiased), **settings)
     return {one.name: (one.in_force, one.why) for one in capture_effects(capture, chosen, antialiased)}
 
@@ -145,6 +145,7 @@ def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, shots, tmp_pa
         trainer, shots[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
     )
     assert session.run()
+    assert outputs.metrics is not None
     lines = [json.loads(line) for line in outputs.metrics.read_text().splitlines()]
     assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (False, 100)]
     said = {effect["name"]: effect for effect in lines[0]["effects"]}

@@ -73,6 +73,7 @@ def test_undistorted_shows_what_a_pinhole_would(model, k):
     """A smooth picture of the rays themselves is taken through the lens and back."""
     width, height = 120, 90
     a_lens = lens(width, height, k, model)
+    assert a_lens.lens is not None
     ys, xs = np.mgrid[:height, :width] + 0.5
     pinhole = np.stack([(xs - a_lens.cx) / a_lens.fx, (ys - a_lens.cy) / a_lens.fy], axis=-1)
 

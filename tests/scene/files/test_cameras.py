@@ -259,9 +259,9 @@ def test_colmap_models(tmp_path, text, model):
     notes: list[str] = []
     cameras = load_cameras(tmp_path, on_note=notes.append)
     assert [camera.name for camera in cameras] == ["a ü.jpg", "b ü.jpg", "c ü.jpg"]
+    two_focals = MODELS[model][1][1] == 80
     for camera, seed in zip(cameras, (1, 2, 0), strict=True):
         assert np.allclose(camera.world_to_camera, some_camera(seed).world_to_camera, atol=1e-9)
-        two_focals = MODELS[model][1][1] == 80
         expected = (97, 53, 70, 80 if two_focals else 70, 40, 30)
         assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == expected
     if model.endswith("PINHOLE"):

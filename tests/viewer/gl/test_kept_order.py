@@ -38,6 +38,7 @@ def drawn(renderer, camera: Camera, settings: RenderSettings, edits: SceneEdits 
 def test_frames_of_a_path_are_those_that_the_cpu_draws(renderer, random_gaussians, order):
     settings = RenderSettings(resort_frames=3, order=order, blend="float32")
     splats, workspace = raster.parameters_of(random_gaussians(300, seed=6)), raster.Workspace()
+    picture, own = np.zeros(0), None
     for number in range(5):
         camera = at(10 * number)
         picture = drawn(renderer, camera, settings)

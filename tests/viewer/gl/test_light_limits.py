@@ -18,7 +18,7 @@ from splatview.viewer.gl.tiles import TilesRenderer
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)
 
 WALLS = 1200
-"""Splats before the bright one. The last 300 lie behind the limit: renderers look for it now and then only."""
+"""Splats before the bright one. The last 300 lie behind the limit: renderers look for it only then."""
 
 
 @pytest.fixture

@@ -15,7 +15,8 @@ from splatview.viewer.gl.quads import QuadsRenderer
 
 Make = Callable[..., Gaussians]
 
-EXACT = RenderSettings(blend="float32", background=(0.2, 0.5, 0.1))
+BACKGROUND = (0.2, 0.5, 0.1)
+EXACT = RenderSettings(blend="float32", background=BACKGROUND)
 
 
 @pytest.fixture
@@ -102,7 +103,7 @@ def test_splats_about_the_near_plane(renderer, random_gaussians: Make):
 
 def test_an_empty_scene_shows_the_background(renderer, random_gaussians: Make):
     image = renderer.render(random_gaussians(0), camera_at(0, 0, 2), EXACT)
-    assert np.allclose(image, (*EXACT.background, 0.0), atol=1e-6)
+    assert np.allclose(image, (*BACKGROUND, 0.0), atol=1e-6)
     assert renderer.finished_stats().visible == 0
 
 

@@ -22,7 +22,8 @@ from splatview.viewer.gl.tiles_pairs import LEAST_PAIRS
 
 Make = Callable[..., Gaussians]
 
-EXACT = RenderSettings(background=(0.2, 0.5, 0.1), early_stop=0.0)
+BACKGROUND = (0.2, 0.5, 0.1)
+EXACT = RenderSettings(background=BACKGROUND, early_stop=0.0)
 
 CRAMPED = replace(SOFTWARE, pairs=replace(SOFTWARE.pairs, most_pairs=300, most_rounds=3))
 """Room for so few pairs that most pictures need several rounds, and leave splats over."""
@@ -116,7 +117,7 @@ def test_an_empty_scene_and_a_single_splat(any_renderer, random_gaussians: Make,
     image = assert_true(any_renderer, random_gaussians(count), camera_at(0, 0, 2))
     assert any_renderer.finished_stats().visible == count
     if count == 0:
-        assert np.allclose(image, (*EXACT.background, 0.0), atol=1e-6)
+        assert np.allclose(image, (*BACKGROUND, 0.0), atol=1e-6)
 
 
 def test_a_scene_after_an_empty_one(any_renderer, random_gaussians: Make):

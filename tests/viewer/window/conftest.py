@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.scene.stored import Attributes
 from splatview.viewer.window.core import Core
 from splatview.viewer.window.opening import continue_loading
 from splatview.viewer.window.preferences import Preferences
@@ -32,6 +33,7 @@ class RecordingPicture:
     name = "recording"
     modes = ("splats", "points", "ellipsoids", "depth", "overdraw")
     busy = False
+    sharp = False
     status = note = ""
     texture: Any = None
     stats: Any = None
@@ -42,7 +44,9 @@ class RecordingPicture:
         self.loaded: list[Gaussians] = []
         self.too_big: int | None = None
 
-    def load_steps(self, gaussians: Gaussians) -> Generator[float]:
+    def load_steps(
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
+    ) -> Generator[float, None, None]:
         yield 0.5
         if self.too_big is not None and len(gaussians) >= self.too_big:
             raise InputError("the GPU's memory does not hold it")
@@ -60,6 +64,8 @@ class RecordingPicture:
     note = ""
 
     def wait(self, seconds: float) -> None: ...
+
+    def forget_order(self) -> None: ...
 
     def take_problem(self) -> str | None:
         return None
