@@ -1,12 +1,16 @@
 # make run    install into .venv and open the viewer on the bundled demo (no display: a preview PNG)
 # make test   install, then format, lint, types and tests
 # make check  format, lint and types only
+# make test JOBS=1   the same in one process (2 otherwise)
 # make soak   MINUTES (60) of a user at random, in real windows
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 MINUTES ?= 60
+JOBS ?= 2
+# Tests of a file stay in one process, in order: they share contexts and compiled kernels.
+SHARED := --numprocesses $(JOBS) --dist loadfile
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: run test test-all check format soak system-run system-test tables pictures clean
@@ -15,10 +19,10 @@ run: $(VENV)/.run-installed | system-run
 	@$(BIN)/splatview $(SCENE)
 
 test: check | system-test
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q $(SHARED)
 
 test-all: check | system-test
-	@$(BIN)/python -m pytest -q -m ""
+	@$(BIN)/python -m pytest -q $(SHARED) -m ""
 
 check: $(VENV)/.dev-installed
 	@$(BIN)/ruff format --check --quiet .

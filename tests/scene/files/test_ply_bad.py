@@ -82,7 +82,7 @@ def test_permission_refused_by_the_system(tmp_path, good, monkeypatch):
         (b"hello, world", "a.ply", "not a .ply file"),
         (b"plywood\n", "a.ply", "not a .ply file"),
         (b"\x89PNG\r\n\x1a\n", "a.png", "is a picture"),
-        (gzip.compress(b"spz"), "a.spz", "an .spz file is not supported yet; convert"),
+        (gzip.compress(b"spz", mtime=0), "a.spz", "an .spz file is not supported yet; convert"),
         (b"NGSP\x04\0\0\0", "a.spz", "an .spz file is not supported yet; convert"),
         (b"PK\x03\x04....", "a.sog", "an .sog file .* not supported yet; convert"),
         (bytes(64), "a.splat", "a .splat file is not supported yet; convert"),

@@ -17,18 +17,26 @@ OpenGL run themselves again in another process with this set (see test_quads_leg
 
 
 @pytest.fixture(scope="session")
-def session_context() -> moderngl.Context:
-    """One headless GL 4.3 context for the whole run; use `ctx` in tests."""
+def only_context() -> moderngl.Context:
+    """One headless GL 4.3 context for the whole run, which a window's test may have put aside."""
     try:
         return create_headless_context(require=GL_VERSION)
     except InputError as error:
         pytest.skip(str(error))
 
 
+@pytest.fixture(scope="module")
+def session_context(only_context: moderngl.Context) -> Iterator[moderngl.Context]:
+    """The context, current, for what a module's tests share; use `ctx` in tests."""
+    with only_context:
+        yield only_context
+
+
 @pytest.fixture
 def ctx(session_context: moderngl.Context) -> Iterator[moderngl.Context]:
     """The headless context, clean before the test and checked after it."""
-    assert session_context.error == "GL_NO_ERROR", "an earlier test left a GL error"
-    yield session_context
-    session_context.finish()
-    assert session_context.error == "GL_NO_ERROR"
+    with session_context:
+        assert session_context.error == "GL_NO_ERROR", "an earlier test left a GL error"
+        yield session_context
+        session_context.finish()
+        assert session_context.error == "GL_NO_ERROR"
