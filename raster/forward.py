@@ -293,8 +293,8 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, p
                     u, v = fma(b, dy, adx), c * dy
                     power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 else:
-                    here = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - power_on_disc(here, gathered, j, discs, dy)
+                    plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
+                    power = log2_opacity - power_on_disc(plane, gathered, j, discs, dy)
                 dy = dy + step
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
                 base = (strip * BLOCKS + block) * 4 * LANES

@@ -234,8 +234,8 @@ def weigh_chunk(
                     u, v = fma(b, dy, adx), c * dy
                     power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 else:
-                    here = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - power_on_disc(here, gathered, j, discs, dy)
+                    plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
+                    power = log2_opacity - power_on_disc(plane, gathered, j, discs, dy)
                 dy = dy + step
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
                 base = (strip * BLOCKS + block) * 4 * LANES

@@ -26,17 +26,16 @@ def only_context() -> moderngl.Context:
 
 
 @pytest.fixture(scope="module")
-def session_context(only_context: moderngl.Context) -> Iterator[moderngl.Context]:
+def session_context(only_context: moderngl.Context) -> moderngl.Context:
     """The context, current, for what a module's tests share; use `ctx` in tests."""
-    with only_context:
-        yield only_context
+    return only_context.__enter__()  # never left: contexts of glcontext do not nest
 
 
 @pytest.fixture
 def ctx(session_context: moderngl.Context) -> Iterator[moderngl.Context]:
     """The headless context, clean before the test and checked after it."""
-    with session_context:
-        assert session_context.error == "GL_NO_ERROR", "an earlier test left a GL error"
-        yield session_context
-        session_context.finish()
-        assert session_context.error == "GL_NO_ERROR"
+    session_context.__enter__()
+    assert session_context.error == "GL_NO_ERROR", "an earlier test left a GL error"
+    yield session_context
+    session_context.finish()
+    assert session_context.error == "GL_NO_ERROR"
