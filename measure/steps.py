@@ -45,7 +45,8 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
     """Steps from what a ladder found out about one renderer, slowest first, none beaten by another.
 
     Of each rung with one knob turned, and of the baseline, a step a scale. What half the sides save and
-    cost is measured; in between, time goes with the pixels and blur grows with their size.
+    cost is measured; in between, time goes with the pixels and blur grows with their size. Where time did
+    not suffice to measure it, fewer pixels are taken as `unpriced` does, when no measured rung will do.
     """
     own = [one for one in rungs if one.rung.artist.name == baseline.rung.artist.name]
     half = next((one for one in own if (one.rung.knob, one.rung.value) == ("resolution", "1/2")), None)
@@ -62,7 +63,7 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
             ms = baseline.ms * one.ratio * (1 - share + share * scale**2)
             error = squared(one.psnr) + (halving or 0.0) * (1 / scale - 1)
             steps.append(Shortcut(choices=choices, scale=scale, ms=ms, error=error))
-    return best_of(steps)
+    return best_of(steps if halving is not None else [*steps, *unpriced(baseline.ms)[1:]])
 
 
 WHOLE = ("renderer", "resolution")
@@ -85,10 +86,15 @@ def unpriced(milliseconds: float) -> tuple[Shortcut, ...]:
 def best_of(steps: Sequence[Shortcut]) -> tuple[Shortcut, ...]:
     """Those that no other beats in time and error both, slowest first."""
     best: list[Shortcut] = []
-    for step in sorted(steps, key=lambda one: (one.ms, one.error or 0.0)):
-        if not best or (step.error or 0.0) < (best[-1].error or 0.0):
+    for step in sorted(steps, key=lambda one: (one.ms, badness(one))):
+        if not best or badness(step) < badness(best[-1]):
             best.append(step)
     return tuple(reversed(best))
+
+
+def badness(step: Shortcut) -> float:
+    """Mean squared error; where it is not measured, worse than any, and the more so the fewer the pixels."""
+    return step.error if step.error is not None else 1 / step.scale
 
 
 def squared(psnr: float) -> float:

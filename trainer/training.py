@@ -5,6 +5,7 @@ Everything is numpy and the rasteriser's own backward pass; torch has no part in
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -165,7 +166,7 @@ class Trainer:
     def add_cut(self, crops: Sequence[Crop]) -> int:
         """As `crop`, and from now on what comes to where they cut is soon taken out too.
 
-        The recipe's `cut` holds these rules, and `change` takes one out.
+        The recipe's `cut` holds these rules, and `change` takes one out. They never take the last splats.
         """
         gone = self.crop(crops)
         self.change(cut=(*self.settings.cut, tuple(crops)))
@@ -238,7 +239,9 @@ class Trainer:
                 counters.refined_at, counters.refined_progress = counters.iteration, progress
             if counters.iteration % CUT_STEPS == 0 or counters.refined_at == counters.iteration:
                 for crops in settings.cut:
-                    self.crop(crops)
+                    # A run is not ended by the last splats' moving out: they stay until others are inside.
+                    with contextlib.suppress(InputError):
+                        self.crop(crops)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(self.splats), self.progress)

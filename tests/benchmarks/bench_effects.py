@@ -2,8 +2,8 @@
 
     python tests/benchmarks/bench_effects.py [SCENE ...] [--size WxH] [--frames N]
 
-`quads`: specialised programs and the bands that the scene has, against general programs with every effect
-switched off by uniforms, harmonics to degree 3 in float32, and the buffers that the effects need.
+`quads`, `tiles`: specialised programs and the bands that the scene has, against general programs with
+every effect switched off by uniforms, harmonics to degree 3 in float32, and the buffers that the effects need.
 `cpu`: kernels without edits and the scene's degree, against the kernels with edits, told that no splat has
 any, and degree 3. Both give the same picture.
 
@@ -19,6 +19,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from splatview.viewer.gl.context import create_headless_context, describe
 from splatview.viewer.gl.memory import held_bytes
 from splatview.viewer.gl.overlay import Overlay
 from splatview.viewer.gl.quads import QuadsRenderer
+from splatview.viewer.gl.tiles import TilesRenderer
 from splatview.viewer.gl.variants import Variants
 
 UNSEEN = 1e-30
@@ -73,9 +75,11 @@ def every_edit(count: int) -> SceneEdits:
     return SceneEdits(marks=np.zeros(count, np.uint32), palette=(IDENTITY, Adjustment(scale=2.0)))
 
 
-def quads(ctx, gaussians: Gaussians, *, general: bool) -> Pipeline:
+def on_gpu(
+    kind: type[QuadsRenderer] | type[TilesRenderer], ctx, gaussians: Gaussians, *, general: bool
+) -> Pipeline:
     variants = Variants(ctx)
-    renderer = QuadsRenderer(ctx, variants=variants)
+    renderer = kind(ctx, variants=variants)
     chosen = variants.generally if general else contextlib.nullcontext
     settings = settings_of(gaussians, general=general)
     renderer.every_band = general
@@ -95,7 +99,8 @@ def quads(ctx, gaussians: Gaussians, *, general: bool) -> Pipeline:
         return dict(renderer.finished_stats().ms)
 
     def memory() -> int:
-        return held_bytes(renderer) + (target_bytes(renderer) if general else 0)
+        sorted_only = general and isinstance(renderer, QuadsRenderer)
+        return held_bytes(renderer) + (target_bytes(renderer) if sorted_only else 0)
 
     return Pipeline(draw, renderer.read, memory)
 
@@ -165,15 +170,13 @@ def measure(ctx, gaussians: Gaussians, size: tuple[int, int], frames: int) -> li
     camera = frame_camera(gaussians, *size)
     centre, _ = robust_bounds(gaussians.means)
     results = []
-    for renderer in ("quads", "cpu"):
-        pipelines: dict[str, Pipeline] = {}
-        for name in MEASURED:
-            general = name == "general"
-            pipelines[name] = (
-                quads(ctx, gaussians, general=general)
-                if renderer == "quads"
-                else cpu(gaussians, general=general)
-            )
+    pipeline_of: dict[str, Callable[..., Pipeline]] = {
+        "quads": partial(on_gpu, QuadsRenderer, ctx),
+        "tiles": partial(on_gpu, TilesRenderer, ctx),
+        "cpu": cpu,
+    }
+    for renderer, make in pipeline_of.items():
+        pipelines = {name: make(gaussians, general=name == "general") for name in MEASURED}
         result = compare(pipelines, camera, centre, frames)
         results.append({"renderer": renderer, "size": list(size), **result})
     return results

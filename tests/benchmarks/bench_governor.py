@@ -89,6 +89,10 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         fly(core, number)
         done.set()
 
+    def begin_to_measure(core: Core, begun: threading.Event) -> None:
+        core.accuracy.measure(core)
+        begun.set()
+
     def pictures_while_flying(core: Core, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
         frames.clear()
         number, limit = 0, time.monotonic() + PATIENCE
@@ -104,7 +108,9 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         try:
             settle(core)
             core.prefer(smooth=False)
-            core.post(lambda core: core.accuracy.measure(core))
+            begun = threading.Event()
+            core.post(begin_to_measure, begun)
+            assert begun.wait(PATIENCE), "nothing is measured"
             settle(core)
             found["size"] = list(core.picture_size)
             exact = core.picture.texture.size if core.picture else None

@@ -152,6 +152,17 @@ def test_steps_are_priced_from_what_was_measured():
     assert half.note.endswith("about 30 dB")
 
 
+def test_where_time_was_short_fewer_pixels_are_still_there():
+    base = rung("renderer", "quads", 1.0, 80.0)
+    steps = priced(base, (base, rung("sh-degree", "1", 0.9, 50.0)))
+    assert [step.note for step in steps[:2]] == ["about 80 dB", "sh-degree 1, about 50 dB"]
+    rest = steps[2:]
+    assert rest and all(step.error is None and not step.choices for step in rest), "none above what is known"
+    assert steps[-1].scale == pytest.approx(1 / 4)
+    scales = [step.scale for step in rest]
+    assert scales == sorted(scales, reverse=True) and max(step.ms for step in rest) < 0.9 * FULL_MS
+
+
 def test_without_prices_the_badge_says_so():
     steps = unpriced(FULL_MS)
     assert len(steps) == len(SCALES) and steps[0].note == ""

@@ -103,6 +103,16 @@ def test_what_is_cut_away_stays_away(make_trainer, strategy: str) -> None:
     assert len(trainer.settings.cut) == 2 and trainer.splats is grown, "nothing has happened"
 
 
+def test_a_rule_that_would_leave_nothing_ends_no_run(make_trainer) -> None:
+    trainer = make_trainer(iterations=3 * CUT_STEPS)
+    count = len(trainer.splats)
+    trainer.change(cut=((replace(LEFT, centre=(50.0, 0.0, 0.0)),), (LEFT,)))
+    while not trainer.done:
+        trainer.step()
+    assert 0 < len(trainer.splats) < count, "the other rule is in force"
+    assert (trainer.splats.parameters.means[:, 0] <= 0).all()
+
+
 @pytest.mark.parametrize("strategy", ["mcmc", "classic"])
 def test_an_edited_run_resumes_bit_for_bit(make_trainer, tmp_path: Path, strategy: str) -> None:
     trainer = make_trainer(iterations=80, strategy=strategy, **GROWING)

@@ -92,16 +92,19 @@ def test_a_memory_that_cannot_be_used_is_done_without(tmp_path):
 
 
 def test_programs_do_not_wait_for_kernels():
-    curtain = threading.Event()
+    at_work, curtain = threading.Event(), threading.Event()
 
     def perform(rehearsal) -> None:
-        assert rehearsal.renderer == "quads" or curtain.wait(PATIENCE)
+        if rehearsal.renderer == "cpu":
+            at_work.set()
+            assert curtain.wait(PATIENCE)
 
     rehearsals = Rehearsals(perform=perform)
     rehearsals.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
     rehearsals.ask(["program"], "points", lambda: NOTHING)
     assert rehearsals.wait(["program"])
     assert not rehearsals.is_done(["kernel"])
+    assert at_work.wait(PATIENCE)
     assert rehearsals.title == "edits"
     curtain.set()
     assert rehearsals.wait(["kernel"])

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from ....measure.bill import Bill
     from ..core import Core
 
+FRAMES = 120
+"""That measuring may take where they are slow: some for each shortcut, and as many of the baseline."""
+
+MOST_SECONDS = 60.0
+
 
 @dataclass(eq=False, kw_only=True)
 class Accuracy:
@@ -43,7 +48,7 @@ class Accuracy:
     """What a frame may take while the camera moves; None: all that it takes."""
     comparing: Comparing = field(default_factory=Comparing)
     seconds: float = SECONDS
-    """How long measuring may take."""
+    """How long measuring may take, where FRAMES take no longer."""
     rounds: int | None = None
     """Instead, how often each shortcut is drawn."""
     note: str = ""
@@ -68,7 +73,9 @@ class Accuracy:
         if self.choices.get("attributes", "float32") != "float32":
             core.complain("Take attributes back first: prices are measured on the scene as it is")
         elif self.measurement is None and core.scene is not None and core.picture is not None:
-            self.measurement = Measurement(core, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
+            slow = min(FRAMES * self._full_ms / 1000, MOST_SECONDS)
+            seconds = max(self.seconds, slow)
+            self.measurement = Measurement(core, seconds=seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.measurement is not None:
