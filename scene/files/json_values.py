@@ -14,8 +14,8 @@ from ..errors import InputError
 from .excerpt import excerpt
 
 MAX_JSON_BYTES = 1 << 26
-"""A camera takes some 500 bytes: this is a hundred thousand. Python's objects take up to 30 times the text: with
-a larger limit a damaged file could take all memory."""
+"""A camera takes some 500 bytes: this is a hundred thousand. Python's objects take up to 30 times the text:
+with a larger limit a damaged file could take all memory."""
 
 
 def read_json(path: Path, *, what: str) -> Any:

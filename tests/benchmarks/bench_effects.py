@@ -3,7 +3,8 @@
     python tests/benchmarks/bench_effects.py [SCENE ...] [--size WxH] [--frames N]
 
 `quads`, `tiles`: specialised programs and the bands that the scene has, against general programs with
-every effect switched off by uniforms, harmonics to degree 3 in float32, and the buffers that the effects need.
+every effect switched off by uniforms, harmonics to degree 3 in float32, and the buffers that the effects
+need.
 `cpu`: kernels without edits and the scene's degree, against the kernels with edits, told that no splat has
 any, and degree 3. Both give the same picture.
 
