@@ -200,13 +200,13 @@ def rungs_for(
 
 
 def _rank(knob: Knob, value: Value, baseline: str, *, first: bool) -> int:
-    """Before all: knobs of the first renderer, first of all fewer pixels, which a frame budget always needs;
-    then others' defaults (2). Of the others what the first does not have tells most, then the ends of the
-    knobs."""
+    """Before all: knobs of the first renderer, of these first fewer pixels and fewer splats, which frame
+    budgets need; then others' defaults (2). Of the others what the first does not have tells most, then the
+    ends of the knobs."""
     if value.dear:
         return 3 if first else 6
     if first:
-        return 0 if knob.name == "resolution" else 1
+        return 0 if knob.name in ("resolution", "keep") else 1
     if value not in knob.values_for(baseline):
         return 4
     return 5 if value is knob.values[-1] else 6

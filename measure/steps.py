@@ -6,11 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from .rungs import Measured
 
 SCALES = tuple(2 ** (-k / 12) for k in range(25))
 """Of the picture's sides, from 1 to 1/4; times of neighbours are at most 11 % apart, so that one of them is
 within a tenth of any budget that lies between."""
+
+SHARES = tuple(round(0.05 * k, 2) for k in range(1, 20))
+"""Of the splats, between those that are measured."""
+
+LEAST_ERROR = 1e-14
+"""Mean squared, for logarithms of errors that are 0: rounding alone makes more."""
 
 UNPRICED_PIXELS = 0.8
 """The share of a frame that goes with its pixels, as long as nothing was measured."""
@@ -24,14 +32,23 @@ class Shortcut:
     """Knob and value, as typed."""
     scale: float
     """Of the picture's sides."""
+    kept: float = 1.0
+    """Share of the splats that is drawn, of those that contribute most."""
     ms: float
     error: float | None
     """Mean squared error of colours against the truth; None: not measured."""
 
     @property
+    def is_exact(self) -> bool:
+        """Leaves nothing out."""
+        return not self.choices and self.scale == 1 and self.kept == 1
+
+    @property
     def note(self) -> str:
-        """For the user: "sh-degree 1, 71 % of the size, about 35 dB"."""
+        """For the user: "40 % of the splats, 71 % of the size, about 35 dB"."""
         parts = [f"{name} {text}" for name, text in self.choices]
+        if self.kept < 1:
+            parts.append(f"{self.kept:.0%} of the splats")
         if self.scale < 1:
             parts.append(f"{self.scale:.0%} of the size")
         if self.error is None:
@@ -54,16 +71,43 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
     if half is not None and math.isfinite(half.ratio):
         share = min(max((1 - half.ratio) / (1 - 0.5**2), 0.0), 1.0)
         halving = max(squared(half.psnr) - squared(baseline.psnr), 0.0)
-    steps = []
-    for one in (baseline, *(o for o in own if o is not baseline and o.rung.knob not in WHOLE)):
-        if not math.isfinite(one.ratio):
-            continue
-        choices = () if one is baseline else ((one.rung.knob, one.rung.value),)
-        for scale in SCALES if halving is not None else SCALES[:1]:
-            ms = baseline.ms * one.ratio * (1 - share + share * scale**2)
-            error = squared(one.psnr) + (halving or 0.0) * (1 / scale - 1)
-            steps.append(Shortcut(choices=choices, scale=scale, ms=ms, error=error))
+    steps = [
+        Shortcut(
+            choices=choices,
+            kept=kept,
+            scale=scale,
+            ms=baseline.ms * ratio * (1 - share + share * scale**2),
+            error=error + (halving or 0.0) * (1 / scale - 1),
+        )
+        for choices, kept, ratio, error in _alternatives(baseline, own)
+        for scale in (SCALES if halving is not None else SCALES[:1])
+    ]
     return best_of(steps if halving is not None else [*steps, *unpriced(baseline.ms)[1:]])
+
+
+Alternative = tuple[tuple[tuple[str, str], ...], float, float, float]
+"""Choices, share of the splats, time by the baseline's, mean squared error."""
+
+
+def _alternatives(baseline: Measured, own: Sequence[Measured]) -> list[Alternative]:
+    """The baseline, each rung with one knob turned, and between the shares of splats that were measured
+    others: time goes with the share, and the error's logarithm too."""
+    found: list[Alternative] = [((), 1.0, 1.0, squared(baseline.psnr))]
+    shares = {1.0: (1.0, squared(baseline.psnr))}
+    for one in own:
+        if one is baseline or not math.isfinite(one.ratio) or one.rung.knob in WHOLE:
+            continue
+        if one.rung.knob == "keep":
+            shares[one.rung.plan.kept] = (one.ratio, squared(one.psnr))
+        else:
+            found.append((((one.rung.knob, one.rung.value),), 1.0, one.ratio, squared(one.psnr)))
+    measured = sorted(shares)
+    ratios, errors = zip(*(shares[share] for share in measured), strict=True)
+    between = [share for share in SHARES if share > measured[0]]
+    for share in sorted({*measured[:-1], *between}):
+        log_error = np.interp(share, measured, np.log(np.maximum(errors, LEAST_ERROR)))
+        found.append(((), share, float(np.interp(share, measured, ratios)), float(np.exp(log_error))))
+    return found
 
 
 WHOLE = ("renderer", "resolution")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -134,7 +135,8 @@ class Nobody:
 
 
 def rung(knob: str, value: str, ratio: float, psnr: float) -> Measured:
-    made = Rung(knob=knob, value=value, artist=Nobody(), plan=Plan(), options=())
+    plan = Plan(kept=int(value) / 100) if knob == "keep" else Plan()
+    made = Rung(knob=knob, value=value, artist=Nobody(), plan=plan, options=())
     return Measured(rung=made, psnr=psnr, times=[FULL_MS * ratio], ratios=[ratio])
 
 
@@ -150,6 +152,24 @@ def test_steps_are_priced_from_what_was_measured():
     half = next(step for step in steps if abs(step.scale - 0.5) < 1e-9)
     assert half.ms == pytest.approx(0.5 * 0.4 * FULL_MS) and "sh-degree 1, 50% of the size" in half.note
     assert half.note.endswith("about 30 dB")
+
+
+def test_shares_of_splats_between_the_measured_ones_are_steps():
+    base = rung("renderer", "quads", 1.0, 90.0)
+    rungs = (
+        base,
+        rung("keep", "75", 0.8, 60.0),
+        rung("keep", "25", 0.4, 30.0),
+        rung("resolution", "1/2", 0.9, 20.0),
+    )
+    steps = [step for step in priced(base, rungs) if step.scale == 1]
+    shares = [step.kept for step in steps]
+    assert shares == [1.0, *(share / 100 for share in range(95, 20, -5))]
+    half = steps[shares.index(0.5)]
+    assert half.ms == pytest.approx(0.6 * FULL_MS) and half.note == "50% of the splats, about 45 dB"
+    assert steps[-1].ms == pytest.approx(0.4 * FULL_MS) and steps[-1].note.endswith("about 30 dB")
+    gaps = [slow.ms / quick.ms for slow, quick in pairwise(steps)]
+    assert max(gaps) < 1.11, "one of them is within a tenth of any budget between"
 
 
 def test_where_time_was_short_fewer_pixels_are_still_there():

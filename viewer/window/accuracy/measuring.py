@@ -25,9 +25,19 @@ if TYPE_CHECKING:
     from ..core import Core
 
 SECONDS = 8.0
+"""Of timing, where frames are quick."""
+
+FRAMES = 120
+"""That timing may take where they are slow: some for each shortcut, and as many of the baseline..."""
+
+MOST_SECONDS = 60.0
+"""... but no longer than this."""
 
 FRAME_TURN = 1e-5
 """Radians by which timed frames differ: enough that nothing is kept from the one before."""
+
+BEFORE_ALL = -2
+"""Number of the frame that tells how quick they are: none of those that are timed."""
 
 
 class Measurement:
@@ -85,13 +95,14 @@ class Measurement:
                 return
             work = count_work(splats, self.camera, plan.settings, workspace, edits=painter.edits)
             self.bill = bill_of(painter.gaussians, work)
+            slow = FRAMES * painter.timed(self._moved(0, BEFORE_ALL), plan) / 1000
             rungs = rungs_for([painter], plan, used_sh_degree=used_sh_degree(painter.gaussians))
             ladder = climb(
                 [rung for rung in rungs if applicable(rung.plan)],
                 [self.camera],
                 [truth],
                 moved=self._moved,
-                seconds=self._seconds,
+                seconds=max(self._seconds, min(slow, MOST_SECONDS)),
                 rounds=self._rounds,
                 on_progress=self._show,
                 cancelled=self._stop.is_set,

@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from ....measure.bill import Bill
     from ..core import Core
 
-FRAMES = 120
-"""That measuring may take where they are slow: some for each shortcut, and as many of the baseline."""
-
-MOST_SECONDS = 60.0
-
 
 @dataclass(eq=False, kw_only=True)
 class Accuracy:
@@ -48,7 +43,7 @@ class Accuracy:
     """What a frame may take while the camera moves; None: all that it takes."""
     comparing: Comparing = field(default_factory=Comparing)
     seconds: float = SECONDS
-    """How long measuring may take, where FRAMES take no longer."""
+    """How long measuring may take where frames are quick."""
     rounds: int | None = None
     """Instead, how often each shortcut is drawn."""
     note: str = ""
@@ -73,9 +68,7 @@ class Accuracy:
         if self.choices.get("attributes", "float32") != "float32":
             core.complain("Take attributes back first: prices are measured on the scene as it is")
         elif self.measurement is None and core.scene is not None and core.picture is not None:
-            slow = min(FRAMES * self._full_ms / 1000, MOST_SECONDS)
-            seconds = max(self.seconds, slow)
-            self.measurement = Measurement(core, seconds=seconds, rounds=self.rounds, wake=self.wake)
+            self.measurement = Measurement(core, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.measurement is not None:
@@ -119,10 +112,11 @@ class Accuracy:
         self._camera = camera
         if core.picture is not None and self.governs(core):
             step = self.watch.next(moved=moved)
-            if step is not None and not (step.scale == 1 and not step.choices):
+            if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
                 plan = apply_choices(plan, dict(step.choices), renderer_name(core.picture))
-                plan = replace(plan, resolution=plan.resolution * step.scale)
+                scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
+                plan = replace(plan, resolution=scale, kept=kept)
                 self.note = step.note
         self._kept = plan.kept if core.mode == "splats" else 1.0
         return scaled_camera(camera, core.preferences.resolution_scale * plan.resolution), plan.settings
