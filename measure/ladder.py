@@ -170,9 +170,9 @@ def _time(
 ) -> bool:
     """Pair after pair of each of `timed` with the baseline; False where it was cancelled.
 
-    Every rung gets LEAST_PAIRS; where frames take longer than they did, some are taken out of `timed`
-    instead. After that those take part that have had no more than their share of the time, so that costly
-    ones do not take it all.
+    Every rung gets LEAST_PAIRS; where pairs take longer than was thought, some are taken out of `timed`
+    instead: in the first round, by rank, those that come when the time is gone. After that those take part
+    that have had no more than their share of the time, so that costly ones do not take it all.
     """
     rng = np.random.default_rng(seed)
     spent = {id(one): 0.0 for one in timed}
@@ -181,7 +181,16 @@ def _time(
         if rounds is None and 0 < done < LEAST_PAIRS:
             _drop_dearest(timed, spent, budget, (LEAST_PAIRS - done) / done)
         fair = float(np.mean([spent[id(one)] for one in timed]))
-        for one in (timed[place] for place in rng.permutation(len(timed))):
+        first = rounds is None and done == 0
+        turns = list(timed) if first else [timed[place] for place in rng.permutation(len(timed))]
+        for place, one in enumerate(turns):
+            if first and place > 0:
+                pairs = sum(spent.values())
+                if budget.spent + (LEAST_PAIRS - 1) * pairs + LEAST_PAIRS * pairs / place > (
+                    budget.seconds or math.inf
+                ):
+                    del timed[place:]
+                    break
             view = frame % len(views)
             if budget.seconds is not None and done >= LEAST_PAIRS:
                 if budget.spent + spent[id(one)] / len(one.ratios) > budget.seconds:

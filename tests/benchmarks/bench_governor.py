@@ -113,6 +113,8 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             assert begun.wait(PATIENCE), "nothing is measured"
             settle(core)
             found["size"] = list(core.picture_size)
+            ladder = core.accuracy.ladder
+            found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
             exact = core.picture.texture.size if core.picture else None
             full = [ms for _, ms, size, note in pictures_while_flying(core, LEARNING) if not note]
             found["full_ms"] = float(np.median(full)) if full else None

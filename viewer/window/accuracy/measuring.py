@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 SECONDS = 8.0
 """Of timing, where frames are quick."""
 
-FRAMES = 120
-"""That timing may take where they are slow: some for each shortcut, and as many of the baseline..."""
+FRAMES = 240
+"""That timing may take where they are slow: some for each shortcut, as many of the baseline, and the window's
+own between them..."""
 
-MOST_SECONDS = 60.0
+MOST_SECONDS = 90.0
 """... but no longer than this."""
 
 FRAME_TURN = 1e-5
