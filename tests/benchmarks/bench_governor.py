@@ -233,7 +233,9 @@ def main() -> None:
                 ],
                 "rows": [row(name, found, one) for name, found in made.items() for one in found["budgets"]],
                 "note": f"{options.scene.name} at {width}x{height} in a window that llvmpipe draws; "
-                f"{options.pictures} pictures a budget flying round and to and fro. {options.remark}".strip(),
+                f"{options.pictures} pictures a budget flying round and to and fro. "
+                f"Until the exact one, those count that were under way when the camera stopped. "
+                f"{options.remark}".strip(),
             },
         },
     )
