@@ -23,6 +23,7 @@ SPLATVIEW = Path(sys.executable).with_name("splatview")
 WINDOW_SIZE = (1280, 800)
 SECONDS_TO_SETTLE = 25
 """The demo is made, loaded, and its picture has come to rest; generous for a machine without a GPU."""
+SECONDS_TO_CLOSE = 30
 SECONDS_TO_EDIT = 180
 SECONDS_TO_TRAIN = 75
 """The photos are made, and there is something to see on the curves."""
@@ -92,7 +93,11 @@ def grab(command: Sequence[str | Path], path: Path, seconds: float, *, until: st
             time.sleep(0.2)
         ImageGrab.grab(xdisplay=environment["DISPLAY"]).save(path, optimize=True)
         viewer.terminate()
-        viewer.wait()
+        try:
+            viewer.wait(SECONDS_TO_CLOSE)
+        except subprocess.TimeoutExpired:
+            viewer.kill()
+            viewer.wait()
 
 
 def window(folder: Path) -> None:

@@ -61,7 +61,7 @@ def editing(core: Core, ctx: Any) -> None:
     ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
     settle()
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while True:
+    while not core.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 
@@ -83,7 +83,7 @@ def accuracy(core: Core, ctx: Any) -> None:
         ctx.yield_(1)
     ctx.yield_(5)
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while True:
+    while not core.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 
@@ -101,7 +101,7 @@ def effects(core: Core, ctx: Any) -> None:
     ctx.set_ref("//Effects")
     ctx.mouse_move("**/##SH band 3")
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while True:
+    while not core.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 
