@@ -118,14 +118,14 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
         script=SCRIPT,
         train=["--iterations", "100000", "--max-splats", "6000"],
         growth=3.0,
-        cut=4.0,
+        cut=9.0,
     )
     assert found["held"], "the view waits while splats are selected"
     assert found["deleted"] > 0 and found["still_there"] == 0
     assert found["in_rectangle"] < 0.6 * found["deleted"], "but for some that moved in since"
     assert found["tool"] == "rectangle"
     assert found["born"] > 0 and found["born_inside"] == 0
-    assert found["left"] > 0
+    assert found["left"] > 200, found
     assert found["beyond"] < 1.02, "what moves out between two looks is hardly outside"
     assert found["pointed"] == 1
     assert found["failure"] is None
