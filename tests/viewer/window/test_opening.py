@@ -200,20 +200,23 @@ def test_progress_of_several_files_goes_by_their_sizes(core, ply, monkeypatch, w
     seen: list[float] = []
     real = loading.load_scene
 
+    begun = threading.Event()
+
     def read(path, *, progress, cancelled):
+        assert begun.wait(10)
         progress(1.0)
-        seen.append(core.loading.progress if core.loading else -1)
+        assert core.loading is not None
+        seen.append(core.loading.progress)
         return real(path)
 
-    core.loading = None
     monkeypatch.setattr(loading, "load_scene", read)
     small, large = ply("small", 100), ply("large", 300)
     begin(core, [small, large])
+    begun.set()
     wait_for_loading(core)
     assert core.scene is not None
     share = small.stat().st_size / (small.stat().st_size + large.stat().st_size)
-    assert seen[-1] == pytest.approx(1.0)
-    assert seen[0] in (-1, pytest.approx(share))
+    assert seen == pytest.approx([share, 1.0])
 
 
 def test_a_dropped_camera_is_gone_to(core, ply, wait_for_loading, tmp_path):
