@@ -39,6 +39,15 @@ class Artist(Protocol):
 
 
 @runtime_checkable
+class ChoosyArtist(Protocol):
+    """One whose machine may lack what some of its renderer's knobs need."""
+
+    def can_draw(self, plan: Plan) -> bool:
+        """Whether there is a picture by `plan` at all."""
+        ...
+
+
+@runtime_checkable
 class TimedArtist(Protocol):
     """One that knows better than a clock around `draw` what a frame takes: it has to wait for its turn."""
 
@@ -185,7 +194,8 @@ def rungs_for(
                 degree = changed.settings.sh_degree
                 if knob.name == "sh-degree" and (degree is None or degree >= used_sh_degree):
                     continue
-                if changed != plan:
+                able = not isinstance(artist, ChoosyArtist) or artist.can_draw(changed)
+                if able and changed != plan:
                     rungs.append(
                         Rung(
                             knob=knob.name,

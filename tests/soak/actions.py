@@ -257,7 +257,7 @@ def shortcut(user: Soaked, rng: np.random.Generator) -> str:
         (knob.name, value.text)
         for knob in KNOBS
         for value in knob.values_for(user.renderer)
-        if applicable(value.apply(Plan())) and (user.compute or knob.name != "order")
+        if applicable(value.apply(Plan())) and (user.compute or knob.name not in ("order", "resort"))
     ]
     name, value = knobs[int(rng.integers(0, len(knobs)))]
     user.post(accuracy.choose, name, value)

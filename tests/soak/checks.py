@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -126,6 +127,7 @@ MOST_THREADS = {
     "splatview-cpu-plan": 1,
     "splatview-sort": 2,  # the window's, and that of modes that the CPU does not draw
     "splatview-compare": 1,
+    "splatview-beside-photo": 1,
     "splatview-warm-up": 1,
     "splatview-rehearsals": 1,
 }
@@ -151,12 +153,13 @@ def too_many_threads() -> str:
     return ", ".join(f"{count} x {name}" for name, count in extra.items())
 
 
-def wait_for_threads() -> None:
+def wait_for_threads(frame: Callable[[], object]) -> None:
+    """`frame` lets the window go on: some wait for the thread that draws."""
     limit = time.monotonic() + THREAD_SECONDS
     while too_many_threads():
         if time.monotonic() > limit:
             raise Mishap(f"threads that should have ended: {too_many_threads()}")
-        time.sleep(0.05)
+        frame()
 
 
 # ---- pictures

@@ -120,7 +120,7 @@ class User(Hand):
         self.calm()
         self.look_for_harm()
         self.look_at_the_picture()
-        wait_for_threads()
+        wait_for_threads(lambda: self.frames(1))
         if resumed and core.training is not None:
             core.training.thread.resume()
             self.wait(

@@ -13,7 +13,7 @@ from ...measure.knobs import Plan
 from ...measure.paths import path_to_view
 from ...scene import Camera, Gaussians
 from ..reduced import reduced
-from .renderers import HeadlessRenderer
+from .renderers import HeadlessRenderer, Quads
 
 if TYPE_CHECKING:
     from ..gl import VisualMode
@@ -50,6 +50,10 @@ class SceneArtist:
         """`turned`: a camera so many degrees farther on its way, for pictures that depend on those before."""
         self.name = renderer.name
         self._renderer, self.scene, self._turned = renderer, gaussians, turned
+
+    def can_draw(self, plan: Plan) -> bool:
+        renderer = self._renderer
+        return not isinstance(renderer, Quads) or renderer.can_draw(plan.settings, plan.attributes)
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
         prepared(self._renderer, self.scene, plan)

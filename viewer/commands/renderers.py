@@ -99,6 +99,12 @@ class Quads:
             self._renderer.draw(camera, settings, mode=mode)
             return self._renderer.read()
 
+    def can_draw(self, settings: RenderSettings, attributes: Attributes) -> bool:
+        """Whether this OpenGL has what the settings and the attributes need."""
+        from ..gl.abilities import refusal
+
+        return refusal(self._ctx.version_code, settings, attributes) is None
+
     def forget_order(self) -> None:
         for _, renderer in self._loaded:
             renderer.forget_order()

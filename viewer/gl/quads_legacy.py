@@ -18,8 +18,8 @@ import numpy as np
 
 from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
-from ...scene.resorting import keeps_order
 from ...scene.stored import Attributes
+from .abilities import COMPUTE, refusal
 from .edit_textures import Editing
 from .frame import VisualMode
 from .legacy_gathering import LegacyGathering
@@ -107,8 +107,9 @@ class LegacyQuadsRenderer(Renderer):
     def load_steps(
         self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
-        if attributes != "float32":
-            raise InputError(f"attributes in {attributes} need OpenGL 4.3; use float32 or --renderer cpu")
+        problem = refusal(COMPUTE - 1, attributes=attributes)
+        if problem is not None:
+            raise InputError(problem)
         for step in upload_steps(self._ctx, gaussians, every_band=self.every_band):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)
@@ -174,10 +175,9 @@ class LegacyQuadsRenderer(Renderer):
             _, sorter = self._loaded()
         check_rays(camera, mode)
         editing = self._edits.update(edits, overlay)
-        if settings.order != "32-bit":
-            raise InputError(f"{settings.order} order needs OpenGL 4.3; use 32-bit")
-        if keeps_order(settings):
-            raise InputError("an order that is kept for several frames needs OpenGL 4.3; use --resort 1")
+        problem = refusal(COMPUTE - 1, settings)
+        if problem is not None:
+            raise InputError(problem)
         self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
         sorter.request(self._wanted.line)
 

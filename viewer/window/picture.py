@@ -13,6 +13,7 @@ from ...scene import Camera, Gaussians, InputError, RenderSettings
 from ...scene.edits import SceneEdits
 from ...scene.stored import Attributes
 from ..gl import FrameStats, VisualMode, make_renderer
+from ..gl.abilities import refusal
 from ..gl.context import describe
 from ..gl.cpu_texture import CpuTexture
 from ..gl.overlay import Overlay
@@ -28,6 +29,10 @@ class Picture(Protocol):
     """What the statistics panel calls it."""
     modes: tuple[VisualMode, ...]
     """What it can show."""
+
+    def refusal(self, settings: RenderSettings) -> str | None:
+        """Why splats cannot be drawn by `settings` on this machine; None where they can."""
+        ...
 
     @property
     def threads(self) -> int | None:
@@ -142,8 +147,12 @@ class GpuPicture:
         self.name = f"{name} (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
         if self._standing_in is not None:
             self._standing_in.prepare(self._renderer)
+        self._version_code = ctx.version_code
         self._gaussians = EMPTY
         self._renderer.load(EMPTY)
+
+    def refusal(self, settings: RenderSettings) -> str | None:
+        return refusal(self._version_code, settings)
 
     def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
         if self._standing_in is not None:
@@ -243,6 +252,9 @@ class CpuPicture:
         self._gpu_holds: Gaussians | None = None
         self._by_gpu = False
         self._mode_to_come = False
+
+    def refusal(self, settings: RenderSettings) -> str | None:
+        return None
 
     @property
     def threads(self) -> int | None:

@@ -67,6 +67,9 @@ class RecordingPicture:
 
     def forget_order(self) -> None: ...
 
+    def refusal(self, settings: RenderSettings) -> str | None:
+        return None
+
     def take_problem(self) -> str | None:
         return None
 

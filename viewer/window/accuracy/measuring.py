@@ -19,7 +19,7 @@ from ....scene import Camera
 from ....scene.effects import used_sh_degree
 from ..navigation import orbit
 from ..picture import scaled_camera
-from .painter import Cancelled, Painter, applicable
+from .painter import Cancelled, Painter
 
 if TYPE_CHECKING:
     from ..core import Core
@@ -99,7 +99,7 @@ class Measurement:
             slow = FRAMES * painter.timed(self._moved(0, BEFORE_ALL), plan) / 1000
             rungs = rungs_for([painter], plan, used_sh_degree=used_sh_degree(painter.gaussians))
             ladder = climb(
-                [rung for rung in rungs if applicable(rung.plan)],
+                rungs,
                 [self.camera],
                 [truth],
                 moved=self._moved,

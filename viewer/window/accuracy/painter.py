@@ -41,11 +41,14 @@ class Painter:
         self.gaussians: Gaussians = core.scene.gaussians
         self.edits: SceneEdits | None = core.edits
         self._kept: dict[float, SceneEdits | None] = {}
-        self._post, self._picture = core.post, core.picture
+        self._core, self._post, self._picture = core, core.post, core.picture
         self._anywhere = isinstance(core.picture, CpuPicture)
         self._cancelled, self._wake = cancelled, wake
         self._target = np.asarray(core.view.target, np.float64)
         """About which a camera turns, for pictures that depend on those before."""
+
+    def can_draw(self, plan: Plan) -> bool:
+        return applicable(plan) and self._picture.refusal(plan.settings) is None
 
     def prepare(self, camera: Camera, plan: Plan) -> None:
         """Finds out what the plan leaves out; the scene itself is there."""
@@ -89,8 +92,20 @@ class Painter:
             image = self._picture.read(small, plan.settings, "splats", self._edits_by(plan))
             return image, 1e3 * (time.perf_counter() - begun)
 
-        image, milliseconds = work() if self._anywhere else self._on_gl_thread(work)
+        try:
+            image, milliseconds = work() if self._anywhere else self._on_gl_thread(work)
+        except Exception:
+            if self._overtaken:
+                raise Cancelled from None
+            raise
         return enlarged(image, camera.width, camera.height), milliseconds
+
+    @property
+    def _overtaken(self) -> bool:
+        """Whether another scene has been loaded since this was made, or is about to be."""
+        scene, loading = self._core.scene, self._core.loading
+        same = scene is not None and scene.gaussians is self.gaussians
+        return not same or (loading is not None and loading.done)
 
     def _edits_by(self, plan: Plan) -> SceneEdits | None:
         if plan.kept not in self._kept:
@@ -104,7 +119,7 @@ class Painter:
 
         def command(core: Core) -> None:
             try:
-                if core.picture is self._picture and not self._cancelled.is_set():
+                if core.picture is self._picture and not self._overtaken and not self._cancelled.is_set():
                     answers.append(work())
             except Exception as error:  # the thread that asked must hear of it, not the frame loop
                 failures.append(error)

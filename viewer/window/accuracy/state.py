@@ -78,7 +78,10 @@ class Accuracy:
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
         if core.picture is None:
             return
-        apply_choices(Plan(), {knob: value}, renderer_name(core.picture))
+        plan = apply_choices(Plan(), {knob: value}, renderer_name(core.picture))
+        problem = core.picture.refusal(plan.settings)
+        if problem is not None:
+            raise InputError(problem)
         self.choices[knob] = value
 
     def exact(self) -> None:

@@ -56,7 +56,7 @@ class Comparer:
         self.problem: str | None = None
         """What went wrong the last time."""
         self._on_ready = on_ready
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="splatview-compare")
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="splatview-beside-photo")
         self._pending: tuple[Wish, Future[Comparison]] | None = None
         self._seen: Wish | None = None
         self._made: Comparison | None = None
