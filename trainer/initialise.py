@@ -27,7 +27,6 @@ def initial_parameters(
     scale: float = 1.0,
     limit: int | None = None,
     seed: int = 0,
-    threads: int | None = None,
 ) -> Parameters:
     """Round splats at points (N, 3), of colours (N, 3) uint8, degree 0, float32.
 
@@ -44,7 +43,7 @@ def initial_parameters(
     if limit is not None and len(points) > limit:
         sample = np.sort(np.random.default_rng(seed).choice(len(points), limit, replace=False))
         points, colours = points[sample], colours[sample]
-    squares = mean_square_distance(points, threads=threads)
+    squares = mean_square_distance(points)
     squares = np.clip(squares, LEAST_SQUARE_DISTANCE * extent**2, extent**2)
     log_scales = 0.5 * np.log(squares) + math.log(scale)
     count = len(points)

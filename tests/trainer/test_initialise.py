@@ -30,9 +30,7 @@ def test_distances_are_those_of_brute_force(count: int, seed: int, distinct: int
     rng = np.random.default_rng(seed)
     points = np.round(rng.uniform(size=(count, 3)) * distinct) / distinct
     points[: count // 4] *= spread  # a dense knot, or far outliers
-    np.testing.assert_allclose(
-        mean_square_distance(points, threads=2), brute_force(points, 3), rtol=1e-9, atol=1e-30
-    )
+    np.testing.assert_allclose(mean_square_distance(points), brute_force(points, 3), rtol=1e-9, atol=1e-30)
 
 
 def test_many_equal_points_are_no_worst_case() -> None:
