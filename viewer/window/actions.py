@@ -103,7 +103,7 @@ def focus_at(core: Core, x: float, y: float) -> None:
     """Turns about the surface at (x, y) px of the visible area; without one there, nothing happens."""
     if not core.scene:
         return
-    found = pick(core.scene.gaussians, core.camera, core.settings, x, y)
+    found = pick(core.scene.gaussians, core.camera, core.settings, x, y, edits=core.edits)
     if found is None:
         core.tell("Nothing to turn about there: the pixel shows the background")
         return
@@ -216,7 +216,6 @@ def quit_window(core: Core) -> None:
 
 ACTIONS: dict[str, Callable[[Core], None]] = {
     "open": opening.choose_scene,
-    "add": opening.choose_addition,
     "reload": opening.reload,
     "open_cameras": opening.choose_cameras,
     "screenshot": saving.screenshot,

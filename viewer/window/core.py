@@ -79,6 +79,8 @@ class Core:
     """What is found out about the scene after it is shown."""
     examined: bool = True
     """Whether that has been reported."""
+    examining: Examination | None = None
+    """The same of splats that an edit has changed, until it is done."""
     desk: Desk | None = None
     """Edits of the open scene; None where nothing is open."""
     accuracy: Accuracy = field(default_factory=Accuracy)
@@ -236,8 +238,9 @@ class Core:
         return (
             self.loading is not None
             or not self.examined
+            or self.examining is not None
             or (self.picture is not None and self.picture.busy)
-            or (self.desk is not None and self.desk.job is not None)
+            or (self.desk is not None and (self.desk.job is not None or self.desk.loading is not None))
             or self.accuracy.waiting
             or self.depth_of_field.waiting(self)
             or self.effects.waiting

@@ -131,7 +131,7 @@ def focus_on(core: Core, x: float, y: float) -> None:
     core.depth_of_field.picking = False
     if not core.scene:
         return
-    found = pick(core.scene.gaussians, core.camera, core.settings, x, y)
+    found = pick(core.scene.gaussians, core.camera, core.settings, x, y, edits=core.edits)
     if found is None:
         core.tell("Nothing to focus on there: the pixel shows the background")
         return

@@ -141,7 +141,9 @@ class Examination:
     def __init__(self, gaussians: Gaussians):
         self.effects: tuple[Effect, ...] = ()
         self.findings: tuple[Finding, ...] = ()
-        self._gaussians = gaussians
+        self.settings: RenderSettings | None = None
+        """What the scene calls for; None until that is known."""
+        self.gaussians = gaussians
         self._thread = threading.Thread(target=self._run, name="splatview-examine", daemon=True)
         self._thread.start()
 
@@ -153,8 +155,9 @@ class Examination:
         self._thread.join(timeout)
 
     def _run(self) -> None:
-        findings = check(self._gaussians)
-        self.effects = tuple(scene_effects(self._gaussians, findings=findings))
+        findings = check(self.gaussians)
+        self.effects = tuple(scene_effects(self.gaussians, findings=findings))
+        self.settings = settings_for(self.gaussians)
         self.findings = tuple(findings)
 
 

@@ -128,7 +128,7 @@ def adopt(core: Core, scene: LoadedScene) -> None:
     for path in reversed(scene.paths):
         core.preferences = with_recent(core.preferences, path)
     core.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
-    core.examination, core.examined = Examination(scene.gaussians), False
+    core.examination, core.examined, core.examining = Examination(scene.gaussians), False, None
 
 
 def report_examination(core: Core) -> None:
@@ -184,12 +184,6 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
 
 def choose_scene(core: Core) -> None:
     core.choose_files("Open a scene", lambda paths: core.post(open_paths, paths), kind="scene")
-
-
-def choose_addition(core: Core) -> None:
-    core.choose_files(
-        "Add a scene", lambda paths: core.post(lambda core: begin(core, paths, add=True)), kind="scene"
-    )
 
 
 def choose_cameras(core: Core) -> None:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at
+from splatview.scene.adjustment import IDENTITY, Adjustment
+from splatview.scene.edits import DELETED, PALETTE_SHIFT, SceneEdits
 from splatview.scene.projection import project
 from splatview.scene.reference import composite
 from splatview.viewer.window.navigation import pick
@@ -100,6 +102,25 @@ def test_the_cheap_bound_is_worth_having(random_gaussians):
     scene = random_gaussians(20000)
     camera = cameras()[0].resized(1280, 960)
     assert len(may_reach(scene, camera, SETTINGS, 640, 480)) < 6000
+
+
+def test_what_edits_took_away_is_not_picked_and_what_they_moved_is_where_it_is_seen():
+    scene = both(wall(1.0, 6.0), wall(0.0, 6.0))
+    marks = np.zeros(len(scene), np.uint32)
+    marks[144:] = DELETED
+    found = pick(scene, FRONTAL, SETTINGS, 80.5, 60.5, edits=SceneEdits(marks=marks, flags=DELETED))
+    assert found is not None
+    assert found.depth == pytest.approx(3.0)
+    assert found.index < 144
+    marks[:144], marks[144:] = DELETED, 1 << PALETTE_SHIFT
+    back = Adjustment(translation=(0.0, 0.0, 4.0))
+    moved = SceneEdits(marks=marks, palette=(IDENTITY, back), flags=DELETED)
+    found = pick(scene, FRONTAL, SETTINGS, 80.5, 60.5, edits=moved)
+    assert found is not None
+    assert found.depth == pytest.approx(6.0)
+    assert found.index >= 144
+    marks[:] = DELETED
+    assert pick(scene, FRONTAL, SETTINGS, 80.5, 60.5, edits=moved) is None
 
 
 def test_ill_splats_are_never_picked(random_gaussians):

@@ -180,6 +180,8 @@ class Accuracy:
         """Loads the scene in the form that was chosen, where it is in another."""
         if core.scene is None or core.picture is None or core.loading is not None:
             return
+        if core.desk is not None and core.desk.loading is not None:
+            return
         wanted: Any = self.choices.get("attributes", "float32")
         gaussians, made = core.scene.gaussians, self.storing
         if made is not None and (made.gaussians is not gaussians or made.attributes != wanted):

@@ -224,14 +224,19 @@ class Desk:
             self.trainee.edited(self.document)
         return True
 
-    def apply_slowly(self, operation: Operation, title: str) -> None:
-        """Plans it in a thread, with progress, and applies it between two frames when that is done."""
+    def apply_slowly(
+        self, operation: Operation, title: str, *, then: Callable[[], object] = lambda: None
+    ) -> None:
+        """Plans it in a thread, with progress, and applies it between two frames when that is done; `then`
+        is called if something came of it."""
         if self._refused(operation):
             return
-        self.start(title, lambda watch: self.document.plan(operation, watch=watch), self._apply_planned)
 
-    def _apply_planned(self, planned: Planned) -> None:
-        self.apply(planned)
+        def done(planned: Planned) -> None:
+            if self.apply(planned):
+                then()
+
+        self.start(title, lambda watch: self.document.plan(operation, watch=watch), done)
 
     def start(
         self,

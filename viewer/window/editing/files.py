@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,9 +142,26 @@ def choose_merge(core: Core) -> None:
     core.choose_files("Merge another scene", lambda paths: core.post(merge_files, paths), kind="scene")
 
 
-def merge_files(core: Core, paths: list[Path]) -> None:
-    if core.desk is not None:
-        core.desk.apply_slowly(Merge(path=str(paths[0].absolute())), f"Reading {paths[0].name}")
+def merge_files(core: Core, paths: Sequence[Path]) -> None:
+    """Each is a step of its own; one that cannot be read ends it."""
+    if core.desk is not None and paths:
+        merge = Merge(path=str(paths[0].absolute()))
+        core.desk.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(core, paths[1:]))
+
+
+def choose_addition(core: Core) -> None:
+    core.choose_files("Add a scene", lambda paths: core.post(add_files, paths), kind="scene")
+
+
+def add_files(core: Core, paths: Sequence[Path]) -> None:
+    """Opens the scene that is open again with those of `paths` besides. Where it is edited that would leave
+    the edits behind, so there each file is a step of editing."""
+    from .. import opening
+
+    if core.desk is not None and core.desk.document.history.can_undo:
+        merge_files(core, paths)
+    else:
+        opening.begin(core, paths, add=True)
 
 
 def choose_split(core: Core) -> None:
@@ -222,6 +240,7 @@ FILE_ACTIONS = {
     "export": choose_export,
     "save_recipe": choose_recipe_to_save,
     "replay_recipe": choose_recipe_to_replay,
+    "add": choose_addition,
     "merge": choose_merge,
     "split": choose_split,
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -13,15 +12,13 @@ from ....edit.warm_up import warm_up
 from ....scene import InputError
 from ...commands.edit_tools import RasterTools
 from ...folders import config_folder
+from .changed_scene import continue_examining, load_changed_scene
 from .desk import Desk
 
 if TYPE_CHECKING:
     from ..core import Core
     from ..loading import LoadedScene
 
-
-LOAD_SECONDS = 0.012
-"""Of each frame, for giving the picture a scene that edits have changed."""
 
 JOURNALS = "journals"
 """Folder beside the settings: steps of windows that run, and of those that did not end well."""
@@ -53,6 +50,7 @@ def take_up(core: Core, scene: LoadedScene) -> None:
 
 def continue_editing(core: Core) -> None:
     """Called every frame: ends jobs, tells what they and the user's edits came to."""
+    continue_examining(core)
     desk = core.desk
     if desk is None:
         return
@@ -68,32 +66,6 @@ def continue_editing(core: Core) -> None:
     if desk.news is not None:
         core.tell(desk.news)
         desk.news = None
-
-
-def load_changed_scene(core: Core, desk: Desk) -> None:
-    """Gives the picture a scene whose values or number of splats an edit has changed, some at each frame."""
-    wanted = desk.document.gaussians
-    if desk.loaded is None:
-        desk.loaded = wanted
-    if desk.job is not None or core.loading is not None or core.picture is None:
-        return
-    if desk.loading is not None and desk.loading[0] is not wanted:
-        desk.loading[1].close()
-        desk.loading = None
-    if desk.loaded is wanted:
-        return
-    if desk.loading is None:
-        desk.loading = (wanted, core.picture.load_steps(wanted))
-    until = time.perf_counter() + LOAD_SECONDS
-    try:
-        while time.perf_counter() < until:
-            next(desk.loading[1])
-    except StopIteration:
-        desk.loaded, desk.loading = wanted, None
-    except InputError as error:
-        desk.loading = None
-        desk.problem = f"{error}; the last step is taken back"
-        desk.undo()
 
 
 LEAVING_SECONDS = 60.0

@@ -8,11 +8,12 @@ can reach the pixel, so that half a million splats take tens of milliseconds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ....scene import Camera, Gaussians, RenderSettings
+from ....scene.edits import SceneEdits, bake, shown
 from ....scene.lens import distort, distortion_jacobians
 from ....scene.projection import project, sigmoid
 from ....scene.reference import alphas
@@ -44,8 +45,23 @@ class Pick:
     """(3,) float64 world: on the ray through the pixel, at that depth."""
 
 
-def pick(gaussians: Gaussians, camera: Camera, settings: RenderSettings, x: float, y: float) -> Pick | None:
-    """The surface at (x, y) px of the picture that `camera` and `settings` make; None on background."""
+def pick(
+    gaussians: Gaussians,
+    camera: Camera,
+    settings: RenderSettings,
+    x: float,
+    y: float,
+    *,
+    edits: SceneEdits | None = None,
+) -> Pick | None:
+    """The surface at (x, y) px of the picture that `camera`, `settings` and `edits` make; None on
+    background."""
+    if edits is not None:
+        # Colours tell nothing here; without them a copy of the edited scene is a quarter of the size.
+        plain = replace(gaussians, sh=gaussians.sh[:, :1], extras={})
+        found = pick(bake(plain, edits), camera, replace(settings, sh_degree=None), x, y)
+        kept = np.flatnonzero(shown(gaussians, edits))
+        return None if found is None else replace(found, index=int(kept[found.index]))
     candidates = may_reach(gaussians, camera, settings, x, y)
     footprints = project(gaussians.take(candidates), camera, settings)
     if not len(footprints.indices):

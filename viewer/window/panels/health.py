@@ -22,7 +22,7 @@ from . import widgets
 
 
 def show(core: Core, findings: Sequence[Finding]) -> None:
-    """Those that concern any splat, of the scene as it was opened."""
+    """Those that concern any splat, of the scene as edits have made it, what they hide or delete included."""
     widgets.section("Health")
     ill = [finding for finding in findings if finding.count]
     if not ill:

@@ -1,0 +1,174 @@
+"""What looks at the open scene follows edits that change its values or its number of splats."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.edit.operations import OPERATIONS, Select
+from splatview.edit.operations.combining import Merge
+from splatview.edit.operations.repairing import Repair
+from splatview.edit.selecting import Everything
+from splatview.scene import Gaussians, RenderSettings
+from splatview.scene.files import save_scene
+from splatview.viewer.window.core import Core
+from splatview.viewer.window.editing.changed_scene import followed
+from splatview.viewer.window.editing.desk import Desk
+from splatview.viewer.window.editing.files import add_files
+from splatview.viewer.window.editing.taking_up import continue_editing
+from splatview.viewer.window.opening import open_paths
+
+
+@pytest.fixture
+def open_scene(core: Core, tmp_path: Path, wait_for_loading) -> Callable[[Gaussians], Desk]:
+    def make(gaussians: Gaussians) -> Desk:
+        save_scene(gaussians, tmp_path / "a.ply")
+        open_paths(core, [tmp_path / "a.ply"])
+        wait_for_loading(core)
+        continue_editing(core)
+        assert core.desk is not None
+        return core.desk
+
+    return make
+
+
+def settle(core: Core) -> None:
+    """Frames until all has followed."""
+    limit = time.monotonic() + 60
+    desk = core.desk
+    assert desk is not None
+    while True:
+        continue_editing(core)
+        assert time.monotonic() < limit, "it never comes to rest"
+        if core.examining is None and desk.job is None and desk.loaded is desk.gaussians:
+            return
+        time.sleep(0.001)
+
+
+def padded(gaussians: Gaussians, degree: int) -> Gaussians:
+    """With zeros for the bands that it has not."""
+    sh = np.zeros((len(gaussians), (degree + 1) ** 2, 3), np.float32)
+    sh[:, : gaussians.sh.shape[1]] = gaussians.sh
+    return replace(gaussians, sh=sh)
+
+
+def test_copies_are_part_of_the_open_scene_and_undoing_takes_them_out(
+    core, open_scene, random_gaussians
+) -> None:
+    desk = open_scene(random_gaussians(40))
+    opened = core.scene.gaussians
+    desk.apply(Select(by=Everything()))
+    desk.apply(OPERATIONS["duplicate"]())
+    settle(core)
+    assert core.scene.gaussians is desk.gaussians
+    assert len(core.scene.gaussians) == 80
+    assert len(core.edits.marks) == 80
+    desk.undo()
+    settle(core)
+    np.testing.assert_array_equal(core.scene.gaussians.means, opened.means)
+
+
+def test_until_the_picture_has_the_copies_all_is_as_before(core, open_scene, random_gaussians) -> None:
+    desk = open_scene(random_gaussians(40))
+    assert len(core.edits.marks) == 40
+    desk.apply(Select(by=Everything()))
+    assert len(core.edits.marks) == 40
+    desk.apply(OPERATIONS["duplicate"]())
+    assert (len(core.scene.gaussians), len(core.edits.marks)) == (40, 40)
+    settle(core)
+
+
+def test_a_shortcut_hides_its_share_of_the_changed_scene(core, open_scene, random_gaussians) -> None:
+    """What failed: marks of 80 splats hidden by the ranking of 40."""
+    desk = open_scene(random_gaussians(40))
+    core.accuracy._kept = 0.5
+    assert core.accuracy.edits(core) is not None
+    desk.apply(Select(by=Everything()))
+    desk.apply(OPERATIONS["duplicate"]())
+    assert len(core.accuracy.edits(core).marks) == 40
+    settle(core)
+    assert len(core.accuracy.edits(core).marks) == 80
+    desk.undo()
+    settle(core)
+    assert len(core.accuracy.edits(core).marks) == 40
+
+
+def test_health_is_that_of_the_repaired_scene(core, open_scene, random_gaussians) -> None:
+    ill = random_gaussians(40)
+    ill.quats[:3] = 0
+    desk = open_scene(ill)
+    core.examination.join(30)
+
+    def ill_splats() -> dict[str, int]:
+        return {found.name: found.count for found in core.examination.findings if found.count}
+
+    name = next(name for name, count in ill_splats().items() if "quat" in name and count == 3)
+    desk.apply(Repair(finding=name))
+    assert name in ill_splats(), "as it was, until the changed scene has been looked through"
+    settle(core)
+    assert name not in ill_splats()
+    desk.undo()
+    settle(core)
+    assert ill_splats()[name] == 3
+
+
+def test_bands_that_a_merged_file_brings_are_switched_on(
+    core, open_scene, random_gaussians, tmp_path
+) -> None:
+    flat = random_gaussians(40, sh_degree=0)
+    desk = open_scene(padded(flat, 3))
+    assert core.settings.sh_degree == 0
+    save_scene(random_gaussians(20, sh_degree=3, seed=1), tmp_path / "b.ply")
+    desk.apply(Merge(path=str(tmp_path / "b.ply")))
+    settle(core)
+    assert core.settings.sh_degree is None
+    assert core.scene.settings.sh_degree is None
+    desk.undo()
+    settle(core)
+    assert core.settings.sh_degree == 0
+
+
+def test_what_the_user_has_set_stays() -> None:
+    before, after = RenderSettings(sh_degree=0), RenderSettings(early_stop=0.0)
+    mine = replace(before, sh_degree=1, model=replace(before.model, antialiased=True))
+    now = followed(mine, before, after)
+    assert (now.sh_degree, now.early_stop, now.model.antialiased) == (1, 0.0, True)
+    near = replace(before, model=replace(before.model, near=1.0))
+    called_for = replace(after, model=replace(after.model, antialiased=True))
+    assert followed(near, before, called_for).model == replace(called_for.model, near=1.0)
+
+
+def test_files_are_added_to_an_edited_scene_as_steps(
+    core, open_scene, random_gaussians, tmp_path, wait_for_loading
+) -> None:
+    desk = open_scene(random_gaussians(40))
+    paths = [tmp_path / "b.ply", tmp_path / "c.ply"]
+    for path, splats in zip(paths, (5, 6), strict=True):
+        save_scene(random_gaussians(splats), path)
+    desk.apply(Select(by=Everything()))
+    add_files(core, paths)
+    settle(core)
+    assert core.desk is desk
+    assert len(core.scene.gaussians) == 51
+    assert len(desk.document.history.done) == 3
+    desk.document.jump(0)
+    settle(core)
+    add_files(core, paths[:1])
+    wait_for_loading(core)
+    assert core.desk is not desk, "nothing is edited: opened afresh"
+    assert len(core.scene.gaussians) == 45
+
+
+def test_a_file_that_cannot_be_read_ends_adding(core, open_scene, random_gaussians, tmp_path) -> None:
+    desk = open_scene(random_gaussians(40))
+    desk.apply(Select(by=Everything()))
+    save_scene(random_gaussians(5), tmp_path / "b.ply")
+    add_files(core, [tmp_path / "b.ply", tmp_path / "none.ply", tmp_path / "b.ply"])
+    settle(core)
+    assert "none.ply" in core.problem
+    assert len(core.scene.gaussians) == 45
