@@ -63,6 +63,7 @@ class User(Hand):
                 core.loading is None
                 and core.transition is None
                 and core.examined
+                and core.examining is None
                 and (core.desk is None or (core.desk.job is None and core.desk.loading is None))
                 and (core.picture is None or not core.picture.busy or self._trains)
                 and core.accuracy.measurement is None
@@ -119,6 +120,12 @@ class User(Hand):
             core.accuracy.cancel()
         self.calm()
         self.look_for_harm()
+        if (
+            core.scene is not None
+            and core.desk is not None
+            and core.desk.gaussians is not core.scene.gaussians
+        ):
+            raise Mishap("the panels look at other splats than the edits")
         self.look_at_the_picture()
         wait_for_threads(lambda: self.frames(1))
         if resumed and core.training is not None:
