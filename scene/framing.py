@@ -28,21 +28,26 @@ SPLAT_SIGMAS = 3.0
 def frame_camera(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 50.0) -> Camera:
     """A camera that has the bulk of the scene in view, with -y up. `fov_y` in degrees, 0 to 180.
 
-    Works for any scene, none or ill splats included: see `robust_bounds`.
+    Works for any scene, none or ill splats included: see `bulk`.
     """
-    centre, radius = _bounds(gaussians.means)
-    with np.errstate(over="ignore"):
-        sizes = np.exp(gaussians.log_scales[:: _stride(len(gaussians))].max(axis=1, initial=-np.inf))
-    sizes = sizes[(sizes > 0) & (sizes <= FLOAT32_MAX)]
-    if len(sizes):
-        radius = max(radius, SPLAT_SIGMAS * float(np.median(sizes)))
-    radius = radius or 1.0
+    centre, radius = bulk(gaussians)
     tan_y = math.tan(math.radians(fov_y) / 2)
     narrower = math.atan(min(tan_y, tan_y * width / height))
     # Scenes of millimetres must not vanish before the near plane, nor eye and target become one number.
     distance = max(radius / math.sin(narrower), radius + 2 * NEAR, 1e-9 * float(np.abs(centre).max()))
     offset = np.array(VIEW_OFFSET) / np.linalg.norm(VIEW_OFFSET)
     return look_at(centre + offset * distance, centre, up=WORLD_UP, fov_y=fov_y, width=width, height=height)
+
+
+def bulk(gaussians: Gaussians) -> tuple[np.ndarray, float]:
+    """As `robust_bounds`, but not smaller than a splat of the scene is."""
+    centre, radius = _bounds(gaussians.means)
+    with np.errstate(over="ignore"):
+        sizes = np.exp(gaussians.log_scales[:: _stride(len(gaussians))].max(axis=1, initial=-np.inf))
+    sizes = sizes[(sizes > 0) & (sizes <= FLOAT32_MAX)]
+    if len(sizes):
+        radius = max(radius, SPLAT_SIGMAS * float(np.median(sizes)))
+    return centre, radius or 1.0
 
 
 def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:

@@ -14,6 +14,7 @@ from ...scene import InputError
 from ..gl import VisualMode
 from . import backdrop, camera_list, depth_of_field, opening, saving
 from .bookmarks import Bookmark, load_bookmarks, save_bookmarks
+from .bounds import bounds
 from .core import Core
 from .editing.commands import EDIT_ACTIONS, cancel_job, take_tool
 from .navigation import AXIS_NAMES, View, axis_view, focus, frame, level, pick, with_up
@@ -36,10 +37,19 @@ FOV_STEP = 1.1
 
 
 def frame_all(core: Core) -> None:
-    """Shows the whole scene from where the eye is turned."""
-    if core.scene:
+    """Shows the whole scene from where the eye is turned; what is deleted or hidden does not count."""
+    if found := bounds(core):
         width, height = core.picture_size
-        core.go_to(frame(core.destination, core.scene.centre, core.scene.radius, aspect=width / height))
+        core.go_to(frame(core.destination, *found, aspect=width / height))
+
+
+def frame_selection(core: Core) -> None:
+    """Shows what is selected, else the whole scene."""
+    if found := bounds(core, selected=True):
+        width, height = core.picture_size
+        core.go_to(frame(core.destination, *found, aspect=width / height))
+    else:
+        frame_all(core)
 
 
 def look_along(core: Core, name: str) -> None:
@@ -221,6 +231,7 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     "screenshot": saving.screenshot,
     "screenshot_as": partial(toggle_dialog, name="screenshot"),
     "quit": quit_window,
+    "frame_selection": frame_selection,
     "frame_all": frame_all,
     **{f"look_from_{name}": partial(look_along, name=name) for name in AXIS_NAMES},
     "level": make_level,

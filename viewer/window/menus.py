@@ -116,6 +116,7 @@ def select_menu(core: Core) -> None:
 
 
 def camera_menu(core: Core) -> None:
+    item(core, "frame_selection")
     item(core, "frame_all")
     if imgui.begin_menu("Look from"):
         for name in AXIS_NAMES:

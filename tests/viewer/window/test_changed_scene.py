@@ -1,4 +1,4 @@
-"""What looks at the open scene follows edits that change its values or its number of splats."""
+"""What looks at the open scene follows edits: its values, its number of splats, where they are."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ import pytest
 
 from splatview.edit.operations import OPERATIONS, Select
 from splatview.edit.operations.combining import Merge
+from splatview.edit.operations.moving import Transform
 from splatview.edit.operations.repairing import Repair
-from splatview.edit.selecting import Everything
+from splatview.edit.selecting import Everything, IndexRuns
 from splatview.scene import Gaussians, RenderSettings
 from splatview.scene.files import save_scene
+from splatview.scene.framing import robust_bounds
+from splatview.viewer.window.actions import ACTIONS
+from splatview.viewer.window.bounds import bounds
 from splatview.viewer.window.core import Core
 from splatview.viewer.window.editing.changed_scene import followed
 from splatview.viewer.window.editing.desk import Desk
 from splatview.viewer.window.editing.files import add_files
+from splatview.viewer.window.editing.panels.move import orient
 from splatview.viewer.window.editing.taking_up import continue_editing
 from splatview.viewer.window.opening import open_paths
 
@@ -172,3 +177,55 @@ def test_a_file_that_cannot_be_read_ends_adding(core, open_scene, random_gaussia
     settle(core)
     assert "none.ply" in core.problem
     assert len(core.scene.gaussians) == 45
+
+
+# ---- where the splats are
+
+
+def test_without_edits_the_bounds_are_those_of_the_scene(core, open_scene, random_gaussians) -> None:
+    assert bounds(core) is None
+    desk = open_scene(random_gaussians(400))
+    opened = bounds(core)
+    assert opened is not None
+    np.testing.assert_allclose(opened[0], core.scene.centre, atol=1e-9)
+    assert bounds(core, selected=True) is None
+    desk.apply(Select(by=Everything()))
+    desk.apply(OPERATIONS["delete"]())
+    assert bounds(core) is None
+
+
+def test_bounds_follow_what_is_moved_and_leave_out_what_is_deleted(
+    core, open_scene, random_gaussians
+) -> None:
+    desk = open_scene(random_gaussians(400))
+    before = bounds(core)
+    means = core.scene.gaussians.means
+    half = np.zeros(400, bool)
+    half[:200] = True
+    desk.apply(Select(by=IndexRuns.of(half)))
+    desk.apply(Transform(translation=(100.0, 0.0, 0.0)))
+    selected, everything = bounds(core, selected=True), bounds(core)
+    assert before is not None and selected is not None and everything is not None
+    expected = robust_bounds(means[:200].astype(np.float64) + np.array([100, 0, 0]))[0]
+    np.testing.assert_allclose(selected[0], expected, atol=1e-4)
+    assert everything[1] > 40, "both halves"
+    desk.apply(OPERATIONS["delete"]())
+    left = bounds(core)
+    assert left is not None
+    np.testing.assert_allclose(left[0], robust_bounds(means[200:])[0], atol=1e-4)
+
+
+def test_framing_shows_the_selection_else_everything(core, open_scene, random_gaussians) -> None:
+    desk = open_scene(random_gaussians(400))
+    ACTIONS["frame_selection"](core)
+    np.testing.assert_allclose(core.destination.target, core.scene.centre, atol=1e-9)
+    desk.apply(Select(by=Everything()))
+    desk.apply(Transform(translation=(0.0, 50.0, 0.0)))
+    moved = core.scene.centre + np.array([0, 50, 0])
+    for action in ("frame_selection", "frame_all"):
+        ACTIONS[action](core)
+        np.testing.assert_allclose(core.destination.target, moved, atol=1e-4)
+    orient(core, (0.0, 0.0, 1.0))
+    middle = bounds(core)
+    assert middle is not None
+    np.testing.assert_allclose(middle[0], moved, atol=0.3)

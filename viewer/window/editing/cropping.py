@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ....edit.operations.cropping import AddCrop
 from ....scene.crop import Crop
+from ..bounds import bounds
 from .desk import Desk
 
 if TYPE_CHECKING:
@@ -25,13 +26,13 @@ def add_crop(core: Core, shape: Shape) -> None:
 
 
 def fitting(core: Core, desk: Desk, shape: Shape) -> Crop:
-    """A first crop: about the bulk of the scene."""
+    """A first crop: about the bulk of what is shown."""
     number = 1 + len(desk.document.crops)
     if core.training is not None and desk.trainee is not None:
         settings = core.training.status.settings
         number += len(settings.cut) + len(settings.no_growth)
-    if core.scene is None:
+    found = bounds(core)
+    if found is None:
         return Crop(name=f"crop {number}", shape=shape)
-    x, y, z = (float(value) for value in core.scene.centre)
-    half = float(core.scene.radius)
+    (x, y, z), half = found[0].tolist(), found[1]
     return Crop(name=f"crop {number}", shape=shape, centre=(x, y, z), half_extents=(half, half, half))

@@ -30,7 +30,7 @@ def show(core: Core) -> None:
     widgets.fact(
         "Middle",
         ", ".join(f"{v:.4g}" for v in scene.centre),
-        "Of where the splats are, outliers left out: what F frames.",
+        "Of where the splats are as the scene was opened, outliers left out.",
     )
     widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
 

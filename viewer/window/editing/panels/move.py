@@ -12,6 +12,7 @@ from .....edit.loops.places import positions_of
 from .....edit.operations.moving import Orient, Transform
 from .....scene import Camera
 from .....scene.framing import robust_bounds
+from ...bounds import bounds
 from ...panels import widgets
 from .. import commands, gizmos
 from ..desk import Desk
@@ -133,13 +134,11 @@ def upright(core: Core, desk: Desk) -> None:
     for number, (name, axis) in enumerate(UPS):
         if number:
             widgets.beside(name)
-        operation = Orient(up=axis, pivot=_middle(core))
-        widgets.button(
-            f"{name}##up", f"Turns the scene: its {name} becomes up (-Y).", partial(_post, core, operation)
-        )
+        tip = f"Turns the scene: its {name} becomes up (-Y)."
+        widgets.button(f"{name}##up", tip, partial(core.post, orient, axis))
     if imgui.button("The view's up"):
         up = -core.view.R_camera_world[1]
-        _post(core, Orient(up=(float(up[0]), float(up[1]), float(up[2])), pivot=_middle(core)))
+        core.post(orient, (float(up[0]), float(up[1]), float(up[2])))
     widgets.tooltip("Turns the scene so that what is up in the picture now is up (-Y).")
     chosen = desk.tool == "ground"
     text = f"Pick {3 - len(desk.picked)} more..." if chosen else "Three points on the ground"
@@ -149,12 +148,9 @@ def upright(core: Core, desk: Desk) -> None:
     widgets.tooltip("Click three points of the floor: it becomes level, at y = 0.")
 
 
-def _post(core: Core, operation: Orient) -> None:
-    core.post(lambda core: core.desk.apply(operation) if core.desk else None)
-
-
-def _middle(core: Core) -> Place:
-    if core.scene is None:
-        return (0.0, 0.0, 0.0)
-    x, y, z = (float(value) for value in core.scene.centre)
-    return (x, y, z)
+def orient(core: Core, up: Place) -> None:
+    """Turns what is shown about its middle until `up` points up."""
+    found = bounds(core)
+    if core.desk is not None and found is not None:
+        x, y, z = found[0].tolist()
+        core.desk.apply(Orient(up=up, pivot=(x, y, z)))
