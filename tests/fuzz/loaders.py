@@ -17,6 +17,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import load_capture
 from splatview.scene.effects import census
 from splatview.scene.files import load_cameras, load_scene
+from splatview.scene.files.panorama import load_panorama
 from splatview.scene.health import check
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer.window.bookmarks import beside, load_bookmarks
@@ -80,6 +81,11 @@ def _colmap(*, text: bool = False) -> dict[str, bytes]:
         model = {"cameras.bin": whole.cameras_bin((1, 1, 1)), "images.bin": whole.images_bin()}
         model["points3D.bin"] = whole.points_bin()
     return _photos() | {f"sparse/0/{name}": data for name, data in model.items()}
+
+
+def _load_panorama(folder: Path) -> bool:
+    load_panorama(folder / "sky.png")
+    return True
 
 
 def _load_folder(folder: Path) -> bool:
@@ -232,6 +238,7 @@ LOADERS: tuple[Loader, ...] = (
         call=_load_folder,
         around=_colmap,
     ),
+    Loader(name="panorama", file="sky.png", seeds=whole.photos, call=_load_panorama),
     Loader(name="recipe", file="recipe.json", seeds=whole.recipes, call=_load_recipe),
     Loader(name="recipe_replay", file="recipe.json", seeds=whole.recipes, call=_replay_recipe),
     Loader(name="journal", file=f"a{SUFFIX}", seeds=whole.journals, call=_find_journals),

@@ -16,7 +16,7 @@ FAMILIES = {
         *("capture_cameras", "capture_points_bin", "capture_points_txt", "capture_held_out"),
         *("capture_transforms", "capture_camera_list"),
     ),
-    "photos and masks": ("capture_photo", "capture_mask"),
+    "photos, masks and panoramas": ("capture_photo", "capture_mask", "panorama"),
     "recipes, replayed too, and journals": ("recipe", "journal"),
     "checkpoints": ("checkpoint",),
     "preferences and bookmarks": ("preferences", "bookmarks"),

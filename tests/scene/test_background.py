@@ -145,6 +145,25 @@ def test_pictures_that_cannot_be_read_are_named(tmp_path):
         load_panorama(tmp_path)
 
 
+def test_a_short_file_cannot_claim_all_memory(tmp_path):
+    """A damaged header: 64 million rows that are not there."""
+    from PIL import Image
+
+    Image.new("RGB", (8, 8), (9, 9, 9)).save(tmp_path / "sky.bmp")
+    data = bytearray((tmp_path / "sky.bmp").read_bytes())
+    data[22:26] = (8 << 20).to_bytes(4, "little")
+    (tmp_path / "sky.bmp").write_bytes(data)
+    with pytest.raises(InputError, match=r"sky\.bmp: says it has 8x8388608 pixels, more than so short"):
+        load_panorama(tmp_path / "sky.bmp")
+
+
+def test_what_compresses_best_is_not_refused(tmp_path):
+    from PIL import Image
+
+    Image.new("RGB", (4000, 2000), (90, 120, 200)).save(tmp_path / "blue.png", compress_level=9)
+    assert load_panorama(tmp_path / "blue.png").pixels.shape == (2000, 4000, 3)
+
+
 def test_a_background_knows_its_camera():
     camera = Camera(width=3, height=2, fx=1, fy=1, cx=0, cy=0, world_to_camera=np.eye(4))
     assert seen((0.1, 0.2, 0.3), camera).tolist() == [0.1, 0.2, 0.3]

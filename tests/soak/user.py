@@ -21,6 +21,7 @@ EXPECTED = (
     r"no crop is in force that could be made permanent$",
     r"crops already; remove one first$",
     r"the scene was edited in the meantime; do it again$",
+    r"are hidden, locked or cropped away and cannot be deleted$",
 )
 """What the program may refuse, in its own words; any other dialog is a mishap."""
 
