@@ -11,7 +11,8 @@ MINUTES ?= 60
 JOBS ?= 2
 # Tests of a file stay in one process, in order: they share contexts and compiled kernels.
 SHARED := --numprocesses $(JOBS) --dist loadfile
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Without the build's warning that an editable installation is one.
+INSTALL := PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: run test test-all check format soak system-run system-test tables pictures clean
 
