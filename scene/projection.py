@@ -113,7 +113,8 @@ def project(
         opacities = sigmoid(gaussians.opacity_logits.astype(dtype))
         keep = t[:, 2] >= model.near
         if camera.lens is not None:
-            keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
+            with np.errstate(divide="ignore"):
+                keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
         keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT
         for values in (offsets, t, quats, scales, opacities[:, None], used_sh):
             keep &= _finite(values)

@@ -35,7 +35,9 @@ its place."""
 def degree_in_use(sh: np.ndarray) -> int:
     """The lowest degree that shows `sh` (N, K, 3) unchanged: bands that are all zero do not count."""
     for degree in range(SH_COEFFICIENTS.index(sh.shape[1]), 0, -1):
-        if sh[:, SH_COEFFICIENTS[degree - 1] :].any():
+        with np.errstate(invalid="ignore"):  # of NaN that signals
+            used = sh[:, SH_COEFFICIENTS[degree - 1] :].any()
+        if used:
             return degree
     return 0
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from patterns import block_of
+from patterns import RAYS, block_of
 from projections import (
     COLOUR,
     MEAN_PX,
@@ -40,6 +40,10 @@ SPLATS = 100_000
 """A block: some tens of MiB."""
 
 
+SEEN = {"pinhole": "", "parallel": ", parallel rays", "lens": ", through lenses"}
+"""Of a row's name in the table."""
+
+
 @dataclass
 class Counts:
     """Of one projection."""
@@ -55,13 +59,14 @@ class Counts:
 
 
 def check_block(
-    seed: int, splats: int, projections: Mapping[str, Projection], table: dict[str, Counts]
+    seed: int, splats: int, rays: str, projections: Mapping[str, Projection], table: dict[str, Counts]
 ) -> list[str]:
     """Adds one block to `table`, and says what is wrong in it, one line each."""
-    block = block_of(seed, splats)
+    block = block_of(seed, splats, rays=rays)
     truth = truth_of(block, seed)
     lines = []
-    for name, projection in projections.items():
+    for projection_name, projection in projections.items():
+        name = projection_name + SEEN[rays]
         counts = table.setdefault(name, Counts())
         started = time.perf_counter()
         projected = projection(block)
@@ -94,6 +99,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--splats", type=int, default=SPLATS, help="of a block")
+    parser.add_argument("--rays", nargs="+", choices=RAYS, default=RAYS)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--more", action="store_true", help="go on where the counts in the JSON file end")
     arguments = parser.parse_args()
@@ -110,9 +116,10 @@ def main() -> int:
     until = time.monotonic() + arguments.seconds
     failed = False
     while time.monotonic() < until:
-        for line in check_block(seed, arguments.splats, projections, table):
-            failed = True
-            print(line, flush=True)
+        for rays in arguments.rays:
+            for line in check_block(seed, arguments.splats, rays, projections, table):
+                failed = True
+                print(line, flush=True)
         seed += 1
         if arguments.json:
             entry = {

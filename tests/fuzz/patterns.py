@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
+from splatview.scene.lens import Lens
 from splatview.scene.sh import SH_C0
 
 NEAR, ALPHA_CUT, MAX_ALPHA = 0.01, 1 / 255, 0.99
@@ -44,6 +45,18 @@ THRESHOLDS = {
 SIZE = 16
 """Pixels a side of the pictures."""
 
+RAYS = ("pinhole", "parallel", "lens")
+"""How a block is seen."""
+
+LENSES = (
+    Lens(model="SIMPLE_RADIAL", parameters=(0.3,)),
+    Lens(model="OPENCV", parameters=(-0.2, 0.05, 0.001, -0.002)),
+    Lens(model="OPENCV_FISHEYE", parameters=(0.03, -0.01, 0.002, 0.0)),
+    Lens(model="FULL_OPENCV", parameters=(0.1, 0.02, 0.001, 0.002, 0.01, 0.2, 0.03, 0.001)),
+    Lens(model="FOV", parameters=(0.9,)),
+    Lens(model="THIN_PRISM_FISHEYE", parameters=(0.02, -0.01, 0.001, -0.001, 0.002, 0.0, 0.001, -0.001)),
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -54,8 +67,9 @@ class Block:
     settings: RenderSettings
 
 
-def block_of(seed: int, count: int) -> Block:
-    """The splats of one seed: of all SH degrees, seen by several cameras, antialiased or not."""
+def block_of(seed: int, count: int, *, rays: str = "pinhole") -> Block:
+    """The splats of one seed: of all SH degrees, seen by several cameras, antialiased or not. Whatever the
+    `rays` (one of `RAYS`), they are the same."""
     rng = np.random.default_rng(seed)
     degree = int(rng.integers(0, 4))
     camera, where = _camera(int(rng.integers(0, 4)))
@@ -88,6 +102,11 @@ def block_of(seed: int, count: int) -> Block:
         opacity_logits=np.ascontiguousarray(columns["opacity"][:, 0]),
         sh=columns["sh"].reshape(count, -1, 3),
     )
+    if rays == "parallel":
+        # So many px a unit as show most of the splats.
+        camera = replace(camera, orthographic=True, fx=4.0, fy=4.0, cx=SIZE / 2)
+    elif rays == "lens":
+        camera = replace(camera, lens=LENSES[seed // 4 % len(LENSES)])
     model = ImageModel(antialiased=bool(rng.integers(0, 2)))
     return Block(gaussians, camera, RenderSettings(model=model, blend="float32"))
 
