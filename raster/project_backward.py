@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ..scene.projection import FLOAT32_MAX
 from ..scene.sh import SH_C1, SH_C2, SH_C3
 from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
 from .compiling import inline, kernel
@@ -280,7 +281,9 @@ def project_backward(
             for axis in range(3):
                 d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
             for component in range(4):
-                d_quats[i, component] = lanes[(D_QUAT + component) * LANES + lane]
+                # By a quaternion of length 1e-30 the derivative can be more than float32 holds.
+                steep = lanes[(D_QUAT + component) * LANES + lane]
+                d_quats[i, component] = min(max(steep, -FLOAT32_MAX), FLOAT32_MAX)
             d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
             for axis in range(2):
                 d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
