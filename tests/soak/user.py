@@ -57,22 +57,25 @@ class User(Hand):
 
     def calm(self) -> None:
         """Until nothing is under way any more."""
-        core = self.core
         self.frames(2)
-        self.wait(
-            lambda: (
-                core.loading is None
-                and core.transition is None
-                and core.examined
-                and core.examining is None
-                and (core.desk is None or (core.desk.job is None and core.desk.loading is None))
-                and (core.picture is None or not core.picture.busy or self._trains)
-                and core.accuracy.measurement is None
-            ),
-            "the window to come to rest",
-            SETTLE_SECONDS,
-        )
+        try:
+            self.wait(lambda: not self._under_way(), "the window to come to rest", SETTLE_SECONDS)
+        except AssertionError as error:
+            raise Mishap(f"never at rest: {', '.join(self._under_way())}") from error
         self.frames(2)
+
+    def _under_way(self) -> list[str]:
+        core, desk = self.core, self.core.desk
+        waits = {
+            "loading": core.loading is not None,
+            "a turn of the view": core.transition is not None,
+            "looking at the splats": not core.examined or core.examining is not None,
+            "an edit": desk is not None and desk.job is not None,
+            "a changed scene": desk is not None and desk.loading is not None,
+            "a picture": core.picture is not None and core.picture.busy and not self._trains,
+            "measuring": core.accuracy.measurement is not None,
+        }
+        return [name for name, under_way in waits.items() if under_way]
 
     @property
     def _trains(self) -> bool:

@@ -57,6 +57,8 @@ class QuadsRenderer(Renderer):
         self._kept = KeptOrder(ctx, self._variants)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
+        self._keeps = False
+        """Whether the latest picture may have an older view's order."""
         self._box = np.zeros((2, 3))
         """Within which the scene's splats are."""
         self._drawn_key: object = None
@@ -134,7 +136,7 @@ class QuadsRenderer(Renderer):
             raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
         # Other modes show what an order is, or need one that is exact.
         order = settings.order if mode == "splats" else "32-bit"
-        keeps = mode == "splats" and order not in UNSORTED and keeps_order(settings)
+        self._keeps = keeps = mode == "splats" and order not in UNSORTED and keeps_order(settings)
         projected_key = (
             *_view_key(camera),
             *(order, (settings.resort_frames, settings.resort_degrees) if keeps else None),
@@ -225,7 +227,7 @@ class QuadsRenderer(Renderer):
 
     @property
     def busy(self) -> bool:
-        return self._kept.resorting.stale and self._projected_key is not None
+        return self._keeps and self._kept.resorting.stale and self._projected_key is not None
 
     def _unsorted(self, order: Order, camera: Camera, near: float) -> dict[str, Any]:
         """What `Gathering.draw` is told of an order that takes no sort."""

@@ -44,7 +44,10 @@ def over_picture(core: Core) -> None:
     gizmo.show(core, ImVec2(corner.x + width - margin, corner.y + margin))
     if core.picture is not None and core.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
+        imgui.begin_group()
         imgui.text_colored(theme.WARNING, core.picture.status)
+        imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(core.picture.status).x, margin), "")
+        imgui.end_group()
     if core.picture is not None and core.picture.note:
         badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin

@@ -42,8 +42,8 @@ def test_frames_of_a_path_are_those_that_the_cpu_draws(renderer, random_gaussian
     for number in range(5):
         camera = at(10 * number)
         picture = drawn(renderer, camera, settings)
+        assert renderer.busy == (number % 3 != 0)
         own = drawn(renderer, camera, RenderSettings(order=order, blend="float32")) if number == 4 else None
-        assert renderer.busy == (number % 3 != 0) or own is not None
         cpu = raster.draw_frame(splats, camera, settings, workspace).image
         # The two round 16-bit keys differently, and cut alphas to the last digit.
         assert np.mean(np.abs(picture - cpu).max(axis=2) > 2e-3) < (0.01 if order == "32-bit" else 0.1)
@@ -63,6 +63,22 @@ def test_a_view_at_rest_has_its_own_order_and_is_drawn_no_more(renderer):
     exact = drawn(renderer, at(20), ANEW)
     np.testing.assert_array_equal(rested, exact)
     assert np.abs(stale - exact).max() > 1e-2
+
+
+def test_nothing_is_to_come_once_orders_are_kept_no_more(renderer):
+    """Else a window would draw the same picture for ever."""
+    settings = RenderSettings(resort_frames=100, blend="float32")
+    for change in ({}, {"order": "16-bit"}):
+        drawn(renderer, at(0), settings)
+        drawn(renderer, at(20), settings)
+        assert renderer.busy
+        drawn(renderer, at(20), RenderSettings(blend="float32", **change))
+        assert not renderer.busy
+    renderer.draw(at(0), settings)
+    renderer.draw(at(20), settings)
+    assert renderer.busy
+    renderer.draw(at(20), settings, mode="points")
+    assert not renderer.busy
 
 
 def test_asked_to_forget_the_next_frame_is_sorted(renderer):
