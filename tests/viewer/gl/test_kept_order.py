@@ -68,11 +68,11 @@ def test_a_view_at_rest_has_its_own_order_and_is_drawn_no_more(renderer):
 def test_nothing_is_to_come_once_orders_are_kept_no_more(renderer):
     """Else a window would draw the same picture for ever."""
     settings = RenderSettings(resort_frames=100, blend="float32")
-    for change in ({}, {"order": "16-bit"}):
+    for other in (ANEW, RenderSettings(blend="float32", order="16-bit")):
         drawn(renderer, at(0), settings)
         drawn(renderer, at(20), settings)
         assert renderer.busy
-        drawn(renderer, at(20), RenderSettings(blend="float32", **change))
+        drawn(renderer, at(20), other)
         assert not renderer.busy
     renderer.draw(at(0), settings)
     renderer.draw(at(20), settings)
