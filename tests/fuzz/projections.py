@@ -24,8 +24,8 @@ STEPS = 4.0
 """Roundings of float32 by which inputs are moved to see what they decide, and how far they move a result."""
 
 SENSITIVITY = 12.0
-"""A result may be off by so many times what those roundings change it by: two trials find some, not all. With 8,
-one splat of 11 million pinholes' and 27 million lenses' was off by 9 times."""
+"""A result may be off by so many times what those roundings change it by: two trials find some, not all. One
+splat was off by 9 times, of 11 million before pinholes and 27 million before lenses."""
 
 OVERFLOWING = 0.05
 """Share of float32's largest number beyond which sums may overflow or not by the order of their terms."""
