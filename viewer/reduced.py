@@ -7,6 +7,7 @@ subsets of larger ones.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -24,6 +25,7 @@ class Reduced:
 
     def __init__(self) -> None:
         self._ranking: np.ndarray | None = None
+        self._being_ranked = threading.Lock()
         self._forms: dict[tuple[float, Attributes], Gaussians] = {}
 
     def form(self, gaussians: Gaussians, kept: float, attributes: Attributes) -> Gaussians:
@@ -34,9 +36,18 @@ class Reduced:
         return self._forms[key]
 
     def most_seen(self, gaussians: Gaussians, share: float) -> np.ndarray:
-        if self._ranking is None:
-            self._ranking = ranked_by_contribution(gaussians)
-        return np.sort(self._ranking[: kept_count(len(gaussians), share)])
+        return np.sort(self.ranking(gaussians)[: kept_count(len(gaussians), share)])
+
+    def ranking(self, gaussians: Gaussians) -> np.ndarray:
+        """(N,) indices. From any thread; who comes while it is made waits for it."""
+        with self._being_ranked:
+            if self._ranking is None:
+                self._ranking = ranked_by_contribution(gaussians)
+            return self._ranking
+
+    @property
+    def is_ranked(self) -> bool:
+        return self._ranking is not None
 
 
 _reduced: WeakKeyDictionary[Gaussians, Reduced] = WeakKeyDictionary()
@@ -48,6 +59,17 @@ def reduced(gaussians: Gaussians, plan: Plan) -> Gaussians:
     if plan.kept >= 1 and plan.attributes == "float32":
         return gaussians
     return _reduced.setdefault(gaussians, Reduced()).form(gaussians, plan.kept, plan.attributes)
+
+
+def is_ranked(gaussians: Gaussians) -> bool:
+    """Whether it is known what a share keeps: finding out takes a second for some 500,000 splats."""
+    known = _reduced.get(gaussians)
+    return known is not None and known.is_ranked
+
+
+def rank(gaussians: Gaussians) -> None:
+    """Finds it out. For a thread of its own."""
+    _reduced.setdefault(gaussians, Reduced()).ranking(gaussians)
 
 
 def with_rest_hidden(gaussians: Gaussians, kept: float, edits: SceneEdits | None) -> SceneEdits | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from ....measure.steps import Shortcut, priced, unpriced
 from ....scene import Camera, Gaussians, InputError, RenderSettings
 from ....scene.edits import SceneEdits
 from ....scene.stored import Attributes
-from ...reduced import with_rest_hidden
+from ...reduced import is_ranked, rank, with_rest_hidden
 from ..picture import CpuPicture, scaled_camera
 from .comparing import Comparing
 from .measuring import SECONDS, Measurement
@@ -54,6 +55,8 @@ class Accuracy:
     storing: Storing | None = None
     """... how it is getting it."""
     _kept: float = 1.0
+    _ranking: threading.Thread | None = None
+    """Finds out what a share of the splats would keep."""
     _hidden: tuple[Any, Any, SceneEdits | None] | None = None
     _camera: Camera | None = None
     _gaussians: Gaussians | None = None
@@ -130,6 +133,9 @@ class Accuracy:
         if self._kept >= 1 or core.scene is None:
             self._hidden = None
             return edits
+        if not is_ranked(core.scene.gaussians):
+            self._rank(core.scene.gaussians)
+            return edits  # all, until it is known what can be left out
         key = (core.scene.gaussians, self._kept, edits)
         versions = edits and (edits.marks_version, edits.palette_version, edits.crops_version)
         held = self._hidden
@@ -137,6 +143,17 @@ class Accuracy:
             held = (key, versions, with_rest_hidden(*key))
             self._hidden = held
         return held[2]
+
+    def _rank(self, gaussians: Gaussians) -> None:
+        if self._ranking is not None and self._ranking.is_alive():
+            return
+
+        def work() -> None:
+            rank(gaussians)
+            self.wake()
+
+        self._ranking = threading.Thread(target=work, name="splatview-rank", daemon=True)
+        self._ranking.start()
 
     def governs(self, core: Core) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
@@ -152,7 +169,8 @@ class Accuracy:
         """Whether the next frames will show something else, though nobody touches the window."""
         governed = self.budget_ms is not None and not self.watch.resting
         loading = self.measurement is not None or self.storing is not None
-        return loading or governed or self.comparing.busy
+        ranking = self._ranking is not None and self._ranking.is_alive()
+        return loading or governed or ranking or self.comparing.busy
 
     # ---- between two frames
 
