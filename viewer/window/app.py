@@ -55,6 +55,9 @@ ATTENDED_SECONDS = 1.5
 """After the last touch of mouse or keys; from then on a window beside a training is drawn only as often as
 `Training.idle_fps` says and when a new picture has come, and takes no frames to be smooth."""
 
+DRIVEN_AT_MOST = 24 * 3600.0
+"""Seconds, of a window that a program drives: whoever starts it says how long, so ImGui must not end it."""
+
 
 class Window:
     """Ties the frame loop's callbacks to one `Core`."""
@@ -327,8 +330,7 @@ class _Driven:
         test.test_func = self._run
         io = imgui.test_engine.get_io(engine)
         io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
-        # A busy machine is no failure.
-        io.config_watchdog_warning = io.config_watchdog_kill_test = 600.0
+        io.config_watchdog_warning = io.config_watchdog_kill_test = DRIVEN_AT_MOST
         # Only what goes wrong, with the steps that led to it.
         io.config_log_to_tty = True
         io.config_verbose_level = imgui.test_engine.TestVerboseLevel.error
