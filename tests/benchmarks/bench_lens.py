@@ -126,8 +126,8 @@ def main() -> None:
     note = (
         f"{PHOTOS} pictures of the demo scene, {WIDTH}x{HEIGHT}, {SPLATS:,} splats; held-out PSNR against "
         "the truth itself. Pairs ran side by side on one thread each. Far off a fisheye's axis large splats, "
-        "linearised at their middle, smear over the picture, from each place differently: no scene explains all "
-        "of these photos, and neither way does well."
+        "linearised at their middle, smear over the picture, from each place differently: no scene explains "
+        "all of these photos, and neither way does well."
     )
     write_results(
         FOLDER / "lens.json", {"runs": runs, "table": {"columns": columns, "rows": rows, "note": note}}
