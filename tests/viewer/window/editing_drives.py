@@ -29,6 +29,9 @@ def settle(hand: Hand) -> None:
     hand.settle()
     hand.wait(lambda: hand.core.desk is not None and hand.core.desk.job is None, "the job", 120)
     hand.frames(2)
+    desk = hand.core.desk
+    assert desk is not None
+    hand.wait(lambda: desk.loaded in (None, desk.gaussians), "the changed scene", 120)
 
 
 def counts(core: Core) -> dict[str, int]:
@@ -212,8 +215,13 @@ def health(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     settle(hand)
     found["titles"] = [step.title for step in desk.document.history.done]
     found["changed"] = float(np.abs(hand.picture_of_edits() - seen).max())
+    hand.wait(lambda: core.examining is None, "the health of the repaired scene")
+    assert core.examination is not None
+    found["left"] = {finding.name: finding.count for finding in core.examination.findings}
     hand.press("Ctrl+Z")
     settle(hand)
+    hand.wait(lambda: core.examining is None, "the health of the scene as it was")
+    hand.frames(2)
     found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.ctx.window_focus("//Scene")
     hand.ctx.set_ref("//Scene")

@@ -25,5 +25,6 @@ def test_repairs_are_priced_done_and_undone(drive, random_gaussians, tmp_path):
     assert found["untouched"]
     assert found["titles"] == ["Repair rods: 30 splats"]
     assert found["changed"] > 0.01
+    assert found["left"]["rods"] == 0 and found["left"]["zero quaternions"] == 20
     assert found["undone"] == pytest.approx(0)
     assert found["selected"] == 30
