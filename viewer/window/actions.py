@@ -10,6 +10,8 @@ from dataclasses import replace
 from functools import partial
 from typing import get_args
 
+import numpy as np
+
 from ...scene import InputError
 from ..gl import VisualMode
 from . import backdrop, camera_list, depth_of_field, opening, saving
@@ -38,18 +40,18 @@ FOV_STEP = 1.1
 
 def frame_all(core: Core) -> None:
     """Shows the whole scene from where the eye is turned; what is deleted or hidden does not count."""
-    if found := bounds(core):
-        width, height = core.picture_size
-        core.go_to(frame(core.destination, *found, aspect=width / height))
+    _frame(core, bounds(core))
 
 
 def frame_selection(core: Core) -> None:
     """Shows what is selected, else the whole scene."""
-    if found := bounds(core, selected=True):
+    _frame(core, bounds(core, selected=True) or bounds(core))
+
+
+def _frame(core: Core, found: tuple[np.ndarray, float] | None) -> None:
+    if found is not None:
         width, height = core.picture_size
         core.go_to(frame(core.destination, *found, aspect=width / height))
-    else:
-        frame_all(core)
 
 
 def look_along(core: Core, name: str) -> None:

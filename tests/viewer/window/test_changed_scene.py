@@ -22,11 +22,13 @@ from splatview.scene.framing import robust_bounds
 from splatview.viewer.window.actions import ACTIONS
 from splatview.viewer.window.bounds import bounds
 from splatview.viewer.window.core import Core
+from splatview.viewer.window.editing import changed_scene
 from splatview.viewer.window.editing.changed_scene import followed
 from splatview.viewer.window.editing.desk import Desk
 from splatview.viewer.window.editing.files import add_files
 from splatview.viewer.window.editing.panels.move import orient
 from splatview.viewer.window.editing.taking_up import continue_editing
+from splatview.viewer.window.loading import Examination
 from splatview.viewer.window.opening import open_paths
 
 
@@ -135,6 +137,34 @@ def test_health_is_that_of_the_repaired_scene(core, open_scene, random_gaussians
     desk.undo()
     settle(core)
     assert ill_splats()[name] == 3
+
+
+def test_of_many_steps_in_a_row_the_last_is_looked_through(
+    core, open_scene, random_gaussians, monkeypatch
+) -> None:
+    desk = open_scene(random_gaussians(40))
+    looked_through: list[int] = []
+
+    class Slow(Examination):
+        def __init__(self, gaussians: Gaussians):
+            assert core.examining is None or core.examining.done, "one at a time"
+            looked_through.append(len(gaussians))
+            super().__init__(gaussians)
+
+        def _run(self) -> None:
+            time.sleep(0.2)
+            super()._run()
+
+    monkeypatch.setattr(changed_scene, "Examination", Slow)
+    desk.apply(Select(by=Everything()))
+    for _ in range(4):  # a copy each, of the copies before
+        desk.apply(OPERATIONS["duplicate"]())
+        for _ in range(3):
+            continue_editing(core)
+    assert len(core.scene.gaussians) == 200
+    settle(core)
+    assert looked_through == [80, 200]
+    assert core.examination.gaussians is core.scene.gaussians
 
 
 def test_bands_that_a_merged_file_brings_are_switched_on(

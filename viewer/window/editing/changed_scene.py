@@ -51,7 +51,8 @@ def take_over(core: Core, gaussians: Gaussians) -> None:
     """The picture holds these splats of the open scene now: so does whatever else looks at them."""
     if core.scene is not None:
         core.scene = replace(core.scene, gaussians=gaussians)
-        core.examining = Examination(gaussians)
+        # One at a time: of many steps undone in a row only the last state is looked through.
+        core.examining = core.examining or Examination(gaussians)
 
 
 def continue_examining(core: Core) -> None:
@@ -63,6 +64,8 @@ def continue_examining(core: Core) -> None:
     core.examining = None
     scene = core.scene
     if scene is None or scene.gaussians is not found.gaussians:
+        if scene is not None and core.desk is not None and core.desk.loaded is scene.gaussians:
+            core.examining = Examination(scene.gaussians)
         return
     core.examination = found
     if found.settings is not None:

@@ -56,7 +56,7 @@ def pick(
 ) -> Pick | None:
     """The surface at (x, y) px of the picture that `camera`, `settings` and `edits` make; None on
     background."""
-    if edits is not None:
+    if edits is not None and edits.in_force:
         # Colours tell nothing here; without them a copy of the edited scene is a quarter of the size.
         plain = replace(gaussians, sh=gaussians.sh[:, :1], extras={})
         found = pick(bake(plain, edits), camera, replace(settings, sh_degree=None), x, y)
