@@ -36,15 +36,15 @@ format: $(VENV)/.dev-installed
 
 # The tables in README.md, ACCURACY.md and SPEED.md, from the JSON in assets/benchmarks.
 tables: $(VENV)/.dev-installed
-	@$(BIN)/python -m splatview.measure.tables README.md ACCURACY.md SPEED.md
+	@$(BIN)/python tools/benchmark_docs.py README.md ACCURACY.md SPEED.md
 
 # An hour of a user at random, in real windows; logs in soak/, the report in assets/benchmarks/soak.json.
 soak: $(VENV)/.dev-installed | system-test
-	@$(BIN)/python tests/soak/soak.py --minutes $(MINUTES)
+	@$(BIN)/python tools/soak/soak.py --minutes $(MINUTES)
 
 # The README's pictures, by the program itself.
 pictures: $(VENV)/.dev-installed | system-test
-	@$(BIN)/python scripts/readme_pictures.py
+	@$(BIN)/python tools/readme/readme_pictures.py
 
 system-run:
 	@sh scripts/system-packages.sh run
@@ -64,7 +64,7 @@ $(VENV)/.run-installed: pyproject.toml constraints.txt | $(BIN)/pip
 $(VENV)/.dev-installed: pyproject.toml constraints.txt | $(BIN)/pip
 	@$(INSTALL) --editable ".[dev]"
 	@# pyright cannot follow an editable install; it finds "splatview" through this link.
-	@mkdir -p $(VENV)/typing && ln -sfn ../.. $(VENV)/typing/splatview
+	@mkdir -p build/typing && ln -sfn ../.. build/typing/splatview
 	@touch $@ $(VENV)/.run-installed
 
 clean:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Hashable
@@ -11,23 +12,126 @@ from typing import Literal
 
 import numpy as np
 
-from ..scene import Camera, Gaussians, InputError
-from ..scene.adjustment import Adjustment, adjustment_rows
-from ..scene.crop import Crop, crop_rows
-from ..scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED, SceneEdits
-from ..scene.files import load_scene, save_scene
-from .changes import Change
-from .detecting import Detector, contributions, sample_cameras
-from .fingerprint import fingerprint
-from .history import History, Step
-from .json_form import to_json
-from .loops import marks as kernels
-from .loops.pieces import in_pieces
-from .operations.operation import Operation
-from .runs import SplatSet
-from .state import State
-from .tools import NoTools, Tools
-from .watch import UNWATCHED, Watch
+from splatview.edit.changes import Change
+from splatview.edit.detectors import Detector, contributions, sample_cameras
+from splatview.edit.kernels import marks as kernels
+from splatview.edit.kernels.compiling import in_pieces
+from splatview.edit.operations.base import Operation
+from splatview.edit.progress import UNWATCHED, NoTools, Tools, Watch
+from splatview.edit.serialization import to_json
+from splatview.edit.state import SplatSet, State
+from splatview.scene import Camera, Gaussians, InputError
+from splatview.scene.edits import (
+    DELETED,
+    HIDDEN,
+    LOCKED,
+    PREVIEW,
+    SELECTED,
+    Adjustment,
+    Crop,
+    SceneEdits,
+    adjustment_rows,
+    crop_rows,
+)
+from splatview.scene.formats import load_scene, save_scene
+
+# ---- Undo and redo without end: the steps that were done, and where in them the document stands.
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    operation: Operation
+    change: Change
+
+    @property
+    def title(self) -> str:
+        return self.change.title
+
+
+class History:
+    """`steps[:position]` are in force; the others wait to be redone.
+
+    The position moves only after the state has been altered: what fails leaves both as they were.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self.steps: list[Step] = []
+        self.position = 0
+        self._saved: Step | None = None
+
+    def do(self, step: Step, *, applied: bool = False) -> None:
+        """Puts `step` in force (unless it is `applied` already) and forgets what waited to be redone."""
+        if not applied:
+            step.change.apply(self._state)
+        del self.steps[self.position :]
+        self.steps.append(step)
+        self.position += 1
+
+    def undo(self) -> Step | None:
+        """The step that was undone; None where there is none."""
+        if not self.can_undo:
+            return None
+        step = self.steps[self.position - 1]
+        step.change.revert(self._state)
+        self.position -= 1
+        return step
+
+    def redo(self) -> Step | None:
+        """The step that was redone; None where there is none."""
+        if not self.can_redo:
+            return None
+        step = self.steps[self.position]
+        step.change.apply(self._state)
+        self.position += 1
+        return step
+
+    @property
+    def can_undo(self) -> bool:
+        return self.position > 0
+
+    @property
+    def can_redo(self) -> bool:
+        return self.position < len(self.steps)
+
+    @property
+    def done(self) -> list[Step]:
+        """The steps in force."""
+        return self.steps[: self.position]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all steps, about."""
+        return sum(step.change.nbytes for step in self.steps)
+
+    def mark_saved(self) -> None:
+        """What is in force now is in a file."""
+        self._saved = self.steps[self.position - 1] if self.position else None
+
+    @property
+    def modified(self) -> bool:
+        """Whether what is in force differs from what was last saved, or loaded."""
+        return (self.steps[self.position - 1] if self.position else None) is not self._saved
+
+
+# ---- A short name for the values of a scene, by which a recipe knows the scene that it was made for.
+
+
+ROWS = 1 << 14
+"""Splats looked at, evenly spread: enough to tell scenes apart, and done in milliseconds for any."""
+
+
+def fingerprint(gaussians: Gaussians) -> str:
+    """32 hexadecimal digits of the values of ROWS splats, their number and SH degree; comments, extras and
+    the byte order of the machine do not matter."""
+    n = len(gaussians)
+    rows = np.unique(np.linspace(0, n - 1, min(n, ROWS)).astype(np.int64)) if n else np.zeros(0, np.int64)
+    digest = hashlib.blake2b(f"{n} {gaussians.sh_degree}".encode(), digest_size=16)
+    for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+        values = getattr(gaussians, name)[rows]
+        digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()
+
 
 MAX_SPLATS = 2**31 - 1
 """Runs are counted in 32 bits."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..scene import Gaussians, InputError
-from ..scene.edits import bake
-from ..scene.files import save_scene
-from .document import Document
+from splatview.edit.document import Document
+from splatview.scene import Gaussians, InputError
+from splatview.scene.edits import bake
+from splatview.scene.formats import save_scene
 
 
 def exported(document: Document) -> Gaussians:

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from ..scene import InputError
-from ..scene.files.locked import take_lock
-from .document import Document, Event
-from .history import Step
-from .operations import Operation, operation_from_json
-from .recipe import Recipe
+from splatview.edit.document import Document, Event, Step
+from splatview.edit.operations import Operation, operation_from_json
+from splatview.edit.recipe import Recipe
+from splatview.scene import InputError
+from splatview.scene.formats.io import take_lock
 
 FORMAT = "splatview_journal"
 VERSION = 1

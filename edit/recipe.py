@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import InputError
-from ..scene.files.atomic import atomic_write
-from ..scene.files.json_values import read_json
-from .changes import Change
-from .document import Document
-from .json_form import quoted
-from .operations import Operation, Select, operation_from_json
-from .selecting import IndexRuns
-from .watch import UNWATCHED, Watch
+from splatview.edit.changes import Change
+from splatview.edit.document import Document
+from splatview.edit.operations import Operation, Select, operation_from_json
+from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.selectors import IndexRuns
+from splatview.edit.serialization import quoted
+from splatview.scene import InputError
+from splatview.scene.formats.io import atomic_write, read_json
 
 FORMAT = "splatview_recipe"
 VERSION = 1

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from ..scene import Camera, Gaussians, look_at
-from ..scene.edits import SceneEdits, shown
-from ..scene.framing import WORLD_UP, robust_bounds
-from ..scene.image_model import NEAR
-from .loops.places import positions_of
+from splatview.edit.kernels.marks import positions_of
+from splatview.scene import Camera, Gaussians, look_at
+from splatview.scene.edits import SceneEdits, shown
+from splatview.scene.framing import WORLD_UP, robust_bounds
+from splatview.scene.image_model import NEAR
 
 SIZE = 512
 """Pixels a side: a splat too small to be seen at this size hardly shows at any."""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import Gaussians, look_at
-from .document import Document
-from .json_form import to_json
-from .operations import operation_from_json
+from splatview.edit.document import Document
+from splatview.edit.operations import operation_from_json
+from splatview.edit.serialization import to_json
+from splatview.scene import Gaussians, look_at
 
 COUNT = 200
 """Splats: enough that scattered sets and runs of them are both met."""

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene import Camera, Gaussians, RenderSettings
-from ..scene.background import seen
-from ..scene.projection import Footprints, project
-from ..scene.reference import alphas, composite, splats_reaching
+from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.scene.background import seen
+from splatview.scene.projection import Footprints, project
+from splatview.scene.reference import alphas, composite, splats_reaching
 
 RELATIVE_SLACK = 1e-4
 """Alphas and depths this close, relative to their size, count as equal: some roundings of float32, which a

@@ -7,13 +7,15 @@ asking for it there is an error, never a silent difference.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from ..scene import InputError, RenderSettings
-from ..scene.stored import FORMATS, Attributes
+from splatview.scene import InputError, RenderSettings
+from splatview.scene.attribute_formats import FORMATS, Attributes
+from splatview.scene.order_reuse import keeps_order
 
 GL, TILES, CPU, REFERENCE = ("quads",), ("tiles",), ("cpu",), ("reference",)
 
@@ -218,3 +220,24 @@ def apply_choices(plan: Plan, choices: Mapping[str, str], renderer: str) -> Plan
             raise InputError(f"{chosen.option} {text} is not for --renderer {renderer}: {owners} can do it")
         plan = value.apply(plan)
     return plan
+
+
+# ---- Pictures that depend on those before: by which path a view is reached when they are measured.
+
+
+PATH_TURN = 1.0
+"""Degrees of a turn of the eye between two frames: at 60 frames a second, once round in six seconds."""
+
+
+def path_to_view(settings: RenderSettings) -> tuple[float, ...]:
+    """Degrees by which the frames of the path differ from the view, the view itself, 0, last.
+
+    The first frame is sorted and none after it: so the view is drawn in the oldest order that the settings
+    let happen on such a path. Only the view, where every frame has its own order.
+    """
+    if not keeps_order(settings):
+        return (0.0,)
+    frames = settings.resort_frames
+    if settings.resort_degrees > 0:
+        frames = max(math.ceil(settings.resort_degrees / PATH_TURN), 1)
+    return tuple(-PATH_TURN * number for number in range(frames - 1, -1, -1))

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .ladder_report import EXACT_DB, VISIBLE_DB, rung_name
-from .rungs import Ladder, Measured
+from splatview.measure.ladder import Ladder, Measured
+from splatview.measure.ladder_report import EXACT_DB, VISIBLE_DB, rung_name
 
 MARKERS = ("o", "s", "^", "D", "v")
 """By renderer."""
@@ -30,7 +30,7 @@ def plot(ladder: Ladder, path: Path, *, title: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from ..scene.files.atomic import atomic_write
+    from splatview.scene.formats.io import atomic_write
 
     figure = Figure(figsize=(11, 6.2), dpi=160)
     FigureCanvasAgg(figure)

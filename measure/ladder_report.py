@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from .rungs import Ladder, Measured, is_clear
-from .tables import describe_machine
+from splatview.measure.ladder import Ladder, Measured, is_clear
+from splatview.measure.machine import describe_machine
 
 MIB = 1 << 20
 

@@ -117,10 +117,10 @@ def mean_and_half_width(values: Sequence[float]) -> tuple[float, float]:
     return float(numbers.mean()), quantile * float(numbers.std(ddof=1)) / math.sqrt(len(numbers))
 
 
-COLUMNS = ("shortcut", "PSNR dB", "gain dB", "s to equal", "steps", "splats")
+TRAINING_COLUMNS = ("shortcut", "PSNR dB", "gain dB", "s to equal", "steps", "splats")
 
 
-def cells(one: Trained, baseline: Trained) -> list[str]:
+def training_cells(one: Trained, baseline: Trained) -> list[str]:
     """A row of COLUMNS, with 95 % intervals. "s to equal": until the PSNR that the baseline ended with."""
     psnr, width = one.psnr
     gain, gain_width = one.gain(baseline)
@@ -146,7 +146,7 @@ def _width(value: float) -> str:
     return "" if math.isinf(value) else f" ±{value:.{2 if value < 10 else 0}f}"
 
 
-def as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:
+def training_as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:
     """What scripts may rely on; null where there is no number."""
     baseline = trained[0]
     return [

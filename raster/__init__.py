@@ -8,25 +8,29 @@ from functools import partial
 
 import numpy as np
 
-from ..scene import Camera, Gaussians, RenderSettings
-from ..scene.background import lay_over
-from ..scene.edits import SceneEdits
-from ..scene.resorting import keeps_order
-from .compiling import will_compile
-from .discs import make_discs
-from .edited import edit_arrays
-from .forward import EARLY_STOP
-from .frame import Frame, draw
-from .gradients import Gradients, differentiate
-from .kept_order import in_kept_order
-from .nonzero import NonzeroBands, nonzero_bands
-from .optics import make_optics
-from .parameters import Parameters, check_parameters, parameters_of, used_degree
-from .per_pixel import depth_slopes
-from .pool import available_threads
-from .view import make_view
-from .weights import Weights, contributions, front, weigh
-from .workspace import Workspace
+from splatview.raster.camera_models import make_optics
+from splatview.raster.compiling import available_threads, will_compile
+from splatview.raster.contributions import Weights, contributions, front, weigh
+from splatview.raster.edits import edit_arrays
+from splatview.raster.forward import EARLY_STOP
+from splatview.raster.forward_per_pixel import depth_slopes
+from splatview.raster.frame import Frame, draw
+from splatview.raster.gradients import Gradients, differentiate
+from splatview.raster.parameters import (
+    NonzeroBands,
+    Parameters,
+    check_parameters,
+    make_view,
+    nonzero_bands,
+    parameters_of,
+    used_degree,
+)
+from splatview.raster.sort import Workspace, in_kept_order
+from splatview.raster.surfels import make_discs
+from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.scene.background import lay_over
+from splatview.scene.edits import SceneEdits
+from splatview.scene.order_reuse import keeps_order
 
 __all__ = [
     "EARLY_STOP",

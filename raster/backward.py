@@ -23,10 +23,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bins import AHEAD, ask_ahead
-from .compiling import inline, kernel
-from .exp import exp2
-from .forward import (
+from splatview.raster.compiling import inline, kernel
+from splatview.raster.forward import (
     BLOCKS,
     CHUNK,
     G_A,
@@ -45,7 +43,8 @@ from .forward import (
     gather,
     touched_blocks,
 )
-from .simd import (
+from splatview.raster.parameters import TILE
+from splatview.raster.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
     LANES,
@@ -53,6 +52,7 @@ from .simd import (
     aligned,
     any_within,
     column_centres,
+    exp2,
     fill,
     fma,
     greatest_lane,
@@ -69,7 +69,7 @@ from .simd import (
     store,
     sum_lanes,
 )
-from .view import TILE
+from splatview.raster.tiles import AHEAD, ask_ahead
 
 T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
 SUMS = 16

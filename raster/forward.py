@@ -19,12 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .bins import MARGIN
-from .compiling import inline, kernel
-from .discs import DISC, FACING, LEAN_X, LEAN_Y, MOST_LEAN, UX, UY, VX, VY, disc_power
-from .exp import exp2
-from .project import BLUE, FALL, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
-from .simd import (
+from splatview.raster.compiling import inline, kernel
+from splatview.raster.parameters import TILE
+from splatview.raster.project import BLUE, FALL, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
+from splatview.raster.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
     LANES,
@@ -34,6 +32,7 @@ from .simd import (
     ceil,
     column_centres,
     divide,
+    exp2,
     fill,
     floor,
     fma,
@@ -50,7 +49,8 @@ from .simd import (
     store,
     store_int,
 )
-from .view import TILE
+from splatview.raster.surfels import DISC, FACING, LEAN_X, LEAN_Y, MOST_LEAN, UX, UY, VX, VY, disc_power
+from splatview.raster.tiles import MARGIN
 
 STRIPS = TILE // BLOCK_WIDTH
 BLOCKS = TILE // BLOCK_HEIGHT

@@ -8,22 +8,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numba
 import numpy as np
 
-from .bins import count_pairs, count_rows, find_spans, place_lists, write_pairs
-from .discs import DISC, DiscArrays, DiscModel
-from .edited import EditArrays
-from .forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
-from .nonzero import NonzeroBands
-from .optics import PINHOLE, Optics
-from .parameters import Parameters
-from .per_pixel import draw_tiles_by_pixel
-from .pool import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
-from .project import RECORD, project
-from .simd import LANES
-from .sort import key_scale, make_keys, radix_sort
-from .view import View
-from .workspace import Workspace
+from splatview.raster.camera_models import PINHOLE, Optics, make_optics
+from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, cache_stamp, even_ranges, run
+from splatview.raster.edits import EditArrays
+from splatview.raster.forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
+from splatview.raster.forward_per_pixel import draw_tiles_by_pixel
+from splatview.raster.parameters import NonzeroBands, Parameters, View, nonzero_bands
+from splatview.raster.project import RECORD, project
+from splatview.raster.simd import LANES
+from splatview.raster.sort import Workspace, key_scale, make_keys, radix_sort
+from splatview.raster.surfels import DISC, DiscArrays, DiscModel, make_discs
+from splatview.raster.tiles import count_pairs, count_rows, find_spans, place_lists, write_pairs
+from splatview.scene import Camera, Gaussians, RenderSettings
 
 TILE_COST = 16
 """What a tile costs besides its list, in units of pairs; for sharing tiles out evenly."""
@@ -381,3 +380,24 @@ def tile_ranges(offsets: np.ndarray, band: tuple[int, int], pieces: int) -> list
     edges = np.searchsorted(cost, np.linspace(0, cost[-1], max(1, min(pieces, end - first)) + 1)) + first
     edges[0], edges[-1] = first, end
     return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
+
+
+# ---- Which machine code a picture needs: kernels are compiled by the kinds of their arguments.
+
+
+def kind_of(gaussians: Gaussians, camera: Camera, settings: RenderSettings, *, edited: bool = False) -> str:
+    """Pictures of one kind take the same machine code; different for other versions of this program.
+
+    `edited`: edits are in force.
+    """
+    own_degrees = nonzero_bands(gaussians).own_degrees is not None
+    parts = (
+        cache_stamp(),
+        gaussians.means.dtype.name,
+        str(numba.typeof(make_optics(camera))),
+        make_discs(camera, settings.model) is not None,
+        edited,
+        own_degrees,
+        settings.order == "per-pixel",
+    )
+    return "cpu " + " ".join(str(part) for part in parts)

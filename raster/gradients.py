@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .backward import SUMS, differentiate_tiles, gather_pairs
-from .frame import Frame, StageClock, bands_of, tile_ranges
-from .parameters import Parameters, describe
-from .pool import TASKS_PER_THREAD, run
-from .project_backward import POSE_BLOCK, project_backward
-from .view import NO_SHARE
+from splatview.raster.backward import SUMS, differentiate_tiles, gather_pairs
+from splatview.raster.compiling import TASKS_PER_THREAD, run
+from splatview.raster.frame import Frame, StageClock, bands_of, tile_ranges
+from splatview.raster.parameters import NO_SHARE, Parameters, describe
+from splatview.raster.project_backward import POSE_BLOCK, project_backward
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for

@@ -21,12 +21,9 @@ import math
 
 import numpy as np
 
-from ..scene.image_model import MIN_QUAT_COMPONENT
-from ..scene.projection import FLOAT32_MAX
-from ..scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
-from .compiling import inline, kernel
-from .discs import DISC, REACH_SLACK, project_discs
-from .edited import (
+from splatview.raster.camera_models import image_axes, image_point, viewing_direction, within_reach
+from splatview.raster.compiling import inline, kernel
+from splatview.raster.edits import (
     FADES,
     LOG_FACTOR,
     MOVES,
@@ -39,10 +36,22 @@ from .edited import (
     turned,
     turned_back,
 )
-from .exp import exp_lanes, log2_lanes
-from .optics import image_axes, image_point, viewing_direction, within_reach
-from .simd import LANES, aligned, fill, keep_if_at_least, keep_if_below, load, store
-from .view import HALF_LOG2_E
+from splatview.raster.parameters import HALF_LOG2_E
+from splatview.raster.simd import (
+    LANES,
+    aligned,
+    exp_lanes,
+    fill,
+    keep_if_at_least,
+    keep_if_below,
+    load,
+    log2_lanes,
+    store,
+)
+from splatview.raster.surfels import DISC, REACH_SLACK, project_discs
+from splatview.scene.image_model import MIN_QUAT_COMPONENT
+from splatview.scene.projection import FLOAT32_MAX
+from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, FALL = range(14)
 RECORD = 16

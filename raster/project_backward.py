@@ -10,15 +10,10 @@ import math
 
 import numpy as np
 
-from ..scene.projection import FLOAT32_MAX
-from ..scene.sh import SH_C1, SH_C2, SH_C3
-from .backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
-from .compiling import inline, kernel
-from .exp import exp_lanes
-from .optics import image_axes, viewing_direction
-from .optics_backward import point_gradient
-from .pool import SPLATS_PER_TASK
-from .project import (
+from splatview.raster.backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
+from splatview.raster.camera_models import image_axes, point_gradient, viewing_direction
+from splatview.raster.compiling import SPLATS_PER_TASK, inline, kernel
+from splatview.raster.project import (
     CONIC_SCALE,
     LOG_SCALE,
     LOGIT,
@@ -38,7 +33,9 @@ from .project import (
     splat_axes,
     three_columns,
 )
-from .simd import LANES, aligned
+from splatview.raster.simd import LANES, aligned, exp_lanes
+from splatview.scene.projection import FLOAT32_MAX
+from splatview.scene.sh import SH_C1, SH_C2, SH_C3
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .camera import Camera
+from splatview.scene.camera import Camera
 
 Colour = tuple[float, float, float]
 """RGB."""

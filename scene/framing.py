@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from .background import WORLD_UP
-from .camera import Camera, look_at
-from .gaussians import Gaussians
-from .image_model import NEAR
-from .projection import FLOAT32_MAX
+from splatview.scene.background import WORLD_UP
+from splatview.scene.camera import Camera, look_at
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import NEAR
+from splatview.scene.projection import FLOAT32_MAX
 
 VIEW_OFFSET = (0.4, -0.4, -1.0)
 """From the scene to the eye: in front (photos look along +z), a little above and beside."""

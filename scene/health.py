@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .framing import robust_bounds
-from .gaussians import Gaussians
-from .image_model import ALPHA_CUT, MIN_QUAT_COMPONENT
-from .projection import FLOAT32_MAX, sigmoid
-from .sh import SH_C0
+from splatview.scene.framing import robust_bounds
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import ALPHA_CUT, MIN_QUAT_COMPONENT
+from splatview.scene.projection import FLOAT32_MAX, sigmoid
+from splatview.scene.sh import SH_C0
 
 NEEDLE_RATIO = 100.0
 """Standard deviations further apart than this make a splat of which rounding shows first."""

@@ -57,7 +57,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from .background import Background
+from splatview.scene.background import Background
 
 NEAR = 0.01
 """Nearest depth drawn, in world units; gsplat and Brush use the same."""

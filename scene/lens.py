@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from .lens_formula import LEAST_RADIUS_SQUARED, LensForm, lens_jacobian, lens_point
+from splatview.scene.lens_formula import LEAST_RADIUS_SQUARED, LensForm, lens_jacobian, lens_point
 
 Points = np.ndarray
 """(..., 2), u and v."""

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .camera import Camera
-from .discs import Discs, check_discs, project_discs
-from .gaussians import Gaussians
-from .image_model import MIN_QUAT_COMPONENT, RenderSettings
-from .lens import distort, distortion_jacobians
-from .sh import sh_colours
+from splatview.scene.camera import Camera
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import MIN_QUAT_COMPONENT, RenderSettings
+from splatview.scene.lens import distort, distortion_jacobians
+from splatview.scene.sh import sh_colours
+from splatview.scene.surfels import Discs, check_discs, project_discs
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 

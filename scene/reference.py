@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .background import seen
-from .camera import Camera
-from .discs import squared_distances
-from .gaussians import Gaussians
-from .image_model import RenderSettings
-from .projection import Footprints, project
+from splatview.scene.background import seen
+from splatview.scene.camera import Camera
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import RenderSettings
+from splatview.scene.projection import Footprints, project
+from splatview.scene.surfels import squared_distances
 
 BLOCK = 16
 """Pixels are worked on in blocks of this side, only so that a block's alphas fit in memory."""

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import tomllib
+import runpy
 from pathlib import Path
+
+import pytest
+import setuptools
 
 ROOT = Path(__file__).parents[1]
 
-NOT_SHIPPED = {"tests", ".venv", "build"}
+NOT_SHIPPED = {"tests", "tools", "scripts", ".venv", "build"}
 
 
-def test_every_package_is_listed():
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    folders = {path.parent.relative_to(ROOT) for path in ROOT.glob("**/__init__.py")}
+def test_every_folder_of_modules_and_shaders_is_a_package(monkeypatch: pytest.MonkeyPatch):
+    given: dict[str, list[str]] = {}
+    monkeypatch.setattr(setuptools, "setup", lambda **options: given.update(options))
+    monkeypatch.chdir(ROOT)
+    runpy.run_path(str(ROOT / "setup.py"))
+    folders = {path.parent.relative_to(ROOT) for path in ROOT.glob("*/**/*.py")}
     folders |= {path.parent.relative_to(ROOT) for path in ROOT.glob("shaders/**/*.glsl")}
     found = {
-        ".".join(("splatview", *folder.parts)): str(folder)
-        for folder in folders
-        if folder.parts[0] not in NOT_SHIPPED
+        ".".join(("splatview", *f.parts)) for f in folders if f.parts[0] not in NOT_SHIPPED | {"scripts"}
     }
-    assert set(listed["packages"]) == set(found)
-    assert listed["package-dir"] == found
+    assert set(given["packages"]) == {".".join(("splatview", *parts)) for parts in shipped}

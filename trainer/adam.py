@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..raster import Parameters
-from ..raster.compiling import inline, kernel
-from ..raster.pool import run
-from ..raster.simd import LANES, absolute, divide, fill, fma, keep_if_below, load, negate, sqrt, store
-from .splats import Splats
+from splatview.raster import Parameters
+from splatview.raster.compiling import inline, kernel, run
+from splatview.raster.simd import LANES, absolute, divide, fill, fma, keep_if_below, load, negate, sqrt, store
+from splatview.trainer.splats import Splats
 
 BETA1, BETA2 = 0.9, 0.999
 EPSILON = 1e-15

@@ -13,13 +13,13 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ..raster import Parameters, check_parameters
-from ..scene import ImageModel, InputError
-from ..scene.crop import Crop
-from ..scene.files.atomic import atomic_write
-from .settings import TrainSettings
-from .splats import Splats
-from .training import Counters, Trainer
+from splatview.raster import Parameters, check_parameters
+from splatview.scene import ImageModel, InputError
+from splatview.scene.edits import Crop
+from splatview.scene.formats.io import atomic_write
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import Splats
+from splatview.trainer.trainer import Counters, Trainer
 
 FORMAT = "splatview checkpoint 1"
 

@@ -16,9 +16,9 @@ from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from ..raster import Parameters
-from ..raster.pool import TASKS_PER_THREAD, available_threads
-from ..scene import InputError
+from splatview.raster import Parameters
+from splatview.raster.compiling import TASKS_PER_THREAD, available_threads
+from splatview.scene import InputError
 
 
 class PeerLost(InputError):

@@ -16,12 +16,12 @@ from typing import Literal
 
 import numpy as np
 
-from ..scene import Camera, ImageModel
-from ..scene.captures import Capture
-from ..scene.captures.evidence import LEAST_DISPLACEMENT
-from ..scene.effects import Effect, Saving
-from .exposure import DECIDED_AT, LEAST_SPREAD, Exposures
-from .settings import TrainSettings
+from splatview.scene import Camera, ImageModel
+from splatview.scene.captures import Capture
+from splatview.scene.captures.capture import LEAST_DISPLACEMENT
+from splatview.scene.effects import Effect, Saving
+from splatview.trainer.exposure import DECIDED_AT, LEAST_SPREAD, Exposures
+from splatview.trainer.settings import TrainSettings
 
 SCALE_RATIO = 3.0
 """Of the scales at which photos show the scene, from which on training is antialiased: see above."""

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..measure.metrics import psnr, ssim
-from ..raster import Parameters, Workspace, draw_frame
-from ..scene import RenderSettings
-from .exposure import fitted_by_halves
-from .shots import Shot
+from splatview.measure.metrics import psnr, ssim
+from splatview.raster import Parameters, Workspace, draw_frame
+from splatview.scene import RenderSettings
+from splatview.trainer.exposure import fitted_by_halves
+from splatview.trainer.views import Shot
 
 DIFFERENCE_GAIN = 4
 """By how much differences are brightened in side-by-side pictures."""

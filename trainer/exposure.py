@@ -22,10 +22,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..raster import Parameters, Workspace, draw_frame
-from ..scene import RenderSettings
-from .adam import BETA1, BETA2
-from .shots import Shot
+from splatview.raster import Parameters, Workspace, draw_frame
+from splatview.scene import RenderSettings
+from splatview.trainer.adam import BETA1, BETA2
+from splatview.trainer.views import Shot
 
 Mode = Literal["auto", "on", "off"]
 

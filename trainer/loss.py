@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..measure.metrics import SSIM_K, SSIM_WINDOW, gaussian_window
-from ..raster import Workspace, available_threads
-from ..raster.pool import TASKS_PER_THREAD, even_ranges, run
-from .loss_kernels import MAPS, gradient_rows, row_length, similarity_rows
+from splatview.measure.metrics import SSIM_K, SSIM_WINDOW, gaussian_window
+from splatview.raster import Workspace, available_threads
+from splatview.raster.compiling import TASKS_PER_THREAD, even_ranges, run
+from splatview.trainer.loss_kernels import MAPS, gradient_rows, row_length, similarity_rows
 
 SSIM_WEIGHT = 0.2
 """w (Kerbl et al. 2023, section 5.1)."""

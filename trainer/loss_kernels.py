@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..raster.compiling import inline, kernel
-from ..raster.simd import LANES, divide, fill, fma, load, negate, spread, store
+from splatview.raster.compiling import inline, kernel
+from splatview.raster.simd import LANES, divide, fill, fma, load, negate, spread, store
 
 TAPS = 11
 MARGIN = 3 * (TAPS - 1)

@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ..scene import ImageModel
-from ..scene.crop import Crop
-from ..scene.gaussians import SH_COEFFICIENTS
-from .adam import Pull, Rates
-from .loss import SSIM_WEIGHT
+from splatview.scene import ImageModel
+from splatview.scene.edits import Crop
+from splatview.scene.gaussians import SH_COEFFICIENTS
+from splatview.trainer.adam import Pull, Rates
+from splatview.trainer.loss import SSIM_WEIGHT
 
 PAPER_ITERATIONS = 30_000
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene import Lens, look_at
-from .initialise import initial_parameters
-from .settings import TrainSettings
-from .shots import Shot, Shots
-from .training import Trainer
+from splatview.scene import Lens, look_at
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import initial_parameters
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots
 
 BARREL = Lens(model="SIMPLE_RADIAL", parameters=(-0.1,))
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...scene import InputError
-from ..json_form import quoted
-from .combining import Duplicate, Merge, Split
-from .cropping import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
-from .growing import Grow, Shrink
-from .looks import ColourGrade, Opacity, Size
-from .moving import Ground, Orient, Transform
-from .operation import Operation
-from .pruning import Decimate, Prune
-from .repairing import Repair
-from .select import Select, SelectAll, SelectInverse, SelectNone
-from .state_flags import Delete, Hide, Isolate, Lock, Show, Unlock
+from splatview.edit.operations.appearance import ColourGrade, Opacity, Size
+from splatview.edit.operations.base import Operation
+from splatview.edit.operations.cleanup import Decimate, Prune, Repair
+from splatview.edit.operations.crop import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
+from splatview.edit.operations.flags import Delete, Hide, Isolate, Lock, Show, Unlock
+from splatview.edit.operations.merge_split import Duplicate, Merge, Split
+from splatview.edit.operations.select import Grow, Select, SelectAll, SelectInverse, SelectNone, Shrink
+from splatview.edit.operations.transform import Ground, Orient, Transform
+from splatview.edit.serialization import quoted
+from splatview.scene import InputError
 
 __all__ = [
     "OPERATIONS",

@@ -5,21 +5,13 @@ Each module is a theme. Where a case was seen in another project, its sentence n
 
 from __future__ import annotations
 
-from ...scene import InputError
-from . import (
-    colours,
-    discs,
-    far_away,
-    ill_values,
-    near_eye,
-    opacities,
-    order,
-    pictures,
-    rays,
-    rotations,
-    shapes,
-)
-from .case import HardCase, Same
+from splatview.measure.hard_cases import colours, far_away, opacities, pictures, rays, rotations, shapes
+from splatview.measure.hard_cases import depth_order as order
+from splatview.measure.hard_cases import invalid_values as ill_values
+from splatview.measure.hard_cases import near_plane as near_eye
+from splatview.measure.hard_cases import surfels as discs
+from splatview.measure.hard_cases.case import HardCase, Same
+from splatview.scene import InputError
 
 __all__ = ["CASES", "HardCase", "Same", "find_case"]
 

@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...scene import Camera, Gaussians, ImageModel, RenderSettings, concatenate
-from ...scene.gaussians import SH_COEFFICIENTS
-from ...scene.sh import SH_C0
+from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, concatenate
+from splatview.scene.gaussians import SH_COEFFICIENTS
+from splatview.scene.sh import SH_C0
 
 WIDTH, HEIGHT = 40, 30
 """px of most pictures: several tiles of 16, the last ones cut short."""

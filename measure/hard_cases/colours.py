@@ -8,8 +8,18 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ...scene import Gaussians, RenderSettings
-from .case import FRONT, ONLY_PLAIN, PLAIN, TURNED, HardCase, among_neighbours, camera, neighbours, splats
+from splatview.measure.hard_cases.case import (
+    FRONT,
+    ONLY_PLAIN,
+    PLAIN,
+    TURNED,
+    HardCase,
+    among_neighbours,
+    camera,
+    neighbours,
+    splats,
+)
+from splatview.scene import Gaussians, RenderSettings
 
 THEME = "colours"
 AROUND = (FRONT, TURNED, camera(eye=(2.8, 0.0, 1.0), turn=-60.0))

@@ -8,8 +8,18 @@ from functools import partial
 
 import numpy as np
 
-from ...scene import Camera, Gaussians, ImageModel, RenderSettings, concatenate
-from .case import FRONT, ONLY_PLAIN, TURNED, HardCase, Same, among_neighbours, camera, neighbours, splats
+from splatview.measure.hard_cases.case import (
+    FRONT,
+    ONLY_PLAIN,
+    TURNED,
+    HardCase,
+    Same,
+    among_neighbours,
+    camera,
+    neighbours,
+    splats,
+)
+from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, concatenate
 
 THEME = "far away"
 SAME_AT_ORIGIN = 45.0

@@ -6,9 +6,18 @@ import math
 
 import numpy as np
 
-from ...scene import Gaussians, RenderSettings
-from ...scene.image_model import ALPHA_CUT
-from .case import FRONT, ONLY_PLAIN, PLAIN, HardCase, among_neighbours, camera, neighbours, splats
+from splatview.measure.hard_cases.case import (
+    FRONT,
+    ONLY_PLAIN,
+    PLAIN,
+    HardCase,
+    among_neighbours,
+    camera,
+    neighbours,
+    splats,
+)
+from splatview.scene import Gaussians, RenderSettings
+from splatview.scene.image_model import ALPHA_CUT
 
 THEME = "opacities"
 BRIGHT = {"bright background": RenderSettings(background=(1.0, 1.0, 1.0))}

@@ -7,9 +7,18 @@ from functools import partial
 
 import numpy as np
 
-from ...scene import TEXTBOOK, Camera, Gaussians, RenderSettings
-from .case import BOTH, FRONT, ONLY_PLAIN, PLAIN, HardCase, camera, neighbours, splats
-from .opacities import logit
+from splatview.measure.hard_cases.case import (
+    BOTH,
+    FRONT,
+    ONLY_PLAIN,
+    PLAIN,
+    HardCase,
+    camera,
+    neighbours,
+    splats,
+)
+from splatview.measure.hard_cases.opacities import logit
+from splatview.scene import TEXTBOOK, Camera, Gaussians, RenderSettings
 
 THEME = "pictures"
 BARE = {"textbook": RenderSettings(model=TEXTBOOK)}

@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from ...scene import Camera, Gaussians, Lens, RenderSettings, concatenate
-from .case import BOTH, ONLY_PLAIN, HardCase, camera, neighbours, splats
+from splatview.measure.hard_cases.case import BOTH, ONLY_PLAIN, HardCase, camera, neighbours, splats
+from splatview.scene import Camera, Gaussians, Lens, RenderSettings, concatenate
 
 THEME = "rays"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...scene import Gaussians
-from .case import FRONT, TURNED, HardCase, about_axis, among_neighbours, splats
+from splatview.measure.hard_cases.case import FRONT, TURNED, HardCase, about_axis, among_neighbours, splats
+from splatview.scene import Gaussians
 
 THEME = "rotations"
 TURN = about_axis((0.2, 0.3, 1.0), 40.0)

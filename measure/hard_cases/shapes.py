@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from ...scene import Gaussians, ImageModel, RenderSettings
-from .case import (
+from splatview.measure.hard_cases.case import (
     ANTIALIASED,
     FRONT,
     ONLY_PLAIN,
@@ -18,6 +17,7 @@ from .case import (
     camera,
     splats,
 )
+from splatview.scene import Gaussians, ImageModel, RenderSettings
 
 THEME = "shapes"
 LOG_MILLION = math.log(1e6)

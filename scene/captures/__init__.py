@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..files.progress import LoadCancelled, Watch
-from .assemble import capture_name, capture_of
-from .camera_list import FILE_NAME, read_camera_list
-from .capture import DEFAULT_LENS_USE, Capture, LensUse, Photo, Pixels
-from .colmap import find_colmap, read_colmap
-from .posed import PosedPhotos
-from .transforms import find_transforms, read_transforms
+from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
+from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, Photo, Pixels, PosedPhotos
+from splatview.scene.captures.colmap import find_colmap, read_colmap
+from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
+from splatview.scene.errors import InputError
+from splatview.scene.formats.io import LoadCancelled, Watch
 
 __all__ = ["DEFAULT_LENS_USE", "Capture", "LensUse", "LoadCancelled", "Photo", "Pixels", "load_capture"]
 

@@ -10,14 +10,26 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
-from ..errors import InputError
-from ..files.progress import Watch
-from .capture import Capture, LensUse, Photo, Pixels
-from .evidence import LEAST_DISPLACEMENT, PhotoEvidence, largest_displacement
-from .photos import downscaled_size, read_pixels
-from .posed import PosedPhotos, Shot
-from .start_points import MIN_POINTS, random_points
+from splatview.scene.camera import Camera
+from splatview.scene.captures.capture import (
+    LEAST_DISPLACEMENT,
+    Capture,
+    LensUse,
+    Photo,
+    PhotoEvidence,
+    Pixels,
+    PosedPhotos,
+    Shot,
+    find_mask,
+    find_photo,
+    largest_displacement,
+    tidy_name,
+)
+from splatview.scene.captures.photos import downscaled_size, read_pixels
+from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
+from splatview.scene.errors import InputError
+from splatview.scene.formats import load_cameras
+from splatview.scene.formats.io import Watch
 
 HOLD_OUT_EVERY = 8
 """By sorted name, starting with the first: the usual split since Barron et al. 2022."""
@@ -256,3 +268,40 @@ def _intrinsics(camera: Camera) -> tuple:
 
 def capture_name(path: Path) -> str:
     return path.absolute().name or "capture"
+
+
+# ---- Captures by the ``cameras.json`` that the 3DGS trainer (Kerbl et al. 2023) writes beside its results.
+
+
+FILE_NAME = "cameras.json"
+
+POINTS = ("input.ply", "points3d.ply")
+"""Where that trainer keeps the points that it started from."""
+
+
+def read_camera_list(folder: Path, path: Path) -> PosedPhotos:
+    """The capture in `folder` by the list of cameras at `path`. Raises InputError.
+
+    The list gives the photos' names, with or without suffix, but not where they are: looked at are
+    ``images``, ``input`` and the folder itself.
+    """
+    cameras = load_cameras(path)
+    places = (folder / "images", folder / "input", folder)
+    photos = next((p for p in places if any(find_photo(p, camera.name) for camera in cameras)), places[0])
+    shots, missing = [], []
+    for camera in cameras:
+        name, photo = tidy_name(camera.name), find_photo(photos, camera.name)
+        if photo is None:
+            missing.append(name)
+            continue
+        shots.append(Shot(name=name, path=photo, camera=camera, mask=find_mask(folder, name)))
+    points, colours, warnings = first_points(folder, (), POINTS)
+    return PosedPhotos(
+        source=path,
+        images=photos,
+        shots=shots,
+        missing=missing,
+        points=points,
+        point_colours=colours,
+        warnings=warnings,
+    )

@@ -2,21 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from ..camera import Camera
-from .evidence import PhotoEvidence
+from splatview.scene.camera import Camera
+
+# ---- What is found out about photos while they are read, so that training does only what they call for.
+
+
+LEAST_DISPLACEMENT = 0.05
+"""Px of a photo at its final size. A lens that moves no point of the picture by more is left out: nothing is
+resampled. Poses are rarely known to better than ten times this; where two pixels side by side are black and
+white, a twentieth of a pixel is 13 grey levels, elsewhere less."""
+
+SAMPLES = 33
+"""A side, borders included. Displacements are smooth: between these they exceed them by less than 1 %."""
+
+MARGIN = 1.01
+"""For that."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoEvidence:
+    """Of all photos of a capture, at their final sizes."""
+
+    lenses: int = 0
+    """Photos whose camera has a lens that is no pinhole."""
+    lenses_left_out: int = 0
+    """Of these, photos whose lens shows nowhere: see LEAST_DISPLACEMENT."""
+    displacement: float = 0.0
+    """px, the largest distance of any point in a picture from where a pinhole has it."""
+    transparent: int = 0
+    """Photos with transparency, laid over the background."""
+    masks: int = 0
+    """Photos that come with a mask of their own."""
+    hidden: float = 0.0
+    """Share of all photos' pixels that do not count: masked, or beyond what the lens has seen."""
+
+
+def largest_displacement(camera: Camera) -> float:
+    """The largest distance, px, of any point in the picture from where a pinhole has it; inf where a lens
+    does not show all that the pinhole does."""
+    if camera.lens is None:
+        return 0.0
+    x, y = (np.linspace(0.0, float(size), SAMPLES) for size in (camera.width, camera.height))
+    pixels = np.stack(np.meshgrid(x, y), axis=-1)
+    rays = replace(camera, lens=None).points_at(pixels, 1.0)
+    away = np.linalg.norm(camera.image_points(rays) - pixels, axis=-1)
+    return float(MARGIN * away.max()) if np.isfinite(away).all() else float("inf")
+
 
 LensUse = Literal["undistort", "through"]
 """What is done about photos whose lens is no pinhole: their distortion is taken out when they are read, or
 they stay as they are and are compared with pictures that are rendered through their lens."""
 
 DEFAULT_LENS_USE: LensUse = "through"
-"""By measurement (tests/benchmarks/bench_lens.py), as all of the photo is used and no pixel interpolated: as
+"""By measurement (tools/bench/bench_lens.py), as all of the photo is used and no pixel interpolated: as
 good with a lens that bends little, some dB better with one that bends much, at all but equal times a step.
 The exception are very wide pinhole views of a scene that a fisheye saw: undistorted photos are such views."""
 
@@ -94,3 +140,77 @@ class Capture:
         if not radius > 1e-9 * (1 + np.abs(centre).max()):
             radius = float(np.median(np.linalg.norm(self.points - centre, axis=1)))
         return EXTENT_MARGIN * radius
+
+
+# ---- What the readers of the formats hand on: where each photo lies and how it was taken.
+
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+"""Of photos whose names come without."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shot:
+    """A photo on disk with its pose."""
+
+    name: str
+    path: Path
+    camera: Camera
+    """With its lens, at the size of the file."""
+    mask: Path | None = None
+    held_out: bool | None = None
+    """None: the capture does not say."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PosedPhotos:
+    """All that a capture says, before its photos are read."""
+
+    source: Path
+    """The file or folder that names the photos."""
+    images: Path
+    """Where they were looked for."""
+    shots: Sequence[Shot]
+    missing: Sequence[str] = ()
+    """Photos with a pose that are not on disk."""
+    points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    """(P, 3) float64, any values."""
+    point_colours: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.uint8))
+    """(P, 3) uint8."""
+    warnings: Sequence[str] = ()
+
+
+def find_photo(folder: Path, name: str) -> Path | None:
+    """The photo `name` in `folder`, its suffix added where it has none; None where there is none."""
+    path = folder / name.replace("\\", "/")
+    candidates = [path, *(path.with_name(path.name + suffix) for suffix in SUFFIXES)]
+    return next((candidate for candidate in candidates if _is_file(candidate)), None)
+
+
+def find_mask(capture: Path, name: str) -> Path | None:
+    """The mask of photo `name` in the capture's ``masks`` folder.
+
+    It has the photo's name, the same with ".png" behind it (COLMAP's way), or with another suffix.
+    `name` is relative to the folder of the photos, whatever that is called.
+    """
+    folder = capture / "masks"
+    path = folder / name.replace("\\", "/")
+    candidates = [
+        path,
+        path.with_name(path.name + ".png"),
+        *(path.with_suffix(suffix) for suffix in SUFFIXES),
+    ]
+    return next((candidate for candidate in candidates if _is_file(candidate)), None)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        # A name that no file can have (too long, a zero byte) is the name of none.
+        return False
+
+
+def tidy_name(name: str) -> str:
+    """`name` with forward slashes and without "./" in front."""
+    return os.path.normpath(name.replace("\\", "/")).replace(os.sep, "/")

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..files.colmap import find_model, image_camera, image_lens, read_cameras, read_images
-from ..files.excerpt import excerpt
-from .posed import PosedPhotos, Shot, find_mask, find_photo, tidy_name
+from splatview.scene.captures.capture import PosedPhotos, Shot, find_mask, find_photo, tidy_name
+from splatview.scene.errors import InputError
+from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
+from splatview.scene.formats.io import excerpt
 
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 

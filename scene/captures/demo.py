@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..camera import Camera, look_at
-from ..demo import demo_scene
-from ..errors import InputError
-from ..gaussians import Gaussians
-from ..image_model import RenderSettings
-from ..lens import Lens
-from ..projection import sigmoid
-from ..sh import SH_C0
-from .assemble import HOLD_OUT_EVERY
-from .capture import Capture, Photo, Pixels
+from splatview.scene.camera import Camera, look_at
+from splatview.scene.captures.assemble import HOLD_OUT_EVERY
+from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.scene.demo import demo_scene
+from splatview.scene.errors import InputError
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import RenderSettings
+from splatview.scene.lens import Lens
+from splatview.scene.projection import sigmoid
+from splatview.scene.sh import SH_C0
 
 Render = Callable[[Gaussians, Camera, RenderSettings], np.ndarray]
 """A renderer: float32 (H, W, 3 or 4)."""

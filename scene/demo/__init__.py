@@ -10,17 +10,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..camera import Camera, look_at
-from ..errors import InputError
-from ..gaussians import Gaussians, concatenate
-from ..sh import sh_basis
-from .gloss import column, hides, knot, pond, reflecting, sphere
-from .haze import dome, mist
-from .light import film, lit, sky
-from .noise import fbm
-from .plants import forest, fur, grass, plant, reeds
-from .shapes import balls, discs, pack
-from .terrain import WATER_LEVEL, height, surface, survey
+from splatview.scene.camera import Camera, look_at
+from splatview.scene.demo.lighting import film, lit, sky
+from splatview.scene.demo.objects import column, dome, hides, knot, mist, pond, reflecting, sphere
+from splatview.scene.demo.plants import forest, fur, grass, plant, reeds
+from splatview.scene.demo.primitives import balls, discs, fbm, pack
+from splatview.scene.demo.terrain import WATER_LEVEL, height, surface, survey
+from splatview.scene.errors import InputError
+from splatview.scene.gaussians import Gaussians, concatenate
+from splatview.scene.sh import sh_basis
 
 DEFAULT_SPLATS = 190_000
 """Enough that the first view shows no holes at 1280x720."""

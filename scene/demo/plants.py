@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..gaussians import Gaussians, concatenate
-from . import terrain
-from .light import film, lit
-from .noise import fbm, mix, noise, smoothstep
-from .shapes import discs, needles, sphere_points, unit
-from .terrain import Ground, distance_haze
+from splatview.scene.demo import terrain
+from splatview.scene.demo.lighting import film, lit
+from splatview.scene.demo.primitives import discs, fbm, mix, needles, noise, smoothstep, sphere_points, unit
+from splatview.scene.demo.terrain import Ground, distance_haze
+from splatview.scene.gaussians import Gaussians, concatenate
 
 PINE_WIDTH = 0.24
 """Radius of a pine's skirt in units of its height."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..gaussians import Gaussians
-from .light import SUN, film, lit, sky
-from .noise import fbm, mix, noise, ridged, smoothstep
-from .shapes import discs, sunflower, unit
+from splatview.scene.demo.lighting import SUN, film, lit, sky
+from splatview.scene.demo.primitives import discs, fbm, mix, noise, ridged, smoothstep, sunflower, unit
+from splatview.scene.gaussians import Gaussians
 
 RADIUS = 19.0
 """Where the ground ends, behind the crests."""

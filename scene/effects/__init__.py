@@ -1,11 +1,16 @@
 """Which effects a scene calls for, with the evidence: nothing is computed that cannot be seen."""
 
-from .effect import GREY_LEVEL, VISIBLE, Effect, Saving, grey_levels
-from .overriding import Overrides, overridable, settings_for
-from .receipt import census, scene_effects, view_effects, with_overrides
-from .sh_bands import used_sh_degree, visible_degrees
-from .sh_storage import degree_in_use, own_degrees, sh_degrees
-from .shape import antialiasing
+from splatview.scene.effects.appearance import antialiasing
+from splatview.scene.effects.census import census, scene_effects, view_effects, with_overrides
+from splatview.scene.effects.effect import GREY_LEVEL, VISIBLE, Effect, Saving, grey_levels
+from splatview.scene.effects.overrides import Overrides, overridable, settings_for
+from splatview.scene.effects.sh_bands import (
+    degree_in_use,
+    own_degrees,
+    sh_degrees,
+    used_sh_degree,
+    visible_degrees,
+)
 
 __all__ = [
     "GREY_LEVEL",

@@ -12,14 +12,15 @@ import pytest
 
 from splatview.edit.document import Document
 from splatview.scene import Camera, Gaussians, RenderSettings, reference
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.crop import Crop
 from splatview.scene.edits import (
     DELETED,
     HIDDEN,
+    IDENTITY,
     LOCKED,
     PALETTE_SHIFT,
     SELECTED,
+    Adjustment,
+    Crop,
     SceneEdits,
     bake,
     shown,
@@ -71,7 +72,7 @@ def edit_helpers() -> SimpleNamespace:
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Callable[..., Path]:
     """`scene_file("a.ply", count=50)`: the path of a scene that it has written."""
-    from splatview.scene.files import save_scene
+    from splatview.scene.formats import save_scene
 
     def make(name: str = "scene.ply", *, count: int = 50, degree: int = 1, seed: int = 0) -> Path:
         path = tmp_path / name
@@ -82,7 +83,7 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 class ReferenceTools:
-    """`splatview.edit.tools.Tools` by the float64 reference: for pictures of a few thousand pixels."""
+    """`splatview.edit.progress.Tools` by the float64 reference: for pictures of a few thousand pixels."""
 
     def _weights(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits):
         """Indices (V,) of the scene and what each adds to each pixel, (V, H·W)."""

@@ -64,7 +64,7 @@ def test_merging_keeps_one_scene_in_memory(scene, scene_file):
 
 
 def test_splitting_writes_the_part_once(scene, tmp_path, edit_helpers):
-    from splatview.scene.files import load_scene
+    from splatview.scene.formats import load_scene
 
     document = Document(scene, folder=tmp_path)
     select(document, 2, 5)

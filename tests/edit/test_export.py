@@ -17,7 +17,7 @@ from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import operation_from_json
 from splatview.scene import InputError
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 
 
 def do(document: Document, *steps: dict) -> None:
@@ -97,7 +97,7 @@ from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import operation_from_json
 from splatview.scene import InputError
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 
 path = Path(sys.argv[1])
 document = Document(load_scene(path))
@@ -129,7 +129,7 @@ from pathlib import Path
 from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import operation_from_json
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 
 source, target = map(Path, sys.argv[1:])
 document = Document(load_scene(source), name=source.name)

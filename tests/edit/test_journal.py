@@ -24,7 +24,7 @@ from pathlib import Path
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal
 from splatview.edit.operations import operation_from_json
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 
 scene, folder = map(Path, sys.argv[1:])
 document = Document(load_scene(scene), name=scene.name)
@@ -41,7 +41,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_what_a_killed_program_did_comes_back(tmp_path: Path, scene_file, edit_helpers):
-    from splatview.scene.files import load_scene
+    from splatview.scene.formats import load_scene
 
     scene, folder = scene_file(), tmp_path / "cache" / "journals"
     program = subprocess.Popen(

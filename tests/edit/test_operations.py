@@ -9,8 +9,8 @@ import pytest
 
 from splatview.edit.document import Document
 from splatview.edit.export import exported
-from splatview.edit.grade import LUMINANCE, Grade
 from splatview.edit.operations import OPERATIONS, operation_from_json
+from splatview.edit.operations.appearance import LUMINANCE, Grade
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, PREVIEW, SELECTED
 from splatview.scene.projection import rotation_matrices

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import Transform, operation_from_json
+from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
-from splatview.edit.watch import Cancelled, Watch
 from splatview.scene import InputError
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 
 STEPS: list[dict[str, Any]] = [
     {"op": "select", "by": {"kind": "sphere", "centre": [0.1, 0, 0], "radius": 0.7}},

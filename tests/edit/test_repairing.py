@@ -10,7 +10,7 @@ import pytest
 from splatview.edit.document import Document
 from splatview.edit.export import exported
 from splatview.edit.operations import operation_from_json
-from splatview.edit.operations.repairing import REPAIRS
+from splatview.edit.operations.cleanup import REPAIRS
 from splatview.scene import Gaussians
 from splatview.scene.health import check
 from splatview.scene.projection import rotation_matrices

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splatview.edit.document import Document
-from splatview.edit.grade import Grade
+from splatview.edit.impact import NO_LOSS, StepPrices, after, in_words, price_operations
 from splatview.edit.operations import (
     AddCrop,
     ColourGrade,
@@ -20,12 +20,11 @@ from splatview.edit.operations import (
     Split,
     Transform,
 )
-from splatview.edit.price import NO_LOSS
+from splatview.edit.operations.appearance import Grade
 from splatview.edit.sample_views import sample_cameras
-from splatview.edit.step_price import StepPrices, after, in_words, price_operations
 from splatview.measure.metrics import psnr
 from splatview.scene import Gaussians, InputError, look_at
-from splatview.scene.crop import Crop
+from splatview.scene.edits import Crop
 
 CAMERAS = [
     look_at((0, 0, -3), (0, 0, 0), width=24, height=18),

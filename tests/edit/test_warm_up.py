@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 PROGRAM = """
-from splatview.edit.loops import marks
+from splatview.edit.kernels import marks
 from splatview.edit.warm_up import warm_up
 
 warm_up()

@@ -16,10 +16,11 @@ import pytest
 from PIL import Image
 
 from splatview.scene import Gaussians, InputError
-from splatview.scene.files import save_scene
-from splatview.viewer.window import app, display, viewport
-from splatview.viewer.window.core import Core
-from splatview.viewer.window.preferences import Preferences
+from splatview.scene.formats import save_scene
+from splatview.viewer import app, viewport
+from splatview.viewer import platform as display
+from splatview.viewer.preferences import Preferences
+from splatview.viewer.state import Core
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +84,7 @@ def test_a_display_whose_opengl_is_too_old_gets_a_preview(
 ) -> None:
     scene, out = tmp_path / "scene.ply", tmp_path / "preview.png"
     save_scene(random_gaussians(100), scene)
-    command = [sys.executable, "-c", "import sys; from splatview.viewer.cli import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
     done = subprocess.run(
         ["xvfb-run", "-a", *command, str(scene), "-o", str(out)],
         env=dict(os.environ, MESA_GL_VERSION_OVERRIDE="2.1", LIBGL_ALWAYS_SOFTWARE="1"),

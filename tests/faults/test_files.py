@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatview.cli import run_lock as claims
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
 from splatview.edit.operations import Delete, SelectAll, operation_from_json
 from splatview.scene import Gaussians, InputError
-from splatview.scene.files import load_scene, save_scene
-from splatview.scene.files.locked import take_lock
-from splatview.viewer import claims
-from splatview.viewer.window import actions, opening
-from splatview.viewer.window.bookmarks import beside, load_bookmarks
-from splatview.viewer.window.core import Core
-from splatview.viewer.window.editing import files
-from splatview.viewer.window.editing.taking_up import continue_editing
-from splatview.viewer.window.preferences import Preferences
+from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.formats.io import take_lock
+from splatview.viewer import commands as actions
+from splatview.viewer import open as opening
+from splatview.viewer.editing import files
+from splatview.viewer.editing.session import continue_editing
+from splatview.viewer.preferences import Preferences, beside, load_bookmarks
+from splatview.viewer.state import Core
 
 STEPS = ({"op": "select_all"}, {"op": "hide"}, {"op": "show"}, {"op": "select_all"}, {"op": "lock"})
 
@@ -192,7 +192,7 @@ def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
 CLAIMING = """
 import sys, time
 from pathlib import Path
-from splatview.viewer.claims import claim
+from splatview.cli.run_lock import claim
 claim(Path(sys.argv[1]))
 print("mine", flush=True)
 time.sleep(60)
@@ -226,10 +226,10 @@ import numpy as np
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal
 from splatview.edit.operations import operation_from_json
-from splatview.scene.files import load_scene
-from splatview.viewer.window.bookmarks import Bookmark, save_bookmarks
-from splatview.viewer.window.navigation.view import look_from
-from splatview.viewer.window.preferences import Preferences, save_preferences
+from splatview.scene.formats import load_scene
+from splatview.viewer.preferences import Bookmark, save_bookmarks
+from splatview.viewer.navigation.view import look_from
+from splatview.viewer.preferences import Preferences, save_preferences
 
 scene, config, number = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 document = Document(load_scene(scene), name=scene.name)

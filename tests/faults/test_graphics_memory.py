@@ -17,13 +17,12 @@ import moderngl
 import numpy as np
 import pytest
 
+from splatview.renderers.gl.context import create_headless_context, held_bytes
+from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Camera, Gaussians, InputError, look_at
-from splatview.viewer.gl.context import create_headless_context
-from splatview.viewer.gl.memory import held_bytes
-from splatview.viewer.gl.quads import QuadsRenderer
-from splatview.viewer.gl.quads_legacy import LegacyQuadsRenderer
-from splatview.viewer.gl.renderer import Renderer
-from splatview.viewer.gl.tiles import TilesRenderer
 
 MOST_ALLOCATIONS = 60
 
@@ -147,9 +146,9 @@ LIMITED = """
 import resource, sys
 import numpy as np
 from splatview.scene import Gaussians, InputError, look_at
-from splatview.viewer.gl.context import create_headless_context
-from splatview.viewer.gl.memory import held_bytes
-from splatview.viewer.window.picture import GpuPicture
+from splatview.renderers.gl.context import create_headless_context
+from splatview.renderers.gl.context import held_bytes
+from splatview.viewer.picture import GpuPicture
 from splatview.scene import RenderSettings
 
 def scene(n):

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from splatview.cli.main import main
 from splatview.raster import render
 from splatview.scene.captures.demo import demo_capture
-from splatview.scene.captures.write import save_capture
-from splatview.scene.files import load_scene
-from splatview.trainer import session
+from splatview.scene.captures.nerfstudio import save_capture
+from splatview.scene.formats import load_scene
+from splatview.trainer import run as session
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.viewer.cli import main
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def capture(tmp_path: Path) -> Path:
 def test_a_request_to_end_saves(capture: Path, tmp_path: Path, name: str) -> None:
     """Ctrl-C does the same: see tests/trainer/test_train_command."""
     metrics = tmp_path / "m.jsonl"
-    command = [sys.executable, "-c", "import sys; from splatview.viewer.cli import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
     command += [
         "train",
         str(capture),

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from splatview.measure.bill import (
+from splatview.measure.work import (
     EVALUATION_OPERATIONS,
     PROJECTION_OPERATIONS,
     as_json,
@@ -20,7 +20,7 @@ from splatview.measure.bill import (
     weights,
 )
 from splatview.raster import Workspace, parameters_of
-from splatview.raster.counting import count_work
+from splatview.raster.contributions import count_work
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.projection import project
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from splatview.measure.difference import FARTHEST, blurred, heat, lab, perceptual_map, signed_map
+from splatview.measure.metrics import FARTHEST, blurred, heat, lab, perceptual_map, signed_map
 
 PICTURES = arrays(np.float64, (6, 7, 3), elements=st.floats(0, 1, width=32))
 

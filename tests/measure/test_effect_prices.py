@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.measure.effect_prices import EDITS, EffectPrice, price_effects
+from splatview.measure.effect_costs import EDITS, EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.scene import Camera, reference
 from splatview.scene.camera import look_at

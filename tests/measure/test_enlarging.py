@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatview.measure.enlarging import enlarged, reduced_size
+from splatview.measure.metrics import enlarged, reduced_size
 
 
 def test_a_ramp_stays_a_ramp_but_for_the_border():

@@ -9,10 +9,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from splatview.measure.governor import REST_FRAMES, Governor, Watch
+from splatview.measure.governor import (
+    REST_FRAMES,
+    SCALES,
+    Governor,
+    Shortcut,
+    Watch,
+    best_of,
+    priced,
+    unpriced,
+)
 from splatview.measure.knobs import Plan
 from splatview.measure.ladder import Measured, Rung
-from splatview.measure.steps import SCALES, Shortcut, best_of, priced, unpriced
 
 FULL_MS = 60.0
 

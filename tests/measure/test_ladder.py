@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 from splatview.measure.knobs import Plan
-from splatview.measure.ladder import NUDGED, climb
+from splatview.measure.ladder import (
+    NUDGED,
+    Ladder,
+    Measured,
+    climb,
+    mark_front,
+    noise_floor,
+    noise_of,
+    rungs_for,
+)
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text, ratio_text
-from splatview.measure.noise import noise_floor, noise_of
-from splatview.measure.rungs import Ladder, Measured, mark_front, rungs_for
 from splatview.scene import Camera, RenderSettings
 
 SIZE = (24, 16)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatview.measure.knobs import Plan, knob
-from splatview.measure.paths import PATH_TURN, path_to_view
+from splatview.measure.knobs import PATH_TURN, Plan, knob, path_to_view
 from splatview.scene import RenderSettings, look_at
-from splatview.scene.resorting import Resorting
-from splatview.scene.turning import turned_about
+from splatview.scene.camera import turned_about
+from splatview.scene.order_reuse import Resorting
 
 CAMERA = look_at((1, -0.5, -3), (0, 0, 0), up=(0, -1, 0), width=8, height=6)
 UP = np.array((0.0, -1.0, 0.0))

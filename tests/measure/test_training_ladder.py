@@ -11,13 +11,13 @@ import pytest
 
 from splatview.measure.training_ladder import (
     BASELINE,
-    COLUMNS,
+    TRAINING_COLUMNS,
     TRAINING_RUNGS,
     Curve,
     Trained,
-    as_json,
-    cells,
     mean_and_half_width,
+    training_as_json,
+    training_cells,
 )
 from splatview.trainer.settings import TrainSettings
 
@@ -57,21 +57,25 @@ def test_gains_are_taken_seed_by_seed():
     gain, width = better.gain(baseline)
     assert (gain, width) == (pytest.approx(1), pytest.approx(0, abs=1e-9))
     assert better.psnr[1] > 5, "seeds differ far more than the rungs do"
-    assert cells(better, baseline)[2] == "+1.00 ±0.00"
-    assert len(cells(better, baseline)) == len(cells(baseline, baseline)) == len(COLUMNS)
+    assert training_cells(better, baseline)[2] == "+1.00 ±0.00"
+    assert (
+        len(training_cells(better, baseline))
+        == len(training_cells(baseline, baseline))
+        == len(TRAINING_COLUMNS)
+    )
 
 
 def test_a_gain_within_its_interval_is_no_claim():
     baseline = Trained(rung=BASELINE, curves=[curve(20.0), curve(21.0)])
     other = Trained(rung=TRAINING_RUNGS[1], curves=[curve(20.5), curve(20.9)])
-    assert cells(other, baseline)[2].startswith("same")
+    assert training_cells(other, baseline)[2].startswith("same")
     lone = Trained(rung=TRAINING_RUNGS[1], curves=[curve(29.0)])
-    assert cells(lone, baseline)[2].startswith("same"), "one seed proves nothing"
+    assert training_cells(lone, baseline)[2].startswith("same"), "one seed proves nothing"
 
 
 def test_json_has_no_infinities():
     baseline = Trained(rung=BASELINE, curves=[curve(20.0)])
     never = Trained(rung=TRAINING_RUNGS[1], curves=[curve(10.0)])
-    data = json.loads(json.dumps(as_json([baseline, never]), allow_nan=False))
+    data = json.loads(json.dumps(training_as_json([baseline, never]), allow_nan=False))
     assert data[1]["seconds_to_equal"] is None
     assert data[1]["gain"] == -10

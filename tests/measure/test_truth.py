@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatview.measure.truth import AGREEMENT, disagreement
+from splatview.measure.ladder import AGREEMENT, disagreement
 from splatview.scene import RenderSettings
 from splatview.scene.demo import demo_camera, demo_scene
 from splatview.scene.reference import render

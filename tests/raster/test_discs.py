@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from splatview import raster
 from splatview.measure.hard_cases.case import about_axis, camera, splats
 from splatview.raster import Workspace, draw_frame, parameters_of
-from splatview.raster.counting import count_work
+from splatview.raster.contributions import count_work
 from splatview.scene import Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.edits import HIDDEN, PALETTE_SHIFT, SceneEdits, bake
+from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 
 DISCS = RenderSettings(model=ImageModel().with_footprint("disc"), background=(0.1, 0.3, 0.2))
 CAMERA = camera(45, 37, focal=33.0)

@@ -12,9 +12,18 @@ from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.scene import RenderSettings, look_at
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.crop import Crop
-from splatview.scene.edits import DELETED, HIDDEN, LOCKED, PALETTE_SHIFT, SELECTED, SceneEdits, bake
+from splatview.scene.edits import (
+    DELETED,
+    HIDDEN,
+    IDENTITY,
+    LOCKED,
+    PALETTE_SHIFT,
+    SELECTED,
+    Adjustment,
+    Crop,
+    SceneEdits,
+    bake,
+)
 from splatview.scene.projection import project
 
 CAMERA = look_at((0.3, 0.2, -2.6), (0, 0, 0), width=37, height=29)

@@ -7,9 +7,8 @@ import pytest
 
 from splatview import raster
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.edits import PALETTE_SHIFT, SceneEdits
-from splatview.scene.resorting import Resorting, turned_by
+from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
+from splatview.scene.order_reuse import Resorting, turned_by
 
 SIZE = (48, 32)
 ANEW = RenderSettings()

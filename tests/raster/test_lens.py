@@ -9,8 +9,8 @@ import pytest
 
 from splatview.measure.metrics import psnr
 from splatview.raster import contributions, front, render
+from splatview.raster.camera_models import atan_lanes
 from splatview.raster.compiling import kernel
-from splatview.raster.optics import atan_lanes
 from splatview.raster.simd import LANES, load, store
 from splatview.scene import Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import undistort

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
+from splatview.raster.parameters import TILE
 from splatview.raster.project import LOG2_OPACITY, A, B, C, X, Y
 from splatview.raster.sort import key_scale, radix_sort
-from splatview.raster.view import TILE
 from splatview.scene import RenderSettings, look_at
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from splatview.raster import Workspace, differentiate, draw_frame, parameters_of, render
-from splatview.raster.per_pixel import NEAREST, depth_slopes
+from splatview.raster.forward_per_pixel import NEAREST, depth_slopes
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, bake
+from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.projection import covariances_3d, project, projection_jacobians
 
 GLOBAL, PER_PIXEL = RenderSettings(early_stop=0.0), RenderSettings(order="per-pixel", early_stop=0.0)

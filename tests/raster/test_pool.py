@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from splatview.raster.pool import even_ranges, niceness, run
+from splatview.raster.compiling import even_ranges, niceness, run
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of threads")
 

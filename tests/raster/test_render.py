@@ -9,7 +9,7 @@ import pytest
 
 from splatview import raster
 from splatview.scene import TEXTBOOK, Gaussians, ImageModel, RenderSettings, look_at, reference
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.projection import project
 
 BOUND = 1e-4

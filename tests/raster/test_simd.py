@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from splatview.raster import exp, simd
+from splatview.raster import simd
+from splatview.raster import simd as exp
 from splatview.raster.compiling import inline
 
 

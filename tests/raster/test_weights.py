@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.scene import ImageModel, RenderSettings, look_at, reference
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.edits import HIDDEN, PALETTE_SHIFT, SceneEdits, bake
+from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.projection import project
 
 NEAR_CUT = 1e-6

@@ -9,8 +9,8 @@ import pytest
 
 from splatview.measure.metrics import largest_error, psnr
 from splatview.scene import Camera, InputError, RenderSettings, reference
-from splatview.scene.aperture import Aperture, camera_at, disc_point, mean_picture
 from splatview.scene.background import Gradient, seen
+from splatview.scene.depth_of_field import Aperture, camera_at, disc_point, mean_picture
 from splatview.scene.lens import Lens
 
 LENS = Aperture(diameter=0.5, focus=4.0)

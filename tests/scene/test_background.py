@@ -10,7 +10,7 @@ import pytest
 
 from splatview.scene import Camera, InputError, RenderSettings, look_at, reference
 from splatview.scene.background import Gradient, Panorama, lay_over, seen
-from splatview.scene.files.panorama import LARGEST_SIDE, load_panorama
+from splatview.scene.formats.panorama import LARGEST_SIDE, load_panorama
 from splatview.scene.lens import Lens
 
 BLUE, BROWN = (0.2, 0.4, 1.0), (0.5, 0.3, 0.1)

@@ -7,9 +7,8 @@ import pytest
 
 from splatview.scene import Gaussians, InputError, RenderSettings, look_at, reference
 from splatview.scene.demo import SCENES, demo_camera, demo_scene
-from splatview.scene.demo.gloss import fit_sh
-from splatview.scene.demo.noise import fbm, noise
-from splatview.scene.demo.shapes import sphere_points, spun, sunflower, turning_z_to
+from splatview.scene.demo.objects import fit_sh
+from splatview.scene.demo.primitives import fbm, noise, sphere_points, spun, sunflower, turning_z_to
 from splatview.scene.projection import rotation_matrices, sigmoid
 from splatview.scene.sh import sh_basis, sh_colours
 

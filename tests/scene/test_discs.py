@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from splatview.measure.hard_cases.case import about_axis, camera, splats
 from splatview.scene import Camera, Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, bake
+from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.image_model import BLUR, DISC_BLUR, DISC_LEAST_SLOPE, DISC_LEAST_WIDTH
 from splatview.scene.projection import rotation_matrices, sigmoid
 

@@ -8,12 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at_matrix
-from splatview.scene.adjustment import IDENTITY, Adjustment, adjustment_rows
-from splatview.scene.crop import Crop, crop_rows, cropped_in
-from splatview.scene.edits import DELETED, HIDDEN, PALETTE_SHIFT, SceneEdits, bake, shown
+from splatview.scene.edits import (
+    DELETED,
+    HIDDEN,
+    IDENTITY,
+    PALETTE_SHIFT,
+    Adjustment,
+    Crop,
+    SceneEdits,
+    adjustment_rows,
+    bake,
+    crop_rows,
+    cropped_in,
+    shown,
+)
 from splatview.scene.reference import render
-from splatview.scene.sh import sh_basis
-from splatview.scene.sh_rotation import sh_rotation
+from splatview.scene.sh import sh_basis, sh_rotation
 
 finite = st.floats(-2, 2, allow_nan=False)
 fours = st.tuples(finite, finite, finite, finite)

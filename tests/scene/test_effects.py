@@ -20,7 +20,7 @@ from splatview.scene.effects import (
     settings_for,
     used_sh_degree,
 )
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.health import check
 from splatview.scene.reference import render
 from splatview.scene.sh import sh_basis
@@ -173,7 +173,7 @@ def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkey
     scene = random_gaussians(30)
     expected = census(scene)
     findings = check(scene)
-    monkeypatch.setattr("splatview.scene.effects.receipt.check", None)
+    monkeypatch.setattr("splatview.scene.effects.census.check", None)
     assert census(scene, findings=findings) == expected
 
 

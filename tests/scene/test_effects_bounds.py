@@ -12,9 +12,17 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at, reference
-from splatview.scene.adjustment import IDENTITY, Adjustment
-from splatview.scene.crop import Crop
-from splatview.scene.edits import DELETED, HIDDEN, PALETTE_SHIFT, SELECTED, SceneEdits, bake
+from splatview.scene.edits import (
+    DELETED,
+    HIDDEN,
+    IDENTITY,
+    PALETTE_SHIFT,
+    SELECTED,
+    Adjustment,
+    Crop,
+    SceneEdits,
+    bake,
+)
 from splatview.scene.effects import (
     GREY_LEVEL,
     VISIBLE,
@@ -24,8 +32,8 @@ from splatview.scene.effects import (
     sh_degrees,
     visible_degrees,
 )
-from splatview.scene.effects.light import LEAST_LIGHT, brightest_colour, early_stop_for
-from splatview.scene.effects.view import largest_displacement
+from splatview.scene.effects.appearance import LEAST_LIGHT, brightest_colour, early_stop_for
+from splatview.scene.effects.census import largest_displacement
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.lens import Lens
 from splatview.scene.projection import project

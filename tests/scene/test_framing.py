@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview.scene import Gaussians
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera, robust_bounds
 from splatview.scene.image_model import RenderSettings
 from splatview.scene.projection import project

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Gaussians, RenderSettings, look_at
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.health import Finding, check, sh_reach
 from splatview.scene.projection import project
 from splatview.scene.sh import sh_basis

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from splatview.scene import Gaussians, RenderSettings, look_at, merging
-from splatview.scene.merging import coarser_levels, merge_in_cells, quaternions
+from splatview.scene import Gaussians, RenderSettings, look_at
+from splatview.scene import lod as merging
+from splatview.scene.lod import coarser_levels, merge_in_cells, quaternions
 from splatview.scene.projection import covariances_3d, rotation_matrices
 from splatview.scene.reference import render
 

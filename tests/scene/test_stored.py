@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from splatview.scene import Gaussians
+from splatview.scene.attribute_formats import FORMATS, sh_levels, stored
 from splatview.scene.projection import sigmoid
-from splatview.scene.stored import FORMATS, sh_levels, stored
 
 COARSE = FORMATS[1:]
 

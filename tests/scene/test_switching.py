@@ -8,7 +8,7 @@ import pytest
 
 from splatview.scene import RenderSettings
 from splatview.scene.effects import overridable, scene_effects, settings_for
-from splatview.scene.effects.switching import as_settings_have_them, in_force, switched
+from splatview.scene.effects.overrides import as_settings_have_them, in_force, switched
 from splatview.scene.image_model import BLUR, DISC_BLUR
 
 

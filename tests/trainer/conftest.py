@@ -12,10 +12,10 @@ from PIL import Image
 
 from splatview.raster import Parameters, render
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
-from splatview.trainer.initialise import initial_parameters
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shots import Shot, Shots
-from splatview.trainer.training import Trainer
+from splatview.trainer.splats import initial_parameters
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots
 
 VIEWS = 20
 EXTENT = 3.0

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters
-from splatview.trainer.density import (
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import fresh
+from splatview.trainer.strategies.default import (
     CLONE,
     KEEP,
     PRUNE,
@@ -19,8 +21,6 @@ from splatview.trainer.density import (
     sigmoid,
     split,
 )
-from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import fresh
 
 EXTENT = 2.0
 

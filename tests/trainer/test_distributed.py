@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatview.scene.files import load_scene
+from splatview.cli.main import main
+from splatview.scene.formats import load_scene
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.trainer.distributed import Alone, BatchSum, gist, stopping_between_steps
 from splatview.trainer.warm_up import warm_up
-from splatview.viewer.cli import main
 
-SPLATVIEW = [sys.executable, "-c", "import sys; from splatview.viewer.cli import main; sys.exit(main())"]
+SPLATVIEW = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
 TORCHRUN = [sys.executable, "-m", "torch.distributed.run"]
 
 

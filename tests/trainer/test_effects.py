@@ -11,11 +11,11 @@ import pytest
 from splatview.raster import differentiate
 from splatview.scene import ImageModel, look_at
 from splatview.scene.captures import Capture, Photo, Pixels
-from splatview.scene.captures.evidence import PhotoEvidence
+from splatview.scene.captures.capture import PhotoEvidence
 from splatview.scene.effects import antialiasing
-from splatview.scene.files import load_scene
+from splatview.scene.formats import load_scene
 from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
-from splatview.trainer.session import Outputs, Session
+from splatview.trainer.run import Outputs, Session
 from splatview.trainer.settings import TrainSettings
 
 
@@ -104,7 +104,7 @@ def test_bands_that_are_locked_are_neither_stored_nor_computed_nor_optimised(mak
         computed.append(gradients.parameters.sh.shape[1])
         return gradients
 
-    monkeypatch.setattr("splatview.trainer.training.differentiate", watched)
+    monkeypatch.setattr("splatview.trainer.trainer.differentiate", watched)
     stored = []
     while not trainer.done:
         trainer.step(0.0)

@@ -15,8 +15,8 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.exposure import Exposures, fitted, fitted_by_halves, log_gain, measured_evidence
 from splatview.trainer.loss import photo_loss
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shots import Shot, Shots
-from splatview.trainer.training import Trainer
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots
 
 EXTENT = 3.0
 make_settings: Any = TrainSettings

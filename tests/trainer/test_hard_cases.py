@@ -9,15 +9,15 @@ import pytest
 
 from splatview.measure.hard_cases import CASES, HardCase, find_case
 from splatview.measure.hard_cases.case import neighbours
-from splatview.measure.hard_cases.running import scene_of
+from splatview.measure.hard_cases.run import scene_of
 from splatview.measure.metrics import SSIM_WINDOW
 from splatview.raster import Gradients, Parameters, Workspace, differentiate, draw_frame, parameters_of
 from splatview.scene import Camera, Gaussians, RenderSettings, reference
 from splatview.scene.projection import project
-from splatview.trainer.ill import ill_splats
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shots import Shot, Shots
-from splatview.trainer.training import Trainer
+from splatview.trainer.strategies.ops import ill_splats
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots
 
 THEMES = sorted({case.theme for case in CASES})
 STEPS = 50

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from splatview.cli.main import main
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.trainer.warm_up import warm_up
-from splatview.viewer.cli import main
 
 OFTEN = """
 import sys
 from splatview.trainer import session
-from splatview.viewer.cli import main
+from splatview.cli.main import main
 session.CHECKPOINT_SECONDS = 0.02
 sys.exit(main(sys.argv[1:]))
 """

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from splatview.measure.metrics import SSIM_K, gaussian_window, ssim
 from splatview.raster import Workspace
 from splatview.trainer.loss import photo_loss
-from splatview.trainer.torch_loss import photo_loss as torch_photo_loss
+from splatview.trainer.torch_api import photo_loss as torch_photo_loss
 
 
 def pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

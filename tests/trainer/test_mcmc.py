@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters
-from splatview.trainer.density import sigmoid
-from splatview.trainer.mcmc import DEAD, SampledControl, shared
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, fresh
+from splatview.trainer.strategies.default import sigmoid
+from splatview.trainer.strategies.mcmc import DEAD, SampledControl, shared
 
 
 def splats_of(opacities) -> Splats:

@@ -15,8 +15,8 @@ from splatview import raster
 from splatview.scene import Camera, Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import COUNTS
 from splatview.scene.projection import project
-from splatview.trainer import reference_torch
-from splatview.trainer.render import GRADIENT_EARLY_STOP, Visibility, render
+from splatview.tests.trainer import reference_torch
+from splatview.trainer.torch_api import GRADIENT_EARLY_STOP, Visibility, render
 
 GROUPS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 BOUNDS = {torch.float32: 1e-4, torch.float64: 1e-9}

@@ -17,16 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.raster.pool import niceness
+from splatview.raster.compiling import niceness
 from splatview.scene import InputError
-from splatview.scene.files import load_scene
-from splatview.trainer import session as sessions
-from splatview.trainer import thread as threads
+from splatview.scene.formats import load_scene
+from splatview.trainer import background as threads
+from splatview.trainer import run as sessions
+from splatview.trainer.background import Status, TrainingThread, pace_of
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.trainer.published import Status, pace_of
-from splatview.trainer.session import Outputs, Session, Stopwatch
+from splatview.trainer.run import Outputs, Session, Stopwatch
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.thread import TrainingThread
 
 
 @pytest.fixture

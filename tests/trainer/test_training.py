@@ -15,7 +15,6 @@ import pytest
 
 from splatview.scene import InputError
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.dropping import some_dropped
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
@@ -25,8 +24,9 @@ from splatview.trainer.settings import (
     automatic_pull,
     automatic_steps,
 )
-from splatview.trainer.shots import Shot, Shots
-from splatview.trainer.training import Trainer
+from splatview.trainer.strategies.ops import some_dropped
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots
 
 make_settings: Any = TrainSettings
 
@@ -147,8 +147,8 @@ from splatview.raster import Parameters
 from splatview.scene import look_at
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shots import Shot, Shots
-from splatview.trainer.training import Trainer
+from splatview.trainer.views import Shot, Shots
+from splatview.trainer.trainer import Trainer
 n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
                np.zeros(n, np.float32), np.zeros((n, 16, 3), np.float32))

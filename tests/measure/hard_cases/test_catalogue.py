@@ -10,7 +10,7 @@ import pytest
 
 from splatview.measure.hard_cases import CASES, HardCase, find_case
 from splatview.measure.hard_cases.case import splats
-from splatview.measure.hard_cases.running import CaseRenderer, error_of, run_case, scene_of
+from splatview.measure.hard_cases.run import CaseRenderer, error_of, run_case, scene_of
 from splatview.scene import InputError, reference
 
 THEMES = sorted({case.theme for case in CASES})

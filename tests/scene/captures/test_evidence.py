@@ -9,7 +9,7 @@ import pytest
 
 from splatview.scene import look_at
 from splatview.scene.captures import load_capture
-from splatview.scene.captures.evidence import LEAST_DISPLACEMENT, largest_displacement
+from splatview.scene.captures.capture import LEAST_DISPLACEMENT, largest_displacement
 from splatview.scene.lens import COUNTS, Lens
 
 CAMERA = look_at((0, 0, 0), (0, 0, 1), width=400, height=300, fov_y=50)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Camera, Lens
-from splatview.scene.captures.resample import area_averaged, undistorted, wholly_valid
+from splatview.scene.captures.photos import area_averaged, undistorted, wholly_valid
 from splatview.scene.lens import distort, undistort
 
 

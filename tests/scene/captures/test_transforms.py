@@ -10,7 +10,7 @@ import pytest
 
 from splatview.scene import Gaussians
 from splatview.scene.captures import load_capture
-from splatview.scene.files import save_scene
+from splatview.scene.formats import save_scene
 from splatview.scene.sh import rgb_to_sh
 
 INTRINSICS = {"w": 40, "h": 30, "fl_x": 36.2, "fl_y": 36.3, "cx": 19.5, "cy": 15.5}

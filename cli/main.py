@@ -1,0 +1,90 @@
+"""The `splatview` command: finds the command that is asked for and turns its errors into one line.
+
+Nothing heavy is imported here: each command is a module of `commands`, imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from splatview.scene import InputError
+
+COMMANDS = {
+    "render": "a scene to a picture file, without a window",
+    "info": "what a scene holds, which effects it calls for, and its health",
+    "stability": "hard cases on every renderer of this machine, against the reference",
+    "ladder": "what accuracy costs in time: each shortcut's price, measured",
+    "bill": "what a picture takes in arithmetic and bytes, beside a NeRF",
+    "train": "photos with known cameras to a scene",
+    "edit": "the steps of a recipe, done to a scene",
+    "convert": "a scene to another format",
+    "doctor": "what works on this machine and what to install",
+}
+"""Name -> summary. Each is a module of `cli` with `run(arguments) -> exit code`."""
+
+MODULES = {"bill": "work"}
+"""Commands whose module has another name."""
+
+USAGE = """\
+usage: splatview [SCENE ...]          open a window (no scene: the bundled demo)
+       splatview COMMAND ...          see splatview COMMAND --help
+
+commands:
+{commands}
+options of the window:
+  --renderer auto|quads|cpu           what draws (default: auto)
+  -o, --output FILE.png               where there is no display: name of the preview written instead
+  --version                           print the version
+
+A scene called like a command is opened by its path: splatview ./render"""
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
+"""128 + SIGINT and 128 + SIGPIPE, as shells report them."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs `splatview` with `argv` (default: the process's); returns the exit code.
+
+    A user's mistake (InputError) is one line on standard error and exit code 2. Any other exception is a
+    defect of ours and keeps its traceback.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _dispatch(arguments)
+        # A pipe that broke is noticed here rather than in the interpreter's shutdown, which would complain.
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except MemoryError as error:
+        print(f"splatview: not enough memory ({error}); try a smaller scene or --size", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # What is still buffered must go somewhere when the interpreter flushes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+
+
+def _dispatch(arguments: list[str]) -> int:
+    first = arguments[0] if arguments else ""
+    if first in ("-h", "--help", "help"):
+        commands = "".join(f"  {name:34}  {summary}\n" for name, summary in COMMANDS.items())
+        print(USAGE.format(commands=commands))
+        return 0
+    if first == "--version":
+        print("splatview", version("splatview"))
+        return 0
+    if first in COMMANDS:
+        command = importlib.import_module(f"splatview.cli.{MODULES.get(first, first)}")
+        return command.run(arguments[1:])
+    command = importlib.import_module("splatview.cli.window")
+    return command.run(arguments)

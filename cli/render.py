@@ -1,0 +1,269 @@
+"""`splatview render`: a scene to a picture file, headless."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatview.cli.arguments import HELP as BACKGROUND_HELP
+from splatview.cli.arguments import (
+    Orbit,
+    Parser,
+    add_camera_options,
+    add_knob_options,
+    background,
+    check_camera_options,
+    check_knob_options,
+    chosen_background,
+    chosen_orbit,
+    chosen_plan,
+    count,
+    not_negative,
+    number,
+    positive,
+)
+from splatview.measure.knobs import Plan, path_to_view
+from splatview.renderers.headless import RENDERERS, HeadlessRenderer, draw_plan, make_headless
+from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
+from splatview.scene.effects import settings_for
+from splatview.scene.formats import load_scene
+from splatview.scene.formats.io import atomic_write
+
+# ---- Pictures to files: checked before the work, written whole or not at all.
+
+
+SUFFIXES = (".png", ".npy")
+
+
+def check_output(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
+    """Raises InputError where `path` could not be written, so that nobody waits for a picture in vain."""
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; give it that suffix")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise InputError(f"{path}: the folder {folder} does not exist; make it first")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{path}: the folder {folder} cannot be written to")
+
+
+def write_picture(image: np.ndarray, path: Path, *, alpha: bool = False) -> None:
+    """Writes `image` (H, W, 4) float32 by the suffix: .npy as it is, .png as `eight_bit` makes it.
+
+    Raises:
+        InputError: the system refuses.
+    """
+    with atomic_write(path) as file:
+        if path.suffix.lower() == ".npy":
+            np.save(file, image)
+        else:
+            from PIL import Image
+
+            Image.fromarray(eight_bit(image, alpha=alpha)).save(file, format="PNG")
+
+
+def eight_bit(image: np.ndarray, *, alpha: bool = False) -> np.ndarray:
+    """(H, W, 4) float -> uint8: RGB clipped to [0, 1] and rounded to nearest.
+
+    With `alpha` (the picture has a black background) RGBA not premultiplied, as PNG wants it.
+    """
+    shown = image[..., :3]
+    if alpha:
+        cover = image[..., 3:]
+        shown = np.divide(shown, cover, out=np.zeros_like(shown), where=cover > 0)
+        shown = np.concatenate([shown, cover], axis=-1)
+    return np.floor(np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+MODES = ("splats", "points", "ellipsoids", "depth", "overdraw")
+
+WARM_UP_TURN = -1.0
+"""Degrees by which the frame before the measured ones differs, so that nothing of it can be kept."""
+
+LENS_SAMPLES = 64
+"""Some 53 dB where the blur is 34 px wide, see `scene.aperture`."""
+
+
+def make_parser() -> Parser:
+    parser = Parser(
+        "render",
+        "Renders SCENE without a window.\n\n"
+        "A .png is 8-bit RGB; a .npy is float32 (height, width, 4), RGB over the background and alpha.\n"
+        "What the scene calls for (antialiased opacity, discs, SH degree) is read from it; options override.",
+    )
+    parser.add_argument("scene", metavar="SCENE")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
+    add_camera_options(parser)
+    group = parser.add_argument_group("picture")
+    group.add_argument("--background", type=background, metavar="BACK", help=BACKGROUND_HELP)
+    group.add_argument(
+        "--alpha", action="store_true", help="a .png with transparency instead of a background"
+    )
+    group.add_argument("--renderer", choices=RENDERERS, default="auto")
+    group.add_argument("--mode", choices=MODES, default="splats", help="other than splats: quads only")
+    group.add_argument(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="opacity made up for the blur (default: as the file says)",
+    )
+    group.add_argument(
+        "--footprint",
+        choices=("auto", "ellipsoid", "disc"),
+        default="auto",
+        help="solid splats, or flat ones that each pixel's ray meets (default: auto, as the file says)",
+    )
+    group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
+    group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
+    group = parser.add_argument_group("depth of field (off where no aperture is given)")
+    group.add_argument("--aperture", type=positive, metavar="A", help="diameter of the lens, world units")
+    group.add_argument("--focus", type=positive, metavar="D", help="distance that is sharp, world units")
+    group.add_argument(
+        "--lens-samples",
+        type=count,
+        metavar="N",
+        help=f"pictures averaged, each from a point of the lens (default: {LENS_SAMPLES})",
+    )
+    add_knob_options(parser)
+    group = parser.add_argument_group("measuring")
+    group.add_argument("--stats", action="store_true", help="print times and counts as one JSON object")
+    group.add_argument("--frames", type=count, default=1, metavar="N", help="render N frames, write the last")
+    group.add_argument(
+        "--turn", type=number, default=0.0, metavar="DEG", help="turn the eye about the target before each"
+    )
+    return parser
+
+
+def run(arguments: list[str]) -> int:
+    args = make_parser().parse(arguments)
+    if args is None:
+        return 0
+    check_camera_options(args)
+    check_picture_options(args)
+    behind = chosen_background(args.background, args.up)
+    gaussians = load_scene(args.scene)
+    orbit = chosen_orbit(args, gaussians)
+    aperture = chosen_aperture(args, orbit.camera)
+    renderer = make_headless(args.renderer, mode=args.mode)
+    settings = replace(chosen_settings(args, gaussians), background=behind)
+    plan = chosen_plan(args, settings, renderer.name)
+    image, stats = render_frames(args, renderer, gaussians, orbit, plan, aperture)
+    if args.output:
+        write_picture(image, args.output, alpha=args.alpha)
+        print(f"{args.output}: {image.shape[1]}x{image.shape[0]}, by {renderer.name}", file=sys.stderr)
+    if args.stats:
+        print(json.dumps(stats))
+    return 0
+
+
+def check_picture_options(args: argparse.Namespace) -> None:
+    """Raises InputError for what cannot work, before anything is loaded."""
+    if args.output is None and not args.stats:
+        raise InputError("nothing to do: give -o OUT.png or --stats (see splatview render --help)")
+    if args.output is not None:
+        check_output(args.output)
+    if args.alpha:
+        if args.output is None or args.output.suffix.lower() != ".png":
+            raise InputError("--alpha is for .png files; a .npy always has alpha")
+        if args.background is not None:
+            raise InputError("--alpha leaves the background out; drop --background or --alpha")
+    if args.aperture is not None and args.focus is None:
+        raise InputError("--aperture needs --focus, the distance that is sharp")
+    if args.aperture is None and (args.focus is not None or args.lens_samples is not None):
+        raise InputError("--focus and --lens-samples go with --aperture, the diameter of the lens")
+    if args.mode != "splats" and args.renderer not in ("auto", "quads"):
+        raise InputError(f"--mode {args.mode} needs --renderer quads")
+    check_knob_options(args)
+
+
+def chosen_settings(args: argparse.Namespace, gaussians: Gaussians) -> RenderSettings:
+    """What the scene calls for, with the options' changes; the background apart."""
+    settings = settings_for(gaussians)
+    changes: dict[str, Any] = {
+        name: value
+        for name, value in (
+            ("antialiased", args.antialiased),
+            ("blur", args.blur),
+            ("near", args.near),
+        )
+        if value is not None
+    }
+    model = settings.model if args.footprint == "auto" else settings.model.with_footprint(args.footprint)
+    settings = replace(settings, model=replace(model, **changes))
+    # The truth leaves out nothing, not even what cannot be seen.
+    if args.sh_degree is not None or args.renderer == "reference":
+        settings = replace(settings, sh_degree=None)
+    return settings
+
+
+def chosen_aperture(args: argparse.Namespace, camera: Camera) -> Aperture | None:
+    """The lens that was asked for, or None. Raises InputError where this camera can have none."""
+    if args.aperture is None:
+        return None
+    check_camera(camera)
+    return Aperture(diameter=args.aperture, focus=args.focus)
+
+
+def render_frames(
+    args: argparse.Namespace,
+    renderer: HeadlessRenderer,
+    gaussians: Gaussians,
+    orbit: Orbit,
+    plan: Plan,
+    aperture: Aperture | None = None,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The last picture, and the figures of all. Times are wall-clock up to the pixels in memory.
+
+    Of a picture through a lens, counts and stages are those of its last part.
+    With --stats one frame is drawn first and not counted: it compiles and allocates.
+    """
+
+    def draw(camera: Camera) -> np.ndarray:
+        return draw_plan(renderer, gaussians, camera, plan, args.mode)
+
+    if args.stats:
+        draw(orbit.turned(WARM_UP_TURN))
+    image = np.empty(0, np.float32)
+    totals: list[float] = []
+    stages: dict[str, list[float]] = {}
+    visible = 0
+    path = [args.turn * frame for frame in range(1, args.frames + 1)]
+    if args.frames == 1 and not args.turn:
+        path = path_to_view(plan.settings)
+    renderer.forget_order()
+    for degrees in path:
+        camera = orbit.turned(degrees) if degrees else orbit.camera
+        start = time.perf_counter()
+        if aperture is None:
+            image = draw(camera)
+        else:
+            image = mean_picture(draw, camera, aperture, args.lens_samples or LENS_SAMPLES)
+        totals.append(1e3 * (time.perf_counter() - start))
+        if args.stats:
+            visible, milliseconds = renderer.stats()
+            for stage, value in milliseconds.items():
+                stages.setdefault(stage, []).append(value)
+    ms = {
+        "total": statistics.median(totals),
+        "min": min(totals),
+        "max": max(totals),
+        "stages": {stage: statistics.median(values) for stage, values in stages.items()},
+    }
+    return image, {
+        "renderer": renderer.name,
+        "size": [orbit.camera.width, orbit.camera.height],
+        "splats": len(gaussians),
+        "visible": visible,
+        "frames": len(path),
+        "ms": ms,
+    }

@@ -1,0 +1,278 @@
+"""`splatview stability`: hard cases on every renderer of this machine, against the float64 reference."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from splatview.cli.arguments import Parser
+from splatview.cli.render import write_picture
+from splatview.measure.hard_cases import CASES, find_case
+from splatview.measure.hard_cases.case import HardCase
+from splatview.measure.hard_cases.run import CaseRenderer, CaseResult, draw_case, error_of, run_case
+from splatview.measure.machine import describe_machine
+from splatview.renderers.headless import GL_NAMES, NAMES, case_renderers, describe_gl
+from splatview.scene import InputError
+
+# ---- Pictures of a hard case for the eye: the reference, what a renderer made, and where they differ.
+
+
+LONG_SIDE = 480
+"""px at least: the pictures of cases are a few dozen pixels, each is shown as a square."""
+
+
+def make_folder(folder: Path) -> None:
+    """Raises InputError where there can be no such folder."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror})") from error
+
+
+def save_case(case: HardCase, renderers: list[CaseRenderer], folder: Path) -> list[Path]:
+    """Writes reference, result and difference of every picture of `case`; returns the paths.
+
+    In the difference white is the case's bound, or more.
+    """
+    written: list[Path] = []
+
+    def write(image: np.ndarray, *words: str) -> None:
+        path = folder / f"{'_'.join(file_word(word) for word in words if word)}.png"
+        if path not in written:
+            write_picture(enlarged_whole(image), path)
+            written.append(path)
+
+    for settings in case.settings:
+        for index in range(len(case.cameras)):
+            view = str(index) if len(case.cameras) > 1 else ""
+            for renderer in renderers:
+                drawn = draw_case(case, renderer, settings, index)
+                write(drawn.truth, case.name, settings, view, "reference")
+                words = (case.name, settings, view, renderer.name, renderer.blend)
+                write(drawn.image, *words, "result")
+                if drawn.image.shape == drawn.truth.shape:
+                    error = error_of(drawn.image, drawn.truth, renderer.blend) / drawn.bound
+                    shown = np.repeat(np.where(np.isfinite(error), error, 1.0)[..., None], 4, axis=2)
+                    write(shown, *words, "difference")
+    return written
+
+
+def file_word(words: str) -> str:
+    """As part of a file's name on any system."""
+    return re.sub(r"[^\w.+-]+", "-", words).strip("-")
+
+
+def enlarged_whole(image: np.ndarray) -> np.ndarray:
+    """`image` (h, w, 4) float32 with each pixel a square, so that the longer side has LONG_SIDE px or more;
+    what is not finite becomes magenta."""
+    factor = max(1, -(-LONG_SIDE // max(image.shape[:2])))
+    shown = np.where(np.isfinite(image).all(axis=2, keepdims=True), image, (1.0, 0.0, 1.0, 1.0))
+    return shown.astype(np.float32).repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+EXIT_FAILED = 1
+
+
+def make_parser() -> Parser:
+    parser = Parser(
+        "stability",
+        f"Draws {len(CASES)} hard cases (NaN, needles, splats on the near plane, ...) with every renderer\n"
+        "that works here, on this machine's own GPU and driver, and compares each picture with the float64\n"
+        "reference. Exit code 1 if a case fails.",
+    )
+    parser.add_argument(
+        "--renderer", choices=NAMES, metavar="R", help=f"only this one: {', '.join(NAMES)} (default: all)"
+    )
+    parser.add_argument("--case", metavar="NAME", help="only this case")
+    parser.add_argument(
+        "--save",
+        type=Path,
+        metavar="DIR",
+        help="write reference, result and difference of --case, or of the cases that fail",
+    )
+    parser.add_argument("--all", action="store_true", help="a line for every case, not only for every theme")
+    parser.add_argument("--list", action="store_true", help="print the cases and what is hard about them")
+    parser.add_argument("--json", action="store_true", help="results as one JSON object")
+    return parser
+
+
+def run(arguments: list[str]) -> int:
+    args = make_parser().parse(arguments)
+    if args is None:
+        return 0
+    cases = [find_case(args.case)] if args.case is not None else list(CASES)
+    if args.list:
+        print_cases(cases, as_json=args.json)
+        return 0
+    if args.save is not None:
+        make_folder(args.save)
+    names = (args.renderer,) if args.renderer else working_renderers()
+    announce_compiling(names)
+    written: list[Path] = []
+    with case_renderers(names) as renderers:
+        if not renderers:
+            raise InputError(f"--renderer {args.renderer} does not work with the OpenGL here")
+        results = run_with_progress(cases, renderers)
+        if args.save is not None:
+            failed = {id(result.case) for result in results if not result.passed}
+            for case in cases:
+                if args.case is not None or id(case) in failed:
+                    written += save_case(case, renderers, args.save)
+    if args.json:
+        print(json.dumps(as_json(results, names), ensure_ascii=False))
+    else:
+        print_results(Console(), results, every=args.all or args.case is not None)
+    if args.save is not None:
+        print(f"{args.save}: {len(written)} pictures", file=sys.stderr)
+    return 0 if all(result.passed for result in results) else EXIT_FAILED
+
+
+def working_renderers() -> tuple[str, ...]:
+    """Those that can be had here; says on standard error which cannot."""
+    try:
+        describe_gl()
+    except InputError as error:
+        print(f"splatview: only the renderers without OpenGL are tested: {error}", file=sys.stderr)
+        return tuple(name for name in NAMES if name not in GL_NAMES)
+    return NAMES
+
+
+def announce_compiling(names: Sequence[str]) -> None:
+    if "cpu" in names:
+        from splatview.raster import will_compile
+
+        if will_compile():
+            print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
+
+
+def run_with_progress(cases: Sequence[HardCase], renderers: Sequence[CaseRenderer]) -> list[CaseResult]:
+    results: list[CaseResult] = []
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=len(cases))
+        for case in cases:
+            progress.update(task, description=escape(case.name))
+            for renderer in renderers:
+                results += run_case(case, renderer)
+            progress.advance(task)
+    return results
+
+
+def as_json(results: Sequence[CaseResult], names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "machine": describe_machine(),
+        "opengl": describe_gl() if any(name in GL_NAMES for name in names) else None,
+        "passed": sum(result.passed for result in results),
+        "failed": sum(not result.passed for result in results),
+        "cases": [
+            {
+                "case": result.case.name,
+                "theme": result.case.theme,
+                "renderer": result.renderer,
+                "settings": result.settings,
+                "passed": result.passed,
+                # JSON has no NaN and no infinity.
+                "error": result.error if math.isfinite(result.error) else None,
+                "bound": result.bound,
+                "not_finite": result.not_finite,
+                "excluded": result.excluded,
+                "failures": list(result.failures),
+            }
+            for result in results
+        ],
+    }
+
+
+def print_results(console: Console, results: Sequence[CaseResult], *, every: bool) -> None:
+    """Failures first, then the themes, or every row."""
+    failed = [result for result in results if not result.passed]
+    if failed:
+        console.print(rows_table("[bold red]Failed", failed))
+    if every:
+        passed = [result for result in results if result.passed]
+        if passed:
+            console.print(rows_table("Passed", passed))
+    else:
+        console.print(themes_table(results))
+    if every and len({result.case.name for result in results}) == 1:
+        console.print(f"{results[0].case.what}", markup=False, highlight=False)
+    if any(result.excluded for result in results):
+        console.print("Left out: pixels where an alpha sits on its cut or depths tie.", highlight=False)
+    cases = len({result.case.name for result in results})
+    renderers = len({result.renderer for result in results})
+    counted = f"{cases} case{'s' * (cases > 1)} on {renderers} renderer{'s' * (renderers > 1)}"
+    said = f"[bold red]{len(failed)} of {len(results)} failed" if failed else "[bold green]all passed"
+    console.print(f"{counted}, {len(results)} comparisons: {said}", highlight=False)
+
+
+def rows_table(title: str, results: Sequence[CaseResult]) -> Table:
+    table = Table("case", "renderer", "settings", title=title, title_justify="left")
+    for column in ("error", "bound", "left out"):
+        table.add_column(column, justify="right", no_wrap=True)
+    wrong = any(result.failures for result in results)
+    if wrong:
+        table.add_column("what is wrong")
+    for result in results:
+        table.add_row(
+            escape(result.case.name),
+            result.renderer,
+            escape(result.settings),
+            f"{result.error:.1e}",
+            f"{result.bound:.1e}",
+            str(result.excluded or ""),
+            *([escape("; ".join(result.failures))] if wrong else []),
+        )
+    return table
+
+
+def themes_table(results: Sequence[CaseResult]) -> Table:
+    """A line a theme: how many rows passed, and the largest errors by precision."""
+    table = Table(title="Hard cases by theme, and their largest errors", title_justify="left")
+    table.add_column("theme", no_wrap=True)
+    for column in ("cases", "passed", "float32", "float16", "left out"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for theme, cells in theme_cells(results):
+        passed = all(result.passed for result in results if result.case.theme == theme)
+        table.add_row(theme, *cells, style=None if passed else "red")
+    return table
+
+
+def theme_cells(results: Sequence[CaseResult]) -> list[tuple[str, list[str]]]:
+    """By theme: cases, rows passed, largest error in float32 and in float16, pixels left out."""
+    lines = []
+    for theme in dict.fromkeys(result.case.theme for result in results):
+        here = [result for result in results if result.case.theme == theme]
+        passed = sum(result.passed for result in here)
+        worst = []
+        for blend in ("float32", "float16"):
+            errors = [result.error for result in here if result.settings.endswith(blend)]
+            worst.append(f"{np.max(errors):.1e}" if errors else "")
+        count = len({result.case.name for result in here})
+        excluded = sum(result.excluded for result in here)
+        lines.append((theme, [str(count), f"{passed} of {len(here)}", *worst, str(excluded or "")]))
+    return lines
+
+
+def print_cases(cases: Sequence[HardCase], *, as_json: bool) -> None:
+    if as_json:
+        print(
+            json.dumps(
+                [{"case": c.name, "theme": c.theme, "what": c.what} for c in cases], ensure_ascii=False
+            )
+        )
+        return
+    table = Table("theme", "case", "what is hard")
+    for case in cases:
+        table.add_row(case.theme, escape(case.name), escape(case.what))
+    Console().print(table)

@@ -1,0 +1,400 @@
+"""`splatview train`: photos in, a scene out."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from splatview.cli.arguments import Parser, count, index, positive
+from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels
+from splatview.cli.window import no_window
+from splatview.scene import InputError
+from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
+from splatview.scene.effects import Effect
+from splatview.trainer.background import TrainingThread
+from splatview.trainer.distributed import (
+    Alone,
+    Group,
+    PeerLost,
+    Processes,
+    is_launched,
+    stopping_between_steps,
+)
+from splatview.trainer.evaluate import Evaluation
+from splatview.trainer.run import Outputs, Progress, Session
+from splatview.trainer.settings import PAPER_ITERATIONS
+from splatview.trainer.trainer import Trainer
+
+# ---- What `splatview train` prints: a bar while it runs, lines of evaluations, a table at the end.
+
+
+def make_bar(console: Console) -> Bar:
+    """Its tasks have a field "numbers", see `numbers`."""
+    return Bar(
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[numbers]}"),
+        console=console,
+        refresh_per_second=4,
+    )
+
+
+def numbers(progress: Progress, evaluation: Evaluation | None) -> str:
+    """The figures behind the bar; `evaluation` is the last one."""
+    step = progress.step
+    text = f"step {step.iteration:,}  loss {step.loss:.4f}  {step.gaussians:,} splats"
+    if evaluation is not None:
+        text += f"  {evaluation.psnr:.2f} dB"
+    if 0.01 < step.progress < 1:
+        left = progress.seconds * (1 / step.progress - 1)
+        text += f"  {math.ceil(left / 60)} min left" if left > 90 else f"  {math.ceil(left)} s left"
+    return text
+
+
+def effect_line(effect: Effect) -> str:
+    """As `splatview info` prints it."""
+    return f"  {'on ' if effect.in_force else 'off'}  {effect.name}: {effect.why}"
+
+
+def evaluation_line(progress: Progress) -> str:
+    step, evaluation = progress.step, progress.evaluation
+    assert evaluation is not None
+    return (
+        f"step {step.iteration:>7,}  {progress.seconds:7.1f} s  {step.gaussians:>9,} splats"
+        f"  held out: {evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}"
+    )
+
+
+def print_summary(
+    console: Console, trainer: Trainer, evaluation: Evaluation | None, outputs: Outputs
+) -> None:
+    """The table of held-out photos, and where everything is."""
+    counters = trainer.counters
+    if evaluation is not None:
+        table = Table("held-out photo", "PSNR dB", "SSIM")
+        for score in evaluation.scores:
+            table.add_row(score.name, f"{score.psnr:.2f}", f"{score.ssim:.4f}")
+        table.add_row("mean", f"{evaluation.psnr:.2f}", f"{evaluation.ssim:.4f}", style="bold")
+        console.print(table)
+    console.print(
+        f"{outputs.scene}: {len(trainer.splats):,} splats, {counters.iteration:,} steps in"
+        f" {counters.seconds:.1f} s",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if evaluation is not None:
+        console.print(f"side by side: {outputs.pictures}", highlight=False, soft_wrap=True)
+
+
+# ---- `splatview train` with a window: the scene is seen to grow, and may be steered.
+
+
+EVAL_SECONDS = 4.0
+"""Between evaluations, if they cost little: a curve that somebody watches needs more points."""
+
+
+def check_window() -> None:
+    """Raises InputError: there can be no window here."""
+    if is_launched():
+        raise InputError("several processes train without a window; add --headless")
+    problem = no_window()
+    if problem is not None:
+        raise InputError(f"{problem}; add --headless to train without a window")
+
+
+def train_in_window(
+    options: argparse.Namespace, started: float, opening: Callable[[Run], str], **window: Any
+) -> int:
+    """Trains while somebody watches, until the window is closed; returns the exit code.
+
+    `started`: time.perf_counter() of the process's begin; `opening` says what is about to be trained;
+    `window` goes to `run_window`.
+    """
+    console = Console(stderr=True)
+    ready = prepare(options, console, Alone())
+    console.print(opening(ready), highlight=False, soft_wrap=True)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
+    session = Session(
+        ready.trainer,
+        ready.held_out,
+        ready.outputs,
+        started=started,
+        eval_every=options.eval_every,
+        eval_seconds=EVAL_SECONDS,
+        notes=ready.notes,
+        effects=ready.effects,
+    )
+    thread = TrainingThread(session, cores=options.threads)
+    with _undisturbed():
+        try:
+            code = _watch(ready, thread, {"rescue": lambda: _save(console, ready, thread), **window})
+        except BaseException:
+            _save(console, ready, thread)
+            raise
+        _save(console, ready, thread)
+    return code
+
+
+def _save(console: Console, ready: Run, thread: TrainingThread) -> None:
+    """Writes what was trained, and says where it is."""
+    try:
+        with console.status("Saving the scene"):
+            thread.close()
+    finally:
+        for note in thread.take_notes():
+            console.print(f"[yellow]{note}", highlight=False, soft_wrap=True)
+    _conclude(console, ready, thread)
+
+
+def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
+    from splatview.viewer.app import run_window
+    from splatview.viewer.platform import give_way
+    from splatview.viewer.training.live import Training, watched_photos
+
+    training = Training(
+        thread=thread,
+        name=ready.capture.name,
+        photos=watched_photos(ready.trainer.shots.all, ready.held_out),
+        settings=ready.trainer.render_settings,
+    )
+
+    give_way()  # the training's thread is there already, and keeps its priority
+    return run_window([], training=training, **options)
+
+
+def _conclude(console: Console, ready: Run, thread: TrainingThread) -> None:
+    """Says where everything is."""
+    status, outputs = thread.status, ready.outputs
+    if status.state == "done":
+        print_summary(Console(), ready.trainer, status.evaluation, outputs)
+    elif status.saved_at is None:
+        console.print("nothing was trained, and nothing written", highlight=False)
+    else:
+        console.print(
+            f"stopped at step {status.iteration:,}: {outputs.scene} is as far as it came;"
+            f" go on with --resume {outputs.checkpoint}",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Within, a signal that asks for an end does nothing: the window, while there is one, heeds it as a click
+    on its cross, and what was trained is saved whole after that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: None) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+EVAL_EVERY = 1000
+"""Steps between evaluations where nothing else is asked for."""
+
+
+def make_parser() -> Parser:
+    parser = Parser(
+        "train",
+        "Trains a scene on the photos of CAPTURE: a folder with a COLMAP model or a transforms.json.\n\n"
+        "A window shows the scene as it grows; closing it saves what was trained.\n\n"
+        "Every 8th photo is held out and measured by. Beside the scene are written a checkpoint, from\n"
+        "which --resume goes on, and held-out photos side by side with what the scene shows.\n\n"
+        "Several processes, on one machine or more, share each batch of photos:\n"
+        "torchrun --nproc-per-node 2 --no-python splatview train CAPTURE --headless",
+    )
+    parser.add_argument("capture", metavar="CAPTURE", nargs="?")
+    parser.add_argument("--demo", action="store_true", help="train on pictures of the demo scene instead")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT.ply", help="scene to write (default: CAPTURE's name)"
+    )
+    parser.add_argument("--headless", action="store_true", help="train without a window")
+    group = parser.add_argument_group("length")
+    group.add_argument(
+        "--iterations",
+        type=count,
+        metavar="N",
+        help=f"steps (default: {PAPER_ITERATIONS:,}, fewer for few photos)",
+    )
+    group.add_argument("--minutes", type=positive, metavar="M", help="end after M minutes, all included")
+    group = parser.add_argument_group("recipe")
+    group.add_argument("--downscale", type=count, metavar="K", help="photos smaller by K (default: 1)")
+    group.add_argument(
+        "--lens",
+        choices=get_args(LensUse),
+        help="photos whose lens is no pinhole: train through it, or take its distortion out of them first "
+        f"(default: {DEFAULT_LENS_USE})",
+    )
+    group.add_argument("--strategy", choices=("mcmc", "classic"), help="density control (default: mcmc)")
+    group.add_argument(
+        "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
+    )
+    group.add_argument(
+        "--batch", type=count, metavar="B", help="photos a step (default: 1, or one for each process)"
+    )
+    group.add_argument(
+        "--coarse",
+        type=levels,
+        metavar="SHARE:K,..",
+        help="photos smaller by K until this share of the run, or none (default: 0.3:2)",
+    )
+    group.add_argument(
+        "--exposure",
+        choices=("auto", "on", "off"),
+        help="learn each photo's exposure (default: auto, where photos differ)",
+    )
+    group.add_argument(
+        "--antialiased",
+        choices=("auto", "on", "off"),
+        help="train for all scales, with a kernel of 0.1 px² (default: auto, where photos differ in scale)",
+    )
+    group.add_argument(
+        "--abs-grad",
+        action="store_true",
+        default=None,
+        help="with --strategy classic: gradients by absolute value decide what is split",
+    )
+    group.add_argument("--seed", type=index, metavar="S", help="of all that is random (default: 0)")
+    group.add_argument("--threads", type=count, metavar="T", help="default: all cores")
+    group = parser.add_argument_group("report")
+    group.add_argument(
+        "--eval-every", type=count, default=EVAL_EVERY, metavar="N", help=f"steps (default: {EVAL_EVERY})"
+    )
+    group.add_argument("--metrics", type=Path, metavar="M.jsonl", help="one JSON object a line, added to it")
+    group.add_argument("--resume", type=Path, metavar="CKPT", help="go on from a checkpoint")
+    return parser
+
+
+def levels(text: str) -> tuple[tuple[float, int], ...]:
+    """`0.1:4,0.3:2` or `none`, as `TrainSettings.coarse`."""
+    if text == "none":
+        return ()
+    pairs = [part.split(":") for part in text.split(",")]
+    if not all(len(pair) == 2 for pair in pairs):
+        raise argparse.ArgumentTypeError(f"must be like 0.1:4,0.3:2 or none, got {text!r}")
+    coarse = tuple((positive(share), count(factor)) for share, factor in pairs)
+    shares = [share for share, _ in coarse]
+    if not (shares == sorted(set(shares)) and shares[-1] <= 1):
+        raise argparse.ArgumentTypeError(f"shares of the run must grow and be at most 1, got {text!r}")
+    return coarse
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Trains; returns the exit code. Raises InputError for a user's mistake."""
+    started = time.perf_counter() - process_age()
+    options = make_parser().parse(arguments)
+    if options is None:
+        return 0
+    if options.demo == (options.capture is not None):
+        raise InputError("name the folder of a capture, or --demo (see splatview train --help)")
+    if not options.headless:
+        if is_launched():
+            raise InputError("several processes train without a window; add --headless")
+        check_window()
+    # Pillow reports damaged notes of cameras, of photos that can be read all the same.
+    warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
+    if not options.headless:
+        return train_in_window(options, started, _opening)
+    group = Processes() if is_launched() else Alone()
+    try:
+        return _train(options, group, started)
+    finally:
+        group.leave()
+
+
+def _train(options: argparse.Namespace, group: Group, started: float) -> int:
+    console = Console(stderr=True, quiet=group.rank > 0)
+    try:
+        ready = prepare(options, console, group)
+    except ToldElsewhere:
+        return EXIT_BAD_INPUT
+    console.print(_opening(ready), highlight=False, soft_wrap=True)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
+    return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
+
+
+def _opening(ready: Run) -> str:
+    trainer, (_, width, height) = ready.trainer, ready.trainer.shots.names()[0]
+    text = (
+        f"{ready.capture.name}: {len(trainer.shots)} photos to train on, {len(ready.held_out)} held out,"
+        f" {width}x{height} px; {len(trainer.splats):,} splats to begin with"
+    )
+    if trainer.group.size > 1:
+        text += f"; {trainer.group.size} processes share batches of {trainer.settings.batch}"
+    return "\n".join([text, *map(effect_line, ready.effects)])
+
+
+def _lead(ready: Run, options: argparse.Namespace, console: Console, started: float) -> int:
+    """The run of the process that writes."""
+    trainer, outputs = ready.trainer, ready.outputs
+    with make_bar(console) as bar:
+        task = bar.add_task("", total=1.0, numbers="")
+
+        def show(progress: Progress) -> None:
+            if progress.evaluation is not None:
+                bar.console.print(evaluation_line(progress), highlight=False, soft_wrap=True)
+            bar.update(task, completed=progress.step.progress, numbers=numbers(progress, session.evaluation))
+
+        session = Session(
+            trainer,
+            ready.held_out,
+            outputs,
+            started=started,
+            eval_every=options.eval_every,
+            notes=ready.notes,
+            effects=ready.effects,
+            on_progress=show,
+            on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
+        )
+        try:
+            with stopping_between_steps(trainer.group):
+                completed = session.run()
+        except PeerLost as error:
+            raise InputError(f"{error}; {_as_far(outputs)}") from None
+    if not completed:
+        console.print(
+            f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return EXIT_INTERRUPTED
+    evaluation = session.final_evaluation()
+    print_summary(Console(), trainer, evaluation, outputs)
+    return 0
+
+
+def _as_far(outputs: Outputs) -> str:
+    return f"{outputs.scene} is as far as it came; go on with --resume {outputs.checkpoint}"
+
+
+def _follow(trainer: Trainer) -> int:
+    """The run of every other process."""
+    try:
+        with stopping_between_steps(trainer.group):
+            while not trainer.done:
+                trainer.step(0.0)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    return 0

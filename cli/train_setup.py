@@ -1,0 +1,296 @@
+"""What `splatview train` does before the first step: reads, checks, and readies all that a run needs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from splatview.cli.run_lock import claim
+from splatview.renderers.demo_cache import cached_demo_capture
+from splatview.scene import InputError
+from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
+from splatview.scene.effects import Effect
+from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
+from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
+from splatview.trainer.effects import capture_effects, model_for, with_exposure
+from splatview.trainer.run import Outputs
+from splatview.trainer.settings import (
+    PAPER_ITERATIONS,
+    TrainSettings,
+    automatic_drop,
+    automatic_elongation,
+    automatic_limit,
+    automatic_pull,
+    automatic_steps,
+)
+from splatview.trainer.splats import initial_parameters
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shot, Shots, shots_of
+from splatview.trainer.warm_up import warm_up
+
+COMPILED_SECONDS = 10.0
+"""Loading kernels from the cache takes about two seconds; when it takes this long, they were compiled."""
+
+BYTES_A_SPLAT = 250 + 2 * 710
+"""In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
+
+OF_THE_CHECKPOINT = (
+    "seed",
+    "strategy",
+    "max_splats",
+    "batch",
+    "coarse",
+    "exposure",
+    "antialiased",
+    "abs_grad",
+    "lens",
+)
+"""Options that a resumed run takes from where it was."""
+
+
+class ToldElsewhere(Exception):
+    """Something is wrong, and another process of the run says what."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run that is ready for its first step."""
+
+    capture: Capture
+    trainer: Trainer
+    held_out: list[Shot]
+    outputs: Outputs
+    notes: dict[str, Any]
+    """For checkpoints."""
+    effects: tuple[Effect, ...]
+    """What the run computes and why."""
+    uncounted: float
+    """Seconds spent on what is made once per installation; they count against no budget."""
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether photos are trained on through a lens."""
+        return any(photo.camera.lens is not None for photo in self.capture.photos)
+
+
+def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
+    """Reads the capture and makes the trainer; the outputs have been tried by then.
+
+    Raises:
+        InputError: the user asked for something that cannot be.
+        ToldElsewhere: another process of the group raises InputError.
+    """
+    if not isinstance(group, Processes):
+        return _prepare(options, console, group)
+    run, problem = None, None
+    try:
+        run = _prepare(options, console, group)
+    except InputError as error:
+        problem = str(error)
+    problems = group.gathered(problem)
+    if any(problems):
+        rank = next(rank for rank, said in enumerate(problems) if said)
+        if group.rank > 0:
+            raise ToldElsewhere
+        raise InputError(problems[rank] if rank == 0 else f"process {rank}: {problems[rank]}")
+    assert run is not None
+    try:
+        _check_equal(run, group)
+    except InputError:
+        # All of them notice.
+        if group.rank > 0:
+            raise ToldElsewhere from None
+        raise
+    return run
+
+
+def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
+    checkpoint = None if options.resume is None else load_checkpoint(options.resume)
+    if checkpoint is not None:
+        for name in OF_THE_CHECKPOINT:
+            if getattr(options, name) is not None:
+                raise InputError(f"--{name.replace('_', '-')} is the checkpoint's; leave it out to resume")
+    batch = checkpoint.settings.batch if checkpoint else options.batch or group.size
+    if not batch >= group.size:
+        raise InputError(f"{group.size} processes cannot share a batch of {batch}; start at most {batch}")
+    downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
+    # Checkpoints from before there was a choice have no word about it.
+    lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
+    outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
+    if group.rank == 0:
+        outputs.check()
+        claim(outputs.checkpoint)
+    folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
+    capture = _with_status(
+        console,
+        "Reading photos",
+        lambda show: load_capture(folder, downscale=downscale, lens=lens, progress=show),
+    )
+    seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
+    shots, held_out = Shots(shots_of(capture.train), seed), shots_of(capture.held_out)
+    for warning in capture.warnings:
+        console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
+    if checkpoint is None:
+        trainer = _new_trainer(capture, shots, seed, batch, options, group)
+        if options.iterations is None and automatic_steps(len(shots)) is not None:
+            console.print(
+                f"{len(shots)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
+                " learn single photos by heart; --iterations asks for more",
+                highlight=False,
+                soft_wrap=True,
+            )
+    else:
+        trainer = _resumed_trainer(shots, checkpoint, options, group)
+    if group.rank == 0:
+        _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
+    antialiased = (
+        options.antialiased or (checkpoint.notes.get("antialiased") if checkpoint else None) or "auto"
+    )
+    notes = {"downscale": downscale, "lens": lens, "antialiased": antialiased}
+    effects = capture_effects(capture, trainer.settings, antialiased)
+    if trainer.exposures.is_decided:
+        effects = with_exposure(effects, trainer.exposures)
+    return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
+
+
+def ready_kernels(console: Console, *, lens: bool = False) -> float:
+    """Compiles or loads the kernels; returns the seconds of compiling, which count against no budget.
+
+    `lens`: those for photos through a lens.
+    """
+    begun = time.perf_counter()
+    with console.status("Readying the kernels (once per installation: about a minute)"):
+        warm_up(lens=lens)
+    seconds = time.perf_counter() - begun
+    if seconds < COMPILED_SECONDS:
+        return 0.0
+    console.print(
+        f"compiling took {seconds:.0f} s, once per installation; --minutes does not count it",
+        highlight=False,
+        soft_wrap=True,
+    )
+    return seconds
+
+
+def process_age() -> float:
+    """Seconds since this process began, so that a budget of minutes counts starting up; 0 if unknown."""
+    try:
+        with open("/proc/self/stat", encoding="ascii") as file:
+            ticks = int(file.read().rpartition(")")[2].split()[19])
+        return max(time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK"), 0.0)
+    except (OSError, AttributeError, ValueError, IndexError):  # not on Linux
+        return 0.0
+
+
+def _demo(console: Console) -> tuple[Path, float]:
+    """The folder of the demo's photos, and the seconds that making them took."""
+    begun = time.perf_counter()
+    title = "Taking pictures of the demo scene (once per installation)"
+    folder = _with_status(console, title, lambda show: cached_demo_capture(progress=show))
+    return folder, time.perf_counter() - begun
+
+
+def _with_status(console: Console, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+    """Does `work` while its share shows behind the title."""
+    with console.status(title) as status:
+        return work(lambda share: status.update(f"{title}: {share:.0%}"))
+
+
+def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
+    scene = output or Path(f"{Path(capture).resolve().name or 'scene'}.ply")
+    return Outputs(
+        scene=scene,
+        checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
+        metrics=metrics,
+        pictures=scene.parent / f"{scene.stem}-held-out",
+    )
+
+
+def _check_room(outputs: Outputs, splats: int) -> None:
+    """Raises InputError where the disk is too full for what the run will write."""
+    folder = outputs.scene.resolve().parent
+    free, needed = shutil.disk_usage(folder).free, splats * BYTES_A_SPLAT
+    if not free >= needed:
+        raise InputError(
+            f"{outputs.scene}: the disk has {free / 1e6:.1f} MB left, and up to {splats:,} splats with their"
+            f" checkpoint need {needed / 1e6:.1f} MB; make room, or name another place with -o"
+        )
+
+
+def _new_trainer(
+    capture: Capture, shots: Shots, seed: int, batch: int, options: argparse.Namespace, group: Group
+) -> Trainer:
+    iterations, minutes = options.iterations, options.minutes
+    if iterations is None:
+        iterations = automatic_steps(len(shots)) or (PAPER_ITERATIONS if minutes is None else None)
+    strategy = options.strategy or "mcmc"
+    if options.abs_grad and strategy != "classic":
+        raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
+    pull = automatic_pull(len(shots))
+    settings = TrainSettings(
+        iterations=iterations,
+        minutes=minutes,
+        seed=seed,
+        batch=batch,
+        opacity_pull=pull,
+        scale_pull=pull,
+        drop=automatic_drop(len(shots)),
+        elongation=automatic_elongation(len(shots)),
+        strategy=strategy,
+        exposure=options.exposure or "auto",
+        absolute_gradient=bool(options.abs_grad),
+        coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
+        background=capture.background or (0.0, 0.0, 0.0),
+        model=model_for(capture, options.antialiased or "auto"),
+        max_splats=options.max_splats
+        or automatic_limit(shots.pixel_count, minutes if options.iterations is None else None),
+    )
+    extent = capture.scene_radius
+    parameters = initial_parameters(
+        capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=seed
+    )
+    return Trainer(shots, parameters, extent, settings, threads=_threads(options, group), group=group)
+
+
+def _resumed_trainer(
+    shots: Shots, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
+) -> Trainer:
+    settings = checkpoint.settings
+    if options.iterations is not None or options.minutes is not None:
+        settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
+    parameters = checkpoint.splats.parameters
+    trainer = Trainer(
+        shots, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
+    )
+    restore(trainer, checkpoint)
+    if trainer.done:
+        raise InputError(
+            f"{options.resume}: its run is over; give --iterations above {trainer.counters.iteration}"
+            " or more --minutes to train on"
+        )
+    return trainer
+
+
+def _threads(options: argparse.Namespace, group: Group) -> int | None:
+    return options.threads or (None if isinstance(group, Alone) else share_of_cores())
+
+
+def _check_equal(run: Run, group: Processes) -> None:
+    trainer = run.trainer
+    check_equal(
+        group,
+        {
+            "options": digest(trainer.settings),
+            "photos": digest(trainer.shots.names(), *(shot.pixels for shot in trainer.shots.all)),
+            "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
+            "checkpoint": digest(trainer.counters.iteration),
+        },
+    )

@@ -1,0 +1,83 @@
+"""`splatview [SCENE ...]`: the window, or a preview picture where there is no display."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from splatview.cli.arguments import DEFAULT_SIZE, Parser
+from splatview.cli.render import check_output, write_picture
+from splatview.renderers.headless import Cpu, HeadlessRenderer, Quads, Tiles
+from splatview.scene import Camera, Gaussians, InputError, concatenate
+from splatview.scene.effects import settings_for
+from splatview.scene.formats import load_scene
+from splatview.scene.framing import frame_camera
+
+DEFAULT_PREVIEW = Path("splatview-preview.png")
+
+
+def run(arguments: list[str]) -> int:
+    parser = Parser("", "Opens scenes in a window.", usage="splatview [SCENE ...] [options]")
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE")
+    parser.add_argument("--renderer", choices=("auto", "quads", "tiles", "cpu"), default="auto")
+    parser.add_argument("-o", "--output", type=Path, default=DEFAULT_PREVIEW, metavar="FILE.png")
+    args = parser.parse(arguments)
+    if args is None:
+        return 0
+    for path in args.scenes:
+        # os.path: unlike Path.exists it takes names that no file system would.
+        if not os.path.lexists(path):
+            hint = "" if path.suffix or len(path.parts) > 1 else ", nor a command; see splatview --help"
+            raise InputError(f"{path}: no such file{hint}")
+    problem = no_window()
+    if problem is None:
+        from splatview.viewer.app import run_window
+
+        return run_window(args.scenes, renderer=args.renderer)
+    check_output(args.output, (".png",))
+    gaussians, camera = first_view(args.scenes)
+    print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)
+    drawing = preview_renderer(args.renderer)
+    write_picture(drawing.draw(gaussians, camera, settings_for(gaussians)), args.output)
+    print(f"{args.output}: {camera.width}x{camera.height}, by {drawing.name}", file=sys.stderr)
+    return 0
+
+
+def no_window() -> str | None:
+    """One line on why no window can be opened, or None."""
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        # Known without loading the window's libraries.
+        return "no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
+    from splatview.viewer.platform import display_problem
+
+    return display_problem()
+
+
+def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
+    """The scenes, merged, or the demo; and the camera that shows them first."""
+    width, height = DEFAULT_SIZE
+    if not paths:
+        from splatview.renderers.demo_cache import cached_demo
+        from splatview.scene.demo import demo_camera
+
+        return cached_demo(), demo_camera(width, height)
+    gaussians = concatenate([load_scene(path) for path in paths])
+    return gaussians, frame_camera(gaussians, width, height)
+
+
+def preview_renderer(renderer: str) -> HeadlessRenderer:
+    """`quads` by EGL unless another is asked for; where there is no EGL, `cpu`, saying so."""
+    if renderer == "cpu":
+        return Cpu()
+    from splatview.renderers.gl.context import create_headless_context
+
+    try:
+        return (Tiles if renderer == "tiles" else Quads)(create_headless_context())
+    except InputError as error:
+        if renderer != "auto":
+            raise
+        print(f"splatview: {error}; rendering on the CPU", file=sys.stderr)
+        return Cpu()

@@ -1,0 +1,119 @@
+"""How the loops of this package are compiled: without the GIL, and cached on disk.
+
+numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
+into. So all sources of this package are part of the cache's path, and no kernel can be stale.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import config as _numba_config
+
+from splatview.edit.progress import UNWATCHED, Watch
+
+_config: Any = _numba_config
+
+
+def _cache_folder() -> Path | None:
+    """Where kernels of exactly these sources lie, beside those of the rasteriser, which removes what is
+    long unused; None where the disk may not be written."""
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        root = Path(os.environ["NUMBA_CACHE_DIR"]) / "splatview"
+    elif os.name == "nt" and os.environ.get("LOCALAPPDATA"):
+        root = Path(os.environ["LOCALAPPDATA"]) / "splatview" / "kernels"
+    else:
+        try:
+            home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        except RuntimeError:  # there is no home
+            return None
+        root = Path(home) / "splatview" / "kernels"
+    stamp = hashlib.sha256(str((numba.__version__, bool(_config.BOUNDSCHECK))).encode())
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        stamp.update(file.read_bytes())
+    try:
+        folder = root / f"edit-{stamp.hexdigest()[:16]}"
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+_CACHE = _cache_folder()
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiles an entry point: called from Python, releases the GIL. NaN and infinity keep their meaning."""
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(_CACHE or "")
+    try:
+        return numba.njit(nogil=True, cache=_CACHE is not None, error_model="numpy")(function)
+    finally:
+        _config.CACHE_DIR = before
+
+
+def inline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiles a helper that kernels call; LLVM folds it into them."""
+    return numba.njit(nogil=True, error_model="numpy")(function)
+
+
+# ---- Work over many splats cut into pieces, done on all cores, watched between the pieces.
+
+
+PIECE = 1 << 16
+"""Splats at a time: what is computed of them stays in the second-level cache, and one asks often enough
+whether to stop."""
+
+
+@cache
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+@cache
+def _executor() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_cores(), thread_name_prefix="edit")
+
+
+def in_pieces(
+    count: int, work: Callable[[int, int], object], *, watch: Watch = UNWATCHED, piece: int = PIECE
+) -> None:
+    """Calls `work(start, stop)` for runs that make up [0, count), several at once.
+
+    The first exception of a piece is raised here, when the pieces already begun have ended; so is
+    Cancelled where the watch says so.
+    """
+    starts = range(0, count, piece)
+    if len(starts) <= 1 or _cores() == 1:
+        for start in starts:
+            watch.step(start / count)
+            work(start, min(start + piece, count))
+        watch.step(1.0)
+        return
+    running: set[Future[object]] = set()
+    ended = 0
+    try:
+        for start in starts:
+            watch.step(ended / len(starts))
+            if len(running) > _cores():
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                ended += len(done)
+                for future in done:
+                    future.result()
+            running.add(_executor().submit(work, start, min(start + piece, count)))
+        for future in running:
+            future.result()
+    finally:
+        wait(running)
+    watch.step(1.0)

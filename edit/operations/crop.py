@@ -1,0 +1,120 @@
+"""Operations on crop boxes and spheres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from splatview.edit.changes import Change, Part, Recrop, Toggle, splats_in_words
+from splatview.edit.operations.base import Operation, deleting
+from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.state import SplatSet
+from splatview.scene import InputError
+from splatview.scene.edits import DELETED, LOCKED, SELECTED, Crop, shown
+
+if TYPE_CHECKING:
+    from splatview.edit.document import Document
+
+
+MOST_CROPS = 64
+"""Renderers look at all of them for each splat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddCrop(Operation):
+    op: ClassVar[str] = "add_crop"
+    summary: ClassVar[str] = "Add a crop box or sphere; nothing is deleted"
+
+    crop: Crop
+
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        if len(document.crops) >= MOST_CROPS:
+            raise InputError(f"there are {MOST_CROPS} crops already; remove one first")
+        return _recropped(document, (*document.crops, self.crop), f"Add {self.crop.shape} {self.crop.name}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneCrop(Operation):
+    index: int
+    """Which of the crops, from 0."""
+
+    def __post_init__(self) -> None:
+        if not self.index >= 0:
+            raise ValueError(f"index must be at least 0, got {self.index}")
+
+    def _crop(self, document: Document) -> Crop:
+        if not self.index < len(document.crops):
+            raise InputError(f"index {self.index}: there are {len(document.crops)} crops, counted from 0")
+        return document.crops[self.index]
+
+    def _replaced(self, document: Document, *by: Crop) -> tuple[Crop, ...]:
+        return (*document.crops[: self.index], *by, *document.crops[self.index + 1 :])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeCrop(_OneCrop):
+    op: ClassVar[str] = "change_crop"
+    summary: ClassVar[str] = "Move, turn, resize, rename or turn inside out a crop"
+
+    crop: Crop
+
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        self._crop(document)
+        return _recropped(document, self._replaced(document, self.crop), f"Change {self.crop.name}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemoveCrop(_OneCrop):
+    op: ClassVar[str] = "remove_crop"
+    summary: ClassVar[str] = "Remove a crop; what it cut away is back"
+
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        title = f"Remove {self._crop(document).name}"
+        return _recropped(document, self._replaced(document), title)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnableCrop(_OneCrop):
+    op: ClassVar[str] = "enable_crop"
+    summary: ClassVar[str] = "Switch a crop on or off"
+
+    enabled: bool
+
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        crop = replace(self._crop(document), enabled=self.enabled)
+        title = f"Switch {crop.name} {'on' if self.enabled else 'off'}"
+        return _recropped(document, self._replaced(document, crop), title)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeleteCropped(Operation):
+    op: ClassVar[str] = "delete_cropped"
+    summary: ClassVar[str] = "Delete what the crops cut away, and remove those crops"
+
+    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+        if not any(crop.enabled for crop in document.crops):
+            raise InputError("no crop is in force that could be made permanent")
+        # By the exporter's own arithmetic: a splat on the very surface must not change sides.
+        gone = ~shown(document.gaussians, document.edits, hidden=True) & ((document.marks & DELETED) == 0)
+        locked = gone & ((document.marks & LOCKED) != 0)
+        gone &= ~locked
+        kept = tuple(crop for crop in document.crops if not crop.enabled)
+        stay = int(np.count_nonzero(locked))
+        title = f"Delete {splats_in_words(int(np.count_nonzero(gone)))} outside of the crops"
+        notes = (f"{splats_in_words(stay)} outside stay: they are locked",) if stay else ()
+        change = deleting(document, gone, title, notes)
+        return replace(change, parts=(*change.parts, Recrop(document.crops, kept)))
+
+
+def _recropped(document: Document, crops: tuple[Crop, ...], title: str) -> Change:
+    """Other crops; what they cut away is no longer selected, so that nothing unseen is edited."""
+    if crops == document.crops:
+        return Change(title=title, count=0)
+    parts: list[Part] = [Recrop(document.crops, crops)]
+    if document.counts.selected:
+        visible = document.cropped_in(crops=crops, only=SELECTED)
+        if len(visible):
+            parts.append(Toggle(SplatSet.of_mask(~visible), SELECTED))
+    return Change(title=title, count=0, parts=tuple(parts))

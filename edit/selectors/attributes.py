@@ -1,0 +1,471 @@
+"""Numbers that tell splats apart: what histograms show and ranges select by. All of the edited scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatview.edit.kernels import attributes as looks
+from splatview.edit.kernels.attributes import (
+    LINEAR,
+    column,
+    distances,
+    fill_bins,
+    oklab,
+    value_span,
+    within_colour,
+    within_range,
+)
+from splatview.edit.kernels.compiling import in_pieces
+from splatview.edit.kernels.marks import places_of
+from splatview.edit.progress import UNWATCHED, Tools, Watch
+from splatview.edit.selectors.base import at_least, choice, finite, store, vector
+from splatview.scene import Camera, Gaussians
+from splatview.scene.edits import IDENTITY_COLOUR, PALETTE_SHIFT, SceneEdits, adjustment_rows
+
+# ---- What splats look like after editing, value by value, without making a scene of it.
+
+
+def _entries(edits: SceneEdits) -> np.ndarray:
+    return edits.marks >> np.uint32(PALETTE_SHIFT)
+
+
+def log_scales(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
+    """(N, 3) float32, natural logarithm of standard deviations in world units."""
+    factors = adjustment_rows(edits.palette)[:, 32]
+    if (factors == 1).all():
+        return gaussians.log_scales
+    return gaussians.log_scales + np.log(factors).astype(np.float32)[_entries(edits), None]
+
+
+def opacities(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
+    """(N,) float32 in [0, 1]; NaN where the logit is."""
+    values = np.empty(len(gaussians), np.float32)
+    maps = adjustment_rows(edits.palette)[:, 28:32].astype(np.float32)
+
+    def work(start: int, stop: int) -> None:
+        looks.opacities(start, stop, gaussians.opacity_logits, edits.marks, maps, values)
+
+    in_pieces(len(values), work)
+    return values
+
+
+def _coloured(edits: SceneEdits) -> bool:
+    return any(adjustment.colour != IDENTITY_COLOUR for adjustment in edits.palette)
+
+
+def _colour_maps(edits: SceneEdits) -> np.ndarray:
+    """(P, 3, 4) float32."""
+    return adjustment_rows(edits.palette)[:, 16:28].reshape(-1, 3, 4).astype(np.float32)
+
+
+def base_colours(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
+    """(N, 3) float32 RGB of the constant band, 0.5 + C0·sh0: the mean of what it shows to all sides."""
+    rgb = np.empty((len(gaussians), 3), np.float32)
+    maps = _colour_maps(edits)
+
+    def work(start: int, stop: int) -> None:
+        looks.base_colours(start, stop, gaussians.sh, edits.marks, maps, rgb)
+
+    in_pieces(len(rgb), work)
+    return rgb
+
+
+def sh_energies(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
+    """(N,) float32: root of the summed squares of all coefficients above the constant band.
+
+    Turning a splat leaves it as it is.
+    """
+    higher = gaussians.sh[:, 1:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not _coloured(edits):
+            flat = higher.reshape(len(higher), -1)
+            return np.sqrt(np.einsum("nk,nk->n", flat, flat))
+        maps, entries = _colour_maps(edits)[:, :, :3], _entries(edits)
+        # The squared length of A·c is c·(AᵀA)·c: 3x3 numbers a splat, whatever the degree.
+        moments = np.einsum("nki,nkj->nij", higher, higher)
+        gram = np.einsum("pci,pcj->pij", maps, maps)
+        return np.sqrt(np.maximum(np.einsum("nij,nij->n", moments, gram[entries]), 0))
+
+
+LUMINANCE = np.array((0.2126, 0.7152, 0.0722), np.float32)
+"""Weights of red, green and blue in what looks bright (ITU-R BT.709)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Query:
+    """What an attribute is computed from."""
+
+    gaussians: Gaussians
+    edits: SceneEdits
+    tools: Tools
+    cameras: Sequence[Camera]
+    """For contributions; none: sample views are made."""
+    point: tuple[float, float, float]
+    """For distances, world units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attribute:
+    """One number a splat."""
+
+    label: str
+    unit: str
+    what: str
+    """One sentence for a tooltip."""
+    values: Callable[[Query], np.ndarray]
+    """(N,) float32."""
+    log: bool = False
+    """Whether a logarithmic axis suits it: it spans decades and is positive."""
+    renders: bool = False
+    """Whether it takes pictures, and thus seconds."""
+
+
+def attribute_values(
+    name: str,
+    gaussians: Gaussians,
+    edits: SceneEdits,
+    tools: Tools,
+    *,
+    cameras: Sequence[Camera] = (),
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> np.ndarray:
+    """Values (N,) float32 of the attribute `name` for all splats, hidden and deleted ones included.
+
+    NaN where a splat's own numbers are. `cameras` serve "contribution", `point` serves "distance".
+
+    Raises:
+        ValueError: no attribute has that name.
+    """
+    if name not in ATTRIBUTES:
+        raise ValueError(f"attribute must be one of {', '.join(ATTRIBUTES)}, got {name!r}")
+    query = Query(gaussians=gaussians, edits=edits, tools=tools, cameras=cameras, point=point)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return np.ascontiguousarray(ATTRIBUTES[name].values(query), np.float32)
+
+
+def _position(axis: int) -> Callable[[Query], np.ndarray]:
+    return lambda query: column(places_of(query.gaussians, query.edits), axis)
+
+
+def _distance(query: Query) -> np.ndarray:
+    return distances(places_of(query.gaussians, query.edits), query.point)
+
+
+def _scales(query: Query) -> np.ndarray:
+    return log_scales(query.gaussians, query.edits)
+
+
+def _middle_of(values: np.ndarray) -> np.ndarray:
+    """(N, 3) -> (N,): neither the greatest nor the least."""
+    x, y, z = values.T
+    return np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z))
+
+
+def _largest(query: Query) -> np.ndarray:
+    x, y, z = _scales(query).T
+    return np.exp(np.maximum(np.maximum(x, y), z))
+
+
+def _smallest(query: Query) -> np.ndarray:
+    x, y, z = _scales(query).T
+    return np.exp(np.minimum(np.minimum(x, y), z))
+
+
+def _volume(query: Query) -> np.ndarray:
+    x, y, z = _scales(query).T
+    return np.float32(4 / 3 * np.pi) * np.exp(x + y + z)
+
+
+def _anisotropy(query: Query) -> np.ndarray:
+    x, y, z = query.gaussians.log_scales.T
+    return np.exp(np.maximum(np.maximum(x, y), z) - np.minimum(np.minimum(x, y), z))
+
+
+def _elongation(query: Query) -> np.ndarray:
+    x, y, z = query.gaussians.log_scales.T
+    return np.exp(np.maximum(np.maximum(x, y), z) - _middle_of(query.gaussians.log_scales))
+
+
+def _opacity(query: Query) -> np.ndarray:
+    return opacities(query.gaussians, query.edits)
+
+
+def _colours(query: Query) -> np.ndarray:
+    return base_colours(query.gaussians, query.edits)
+
+
+def _channel(channel: int) -> Callable[[Query], np.ndarray]:
+    return lambda query: _colours(query)[:, channel]
+
+
+def _luminance(query: Query) -> np.ndarray:
+    return _colours(query) @ LUMINANCE
+
+
+def _spread(query: Query) -> tuple[np.ndarray, ...]:
+    """Red, green and blue as a display cuts them, their greatest, and greatest less least."""
+    r, g, b = np.clip(_colours(query), 0, 1).T
+    greatest = np.maximum(np.maximum(r, g), b)
+    return r, g, b, greatest, greatest - np.minimum(np.minimum(r, g), b)
+
+
+def _hue(query: Query) -> np.ndarray:
+    r, g, b, greatest, spread = _spread(query)
+    sector = np.where(
+        greatest == r,
+        (g - b) / spread % 6,
+        np.where(greatest == g, (b - r) / spread + 2, (r - g) / spread + 4),
+    )
+    return np.where(spread > 0, sector * 60, np.where(spread == 0, 0, np.nan))
+
+
+def _saturation(query: Query) -> np.ndarray:
+    _, _, _, greatest, spread = _spread(query)
+    return np.where(greatest == 0, 0, spread / greatest)
+
+
+def _energy(query: Query) -> np.ndarray:
+    return sh_energies(query.gaussians, query.edits)
+
+
+def _contribution(query: Query) -> np.ndarray:
+    from splatview.edit.sample_views import sample_cameras
+
+    cameras = query.cameras or sample_cameras(query.gaussians, query.edits)
+    return query.tools.contributions(query.gaussians, cameras, query.edits)
+
+
+ATTRIBUTES: dict[str, Attribute] = {
+    "x": Attribute(label="X", unit="world units", what="Position of the centre.", values=_position(0)),
+    "y": Attribute(label="Y", unit="world units", what="Position of the centre.", values=_position(1)),
+    "z": Attribute(label="Z", unit="world units", what="Position of the centre.", values=_position(2)),
+    "distance": Attribute(
+        label="Distance", unit="world units", what="From the centre to a point.", values=_distance
+    ),
+    "largest scale": Attribute(
+        label="Largest scale",
+        unit="world units",
+        what="Standard deviation along the longest axis.",
+        values=_largest,
+        log=True,
+    ),
+    "smallest scale": Attribute(
+        label="Smallest scale",
+        unit="world units",
+        what="Standard deviation along the shortest axis.",
+        values=_smallest,
+        log=True,
+    ),
+    "volume": Attribute(
+        label="Volume",
+        unit="cubic world units",
+        what="Of the ellipsoid of one standard deviation.",
+        values=_volume,
+        log=True,
+    ),
+    "anisotropy": Attribute(
+        label="Anisotropy",
+        unit="ratio",
+        what="Longest to shortest axis: high for discs and needles.",
+        values=_anisotropy,
+        log=True,
+    ),
+    "elongation": Attribute(
+        label="Elongation",
+        unit="ratio",
+        what="Longest to middle axis: high for needles, 1 for round discs.",
+        values=_elongation,
+        log=True,
+    ),
+    "opacity": Attribute(label="Opacity", unit="0 to 1", what="At the centre.", values=_opacity),
+    "red": Attribute(label="Red", unit="0 to 1", what="Of the colour from all sides.", values=_channel(0)),
+    "green": Attribute(
+        label="Green", unit="0 to 1", what="Of the colour from all sides.", values=_channel(1)
+    ),
+    "blue": Attribute(label="Blue", unit="0 to 1", what="Of the colour from all sides.", values=_channel(2)),
+    "luminance": Attribute(label="Luminance", unit="0 to 1", what="How bright it looks.", values=_luminance),
+    "hue": Attribute(label="Hue", unit="degrees", what="0 red, 120 green, 240 blue; greys 0.", values=_hue),
+    "saturation": Attribute(
+        label="Saturation", unit="0 to 1", what="0 for greys, 1 for pure colours.", values=_saturation
+    ),
+    "sh energy": Attribute(
+        label="SH energy",
+        unit="colour",
+        what="How much the colour depends on where one looks from.",
+        values=_energy,
+    ),
+    "contribution": Attribute(
+        label="Contribution",
+        unit="px",
+        what="How much of the views it makes: alpha times the light that reaches it, summed over pixels.",
+        values=_contribution,
+        log=True,
+        renders=True,
+    ),
+}
+"""By the name that a recipe has."""
+
+
+# ---- A range of an attribute, as one drags it on a histogram.
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttributeRange:
+    """Splats with low <= value <= high; those whose value is NaN are in no range."""
+
+    attribute: str
+    """A name in ATTRIBUTES."""
+    low: float | None = None
+    """None: no lower end."""
+    high: float | None = None
+    """None: no upper end."""
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World units: where "distance" is measured from."""
+    cameras: tuple[Camera, ...] = ()
+    """The views that "contribution" is measured in; none: sample views."""
+
+    def __post_init__(self) -> None:
+        choice("attribute", self.attribute, ATTRIBUTES)
+        low = None if self.low is None else finite("low", self.low)
+        high = None if self.high is None else finite("high", self.high)
+        if low is not None and high is not None and not low <= high:
+            raise ValueError(f"low must not be above high, got {self.low} and {self.high}")
+        store(self, low=low, high=high, point=vector("point", self.point))
+        if not all(isinstance(camera, Camera) for camera in self.cameras):
+            raise ValueError("cameras must be a list of cameras")
+        store(self, cameras=tuple(self.cameras))
+
+    def mask(
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+    ) -> np.ndarray:
+        watch.step(0.0)
+        values = attribute_values(
+            self.attribute, gaussians, edits, tools, cameras=self.cameras, point=self.point
+        )
+        mask = self.of(values)
+        watch.step(1.0)
+        return mask
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """As `mask`, where the `values` (N,) float32 are known already: while a range is being dragged."""
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
+        mask = np.empty(len(values), bool)
+        in_pieces(len(values), lambda start, stop: within_range(start, stop, values, low, high, mask))
+        return mask
+
+
+# ---- How the values of an attribute are spread, for drawing and for dragging a range on.
+
+
+MOST_BINS = 1 << 16
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Histogram:
+    """Counts by value."""
+
+    edges: np.ndarray
+    """(bins + 1,) float64, ascending; evenly spaced, or their logarithms are."""
+    counts: np.ndarray
+    """(bins,) int64."""
+    outside: int
+    """Of the splats asked for, those that are in no bin: NaN, infinite, beyond the span, not positive on a
+    logarithmic axis."""
+    log: bool
+
+
+def histogram(
+    values: np.ndarray,
+    mask: np.ndarray | None = None,
+    *,
+    bins: int = 128,
+    log: bool = False,
+    span: tuple[float, float] | None = None,
+) -> Histogram:
+    """Of `values` (N,) float32, those in `mask` (N,) bool; None: all.
+
+    `span` is the least and greatest value shown; None: those that there are. `log` wants it above 0.
+    The ends are the values themselves, to the bit.
+
+    Raises:
+        ValueError: `bins` or `span` make no sense; the message names them.
+    """
+    if not 1 <= bins <= MOST_BINS:
+        raise ValueError(f"bins must be 1 to {MOST_BINS}, got {bins}")
+    chosen = np.ones(len(values), bool) if mask is None else mask
+    if span is None:
+        low, high = value_span(values, chosen, log)
+        if not low <= high:
+            low, high = (1.0, 10.0) if log else (0.0, 1.0)
+    else:
+        low, high = float(span[0]), float(span[1])
+        if not (np.isfinite(low) and np.isfinite(high) and low <= high and (low > 0 or not log)):
+            raise ValueError(f"span must be two finite numbers, ascending, above 0 if log, got {span}")
+    counts = np.zeros(bins, np.int64)
+    outside = int(fill_bins(values, chosen, low, high, log, counts))
+    edges = np.geomspace(low, high, bins + 1) if log else np.linspace(low, high, bins + 1)
+    edges[0], edges[-1] = low, high
+    return Histogram(edges=edges, counts=counts, outside=outside, log=log)
+
+
+def usual_span(
+    values: np.ndarray, mask: np.ndarray | None = None, *, share: float = 0.999
+) -> tuple[float, float]:
+    """The span that holds the middle `share` of the finite values: what a plot opens at, as a few splats
+    are nearly always far off. (0, 1) where there are none."""
+    chosen = values if mask is None else values[mask]
+    chosen = chosen[:: max(1, len(chosen) // 200_000)]
+    chosen = chosen[np.isfinite(chosen)]
+    if not len(chosen):
+        return 0.0, 1.0
+    low, high = np.quantile(chosen, [(1 - share) / 2, (1 + share) / 2])
+    return float(low), float(high)
+
+
+# ---- The eyedropper: splats of about one colour.
+#
+# Colours are compared in Oklab, where equal distances look about equally different whatever the hue and
+# however dark; in plain RGB one tolerance takes all dark greens at once and splits one bright wall.
+
+
+TOLERANCE = 0.08
+"""A shade of a colour, to the eye; black to white is 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimilarColour:
+    """Splats whose colour of the constant band, cut to what a display shows, is like `rgb`."""
+
+    rgb: tuple[float, float, float]
+    """Display colour, usually 0 to 1."""
+    tolerance: float = TOLERANCE
+    """At least 0: distance in Oklab, black to white being 1."""
+
+    def __post_init__(self) -> None:
+        store(self, rgb=vector("rgb", self.rgb), tolerance=at_least("tolerance", self.tolerance, 0))
+
+    def mask(
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+    ) -> np.ndarray:
+        return similar(base_colours(gaussians, edits), self.rgb, self.tolerance, watch)
+
+
+def similar(
+    colours: np.ndarray, rgb: tuple[float, float, float], tolerance: float, watch: Watch = UNWATCHED
+) -> np.ndarray:
+    """Which of `colours` (N, 3) float32 are within `tolerance` of `rgb`: (N,) bool; NaN is not."""
+    seed = np.empty((1, 3), np.float32)
+    oklab(0, 1, np.array([rgb], np.float32), LINEAR, seed)
+    mask = np.empty(len(colours), bool)
+    lab = np.empty((len(colours), 3), np.float32)
+
+    def work(start: int, stop: int) -> None:
+        oklab(start, stop, colours, LINEAR, lab)
+        within_colour(start, stop, lab, seed[0], np.float32(tolerance), mask)
+
+    in_pieces(len(colours), work, watch=watch)
+    return mask

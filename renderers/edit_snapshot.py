@@ -1,0 +1,116 @@
+"""Edits as they stood when a picture was asked for: what another thread may draw in its own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from splatview.raster.compiling import kernel
+from splatview.renderers.types import TINT_COUNT, Overlay, Tint
+from splatview.scene.edits import PALETTE_SHIFT, Adjustment, SceneEdits
+
+# ---- Tints as colour maps of further adjustments: for renderers that know adjustments and no overlay.
+
+
+SHIFT, FLAG_SETS = PALETTE_SHIFT, TINT_COUNT
+"""As constants that the compiler sees."""
+
+
+def tinted(edits: SceneEdits, overlay: Overlay) -> SceneEdits:
+    """The edits, and what `overlay` lights up; their flags stay. Marks are an array of their own, unless
+    nothing is lit up."""
+    table = overlay.table
+    used = np.zeros(len(edits.palette) * FLAG_SETS, bool)
+    note_pairs(edits.marks, used)
+    entries = np.arange(len(used), dtype=np.uint32) // FLAG_SETS
+    palette = list(edits.palette)
+    made: dict[tuple[int, Tint], int] = {}
+    for pair in np.flatnonzero(used).tolist():
+        entry, flags = divmod(pair, FLAG_SETS)
+        red, green, blue, strength = table[flags].tolist()
+        if strength > 0:
+            key = entry, (red, green, blue, strength)
+            if key not in made:
+                made[key] = len(palette)
+                palette.append(lit_up(edits.palette[entry], key[1]))
+            entries[pair] = made[key]
+    if not made:
+        return edits
+    marks = np.empty_like(edits.marks)
+    rename(edits.marks, entries, marks)
+    return replace(edits, marks=marks, palette=tuple(palette), changes=())
+
+
+@lru_cache(maxsize=1024)
+def lit_up(adjustment: Adjustment, tint: Tint) -> Adjustment:
+    red, green, blue, strength = tint
+    kept = 1 - strength
+    colour = (
+        (kept, 0.0, 0.0, strength * red),
+        (0.0, kept, 0.0, strength * green),
+        (0.0, 0.0, kept, strength * blue),
+    )
+    return adjustment.then(Adjustment(colour=colour))
+
+
+@kernel
+def note_pairs(marks, used):
+    """Sets `used` (P·FLAG_SETS,) bool where a mark has that adjustment and those flags."""
+    for i in range(len(marks)):
+        pair = np.int64(marks[i] >> SHIFT) * FLAG_SETS + np.int64(marks[i] & (FLAG_SETS - 1))
+        if pair < len(used):  # else the mark is newer than the palette
+            used[pair] = True
+
+
+@kernel
+def rename(marks, entries, renamed):
+    """Writes marks (N,) uint32 with the adjustments that `entries` (P·FLAG_SETS,) uint32 gives to pairs."""
+    for i in range(len(marks)):
+        pair = np.int64(marks[i] >> SHIFT) * FLAG_SETS + np.int64(marks[i] & (FLAG_SETS - 1))
+        entry = entries[pair] if pair < len(entries) else np.uint32(0)
+        renamed[i] = np.uint32(marks[i] & ((1 << SHIFT) - 1)) | np.uint32(entry << SHIFT)
+
+
+@dataclass(frozen=True, eq=False)
+class ShownEdits:
+    """One object as long as the picture is the same, see `shown_edits`."""
+
+    source: SceneEdits
+    """The editor's, which goes on writing to its marks."""
+    overlay: Overlay | None
+    kept: SceneEdits
+    """Likewise, with marks of its own."""
+
+    @cached_property
+    def drawn(self) -> SceneEdits:
+        """What a renderer shows that knows no overlay."""
+        return self.kept if self.overlay is None else tinted(self.kept, self.overlay)
+
+    def shows(self, edits: SceneEdits, overlay: Overlay | None) -> bool:
+        """Whether these give the same picture, as far as can be told without reading marks."""
+        mine = self.source
+        return self.overlay == overlay and (
+            mine is edits
+            or (
+                (mine.marks is edits.marks and mine.marks_version == edits.marks_version)
+                and (mine.palette, mine.crops_in_force, mine.flags)
+                == (edits.palette, edits.crops_in_force, edits.flags)
+            )
+        )
+
+
+def shown_edits(
+    edits: SceneEdits | None, overlay: Overlay | None, before: ShownEdits | None
+) -> ShownEdits | None:
+    """What of `edits` shows in a picture; None: nothing, `before` if that is still it. Costs a copy of the
+    marks (a third of a millisecond for a million splats) where they have changed."""
+    if edits is None:
+        return None
+    lit = overlay if overlay is not None and overlay.lights(edits) else None
+    if lit is None and not edits.in_force:
+        return None
+    if before is not None and before.shows(edits, lit):
+        return before
+    return ShownEdits(edits, lit, replace(edits, marks=edits.marks.copy(), changes=()))

@@ -1,0 +1,511 @@
+"""The `quads` renderer for OpenGL 3.3 and 4.1 (macOS): no compute shaders, no storage buffers.
+
+Projection is a pass that writes a texel a splat, once per view; the draw then fetches its vertices from
+those. The depth order comes from a thread on the CPU: while the camera moves, a frame may be drawn in
+the order of a moment ago, and `busy` says that a better one is on its way; `read` waits for it.
+
+Tried and dropped: drawing in 4 or 8 parts with a pass between them that closes opaque pixels to the depth
+test. On llvmpipe frames took 0.83 to 1.13 times as long, depending on the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+
+from splatview.renderers.gl.blend import FRONT_TO_BACK, mode_program, quad_indices
+from splatview.renderers.gl.context import check_room, no_room
+from splatview.renderers.gl.edit_textures import Editing, EditTextures
+from splatview.renderers.gl.programs import Variants
+from splatview.renderers.gl.project import QUADS_PER_INSTANCE
+from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.resolve import depth_range
+from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, SceneTextures, TexelArray, upload_steps
+from splatview.renderers.gl.sort_thread import DepthOrder, SortWorker, ViewLine
+from splatview.renderers.gl.targets import ColourTarget
+from splatview.renderers.gl.uniforms import (
+    Uniform,
+    check_rays,
+    disc_flags,
+    ray_flags,
+    set_uniforms,
+    view_uniforms,
+)
+from splatview.renderers.types import COMPUTE, Overlay, VisualMode, refusal
+from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.scene.attribute_formats import Attributes
+from splatview.scene.edits import SceneEdits
+
+# ---- Projection without compute shaders: a pass of fragments, one a splat, into float textures.
+
+
+PLACES_UNIT, RESTS_UNIT = 4, 5
+"""The texture unit after those of the attributes."""
+
+
+class ProjectionPass:
+    """Keeps the footprints of one view of a scene in three RGBA textures, laid out as the scene's are.
+
+    The draw could project by itself, but would do so for each of a quad's four vertices, and again for
+    every new order of the same view: 1.02 times the frame of large splats, 1.10 of 500,000 small ones.
+    """
+
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
+        self._ctx = ctx
+        self._variants = variants
+        self._textures: tuple[moderngl.Texture, ...] = ()
+        self._framebuffer: moderngl.Framebuffer | None = None
+        self._rows = 0
+        self._disc_textures: tuple[moderngl.Texture, ...] = ()
+        """Two more, once flat splats have been drawn..."""
+        self._with_discs: moderngl.Framebuffer | None = None
+        """... and what renders into all five."""
+        self._passed = ctx.query(samples=True)
+        self._counting = False
+        self._visible = 0
+
+    def resize(self, rows: int) -> None:
+        """Makes room for a scene of `rows` rows of texels, and gives back that for the one before.
+
+        Raises:
+            InputError: there is not enough graphics memory; nothing has changed then.
+        """
+        textures, framebuffer = self._make_textures(3, rows, "footprints", ())
+        self._release_sized()
+        self._textures, self._framebuffer, self._rows = textures, framebuffer, rows
+
+    def _make_textures(
+        self, count: int, rows: int, name: str, others: tuple[moderngl.Texture, ...]
+    ) -> tuple[tuple[moderngl.Texture, ...], moderngl.Framebuffer]:
+        """`count` textures, and what renders into `others` and these. Raises InputError, all or none."""
+        what, size = f"{rows * TEXTURE_WIDTH:,} {name}", rows * TEXTURE_WIDTH * 16 * count
+        textures: list[moderngl.Texture] = []
+        try:
+            for _ in range(count):
+                textures.append(self._ctx.texture((TEXTURE_WIDTH, rows), 4, dtype="f4"))
+                check_room(self._ctx, what, size)
+            return tuple(textures), self._ctx.framebuffer((*others, *textures))
+        except (moderngl.Error, InputError) as error:
+            for texture in textures:
+                texture.release()
+            raise no_room(what, size) from error
+
+    def _disc_framebuffer(self) -> moderngl.Framebuffer:
+        """That of all textures; made when discs are first drawn."""
+        if self._with_discs is None:
+            made = self._make_textures(2, self._rows, "discs", self._textures)
+            self._disc_textures, self._with_discs = made
+        return self._with_discs
+
+    def run(
+        self,
+        scene: SceneTextures,
+        uniforms: dict[str, Uniform],
+        edits: EditTextures,
+        *,
+        sh_degree: int,
+        antialiased: bool,
+        depth: bool = False,
+    ) -> None:
+        """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours."""
+        if self._framebuffer is None:
+            raise RuntimeError("resize() comes before run()")
+        framebuffer = self._framebuffer
+        flags = {
+            "SH_DEGREE": min(sh_degree, scene.sh_degree),
+            "ANTIALIASED": antialiased,
+            **ray_flags(uniforms),
+            "DEPTH": depth,
+            **scene.flags(),
+            **edits.now.flags(),
+        }
+        if flags["DISCS"]:
+            flags["ANTIALIASED"] = False  # of no effect on discs
+            framebuffer = self._disc_framebuffer()
+        program, triangle = self._variants.drawing(
+            "quads/fullscreen.vert.glsl", "quads_gl33/project.frag.glsl", flags
+        )
+        set_uniforms(program, uniforms)
+        edits.use(program)
+        for unit, (name, texture) in enumerate(
+            (
+                ("positions", scene.positions),
+                ("quats", scene.quats),
+                ("scales", scene.scales),
+                ("sh", scene.sh),
+            )
+        ):
+            texture.use(unit)
+            set_uniforms(program, {f"u_{name}": unit})
+        if scene.places is not None:
+            scene.places.use(PLACES_UNIT)
+            set_uniforms(program, {"u_places": PLACES_UNIT, "u_sh_layer": scene.sh_layer})
+        if scene.rests is not None:
+            scene.rests.use(RESTS_UNIT)
+            set_uniforms(program, {"u_rests": RESTS_UNIT})
+        set_uniforms(program, {"u_splats": scene.splats})
+        framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        framebuffer.clear()
+        with self._passed:
+            triangle.render(moderngl.TRIANGLES, vertices=3)
+        self._counting = True
+
+    def use(self, program: moderngl.Program, first_unit: int) -> None:
+        """Binds the footprints for `program`: samplers u_shapes, u_bounds, u_colours; of discs, if there are,
+        also u_rows and u_planes."""
+        names = ("u_shapes", "u_bounds", "u_colours", "u_rows", "u_planes")
+        textures = (*self._textures, *self._disc_textures)
+        for unit, (name, texture) in enumerate(zip(names, textures, strict=False), start=first_unit):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+
+    def read_visible(self) -> int:
+        """Splats that the last `run` did not cull; waits for it."""
+        if self._counting:
+            self._visible = self._passed.samples
+            self._counting = False
+        return self._visible
+
+    def _release_sized(self) -> None:
+        if self._framebuffer is not None:
+            self._framebuffer.release()
+            self._framebuffer = None
+        if self._with_discs is not None:
+            self._with_discs.release()
+            self._with_discs = None
+        for texture in (*self._textures, *self._disc_textures):
+            texture.release()
+        self._textures = self._disc_textures = ()
+
+    def release(self) -> None:
+        self._release_sized()
+
+
+# ---- What `gathering` does, for OpenGL 3.3: draws the ordered splats, in each visual mode, from textures.
+
+
+NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
+"""Flags: splats are always sorted."""
+
+
+class LegacyGathering:
+    """Programs are compiled for a mode when it is first shown."""
+
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
+        self._ctx = ctx
+        self._variants = variants
+        self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
+
+    def draw_splats(
+        self,
+        mode: VisualMode,
+        target: ColourTarget,
+        projection: ProjectionPass,
+        uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
+        order: moderngl.Texture,
+        ordered: int,
+    ) -> None:
+        """Fills `target` with the first `ordered` splats of `order`; all modes but ellipsoids."""
+        flags = {**NO_ORDERS, **disc_flags(uniforms)}
+        program, array = mode_program(self._variants, self._indices, "legacy", mode, edits, flags)
+        target.framebuffer.use()
+        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
+        if not ordered:
+            return
+        self._ctx.enable_only(moderngl.BLEND)
+        self._ctx.blend_equation = moderngl.FUNC_ADD  # pyright: ignore[reportAttributeAccessIssue]
+        self._ctx.blend_func = FRONT_TO_BACK  # pyright: ignore[reportAttributeAccessIssue]
+        order.use(0)
+        projection.use(program, 1)
+        own = {"u_order": 0, "u_ordered": ordered, "u_brightest": target.brightest}
+        set_uniforms(program, {**uniforms, **own})
+        array.render(moderngl.TRIANGLES, instances=-(-ordered // QUADS_PER_INSTANCE))
+
+    def draw_ellipsoids(
+        self,
+        target: ColourTarget,
+        projection: ProjectionPass,
+        uniforms: Mapping[str, Uniform],
+        edits: EditTextures,
+        scene: SceneTextures,
+    ) -> None:
+        """Fills `target` with surfaces; a depth test takes the place of the order."""
+        program, array = mode_program(
+            self._variants,
+            self._indices,
+            "legacy",
+            "ellipsoids",
+            edits,
+            {**ray_flags(uniforms), "DISCS": False},
+        )
+        framebuffer = target.with_depth()
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
+        if not scene.splats:
+            return
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+        self._ctx.depth_func = "<"
+        samplers = {"u_positions": scene.positions, "u_quats": scene.quats, "u_scales": scene.scales}
+        for unit, (name, texture) in enumerate(samplers.items()):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+        projection.use(program, len(samplers))
+        set_uniforms(program, {**uniforms, "u_splats": scene.splats, "u_depth_unit": edits.placement.radius})
+        array.render(moderngl.TRIANGLES, instances=-(-scene.splats // QUADS_PER_INSTANCE))
+
+    def release(self) -> None:
+        self._indices.release()
+
+
+OLDEST = 330
+
+
+@dataclass(frozen=True, eq=False)
+class _Wish:
+    """What a picture shows, the scene apart."""
+
+    camera: Camera
+    settings: RenderSettings
+    mode: VisualMode
+    editing: Editing
+    line: ViewLine
+    """What the order of the splats depends on."""
+
+    @property
+    def _footprints(self) -> tuple:
+        settings = self.settings
+        return (
+            settings.model,
+            settings.sigma_cut,
+            settings.sh_degree,
+            self.mode == "depth",
+            self.editing.footprints,
+        )
+
+    @property
+    def _picture(self) -> tuple:
+        return (self.settings, self.mode, self.editing.footprints, self.editing.tints_of(self.mode))
+
+    def same_footprints(self, other: _Wish | None) -> bool:
+        return (
+            other is not None
+            and self.camera.same_view(other.camera)
+            and self._footprints == other._footprints
+        )
+
+    def same_picture(self, other: _Wish | None) -> bool:
+        return other is not None and self.camera.same_view(other.camera) and self._picture == other._picture
+
+
+class LegacyQuadsRenderer(Renderer):
+    """The `Renderer` for OpenGL 3.3, with the pictures of `QuadsRenderer`.
+
+    `draw` never waits for an order: until the first one of a scene is there, it shows the background. `read`
+    waits.
+
+    Raises:
+        InputError: the context is older than OpenGL 3.3.
+    """
+
+    name = "quads (OpenGL 3.3)"
+
+    def __init__(self, ctx: moderngl.Context, variants: Variants | None = None) -> None:
+        if not ctx.version_code >= OLDEST:
+            raise InputError(
+                f"OpenGL {ctx.version_code / 100:.1f} is too old, 3.3 is needed: use --renderer cpu"
+            )
+        super().__init__(ctx, variants)
+        self._projection = ProjectionPass(ctx, self._variants)
+        self._scene: SceneTextures | None = None
+        self._sorter: SortWorker | None = None
+        self._order_texels = TexelArray(ctx, 1, "u4", "splats")
+        self._order: DepthOrder | None = None
+        """What `_order_texels` holds."""
+        self._gathering = LegacyGathering(ctx, self._variants)
+        self._projected: _Wish | None = None
+        self._drawn: _Wish | None = None
+        self._wanted: _Wish | None = None
+
+    # ---- loading
+
+    def load_steps(
+        self, gaussians: Gaussians, attributes: Attributes = "float32"
+    ) -> Generator[float, None, None]:
+        problem = refusal(COMPUTE - 1, attributes=attributes)
+        if problem is not None:
+            raise InputError(problem)
+        for step in upload_steps(self._ctx, gaussians, every_band=self.every_band):
+            if isinstance(step, SceneTextures):
+                self._use(step, gaussians)
+            else:
+                yield step
+
+    def _use(self, scene: SceneTextures, source: Gaussians) -> None:
+        order_texels = TexelArray(self._ctx, 1, "u4", "splats")
+        try:
+            # The old scene stays as it is until there is room for the new one.
+            order_texels.reserve(scene.splats)
+            self._projection.resize(scene.rows)
+        except BaseException:
+            scene.release()
+            order_texels.release()
+            raise
+        self._release_scene()
+        self._order_texels = order_texels
+        self._edits.load(scene.placement, source.means)
+        self._sorter = SortWorker(source.means)
+        self._scene, self._source = scene, source
+
+    # ---- drawing
+
+    def forget_order(self) -> None:
+        """It keeps none: the worker sorts every view."""
+
+    def draw(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode = "splats",
+        edits: SceneEdits | None = None,
+        overlay: Overlay | None = None,
+    ) -> None:
+        self._ask(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        scene, sorter = self._loaded()
+        if self._wanted is not None:
+            self._draw(self._wanted, scene, sorter.newest())
+
+    def _loaded(self) -> tuple[SceneTextures, SortWorker]:
+        if self._scene is None or self._sorter is None:
+            raise RuntimeError("load() comes before draw()")
+        return self._scene, self._sorter
+
+    def _ask(
+        self,
+        camera: Camera,
+        settings: RenderSettings,
+        *,
+        mode: VisualMode,
+        edits: SceneEdits | None,
+        overlay: Overlay | None,
+    ) -> None:
+        # For `render` this is all: to draw would be to draw in the order of an earlier view first.
+        scene, sorter = self._loaded()
+        if self._source is not None and scene.harmonics.lacks(
+            3 if settings.sh_degree is None else settings.sh_degree
+        ):
+            self.every_band = True
+            self.load(self._source)
+            _, sorter = self._loaded()
+        check_rays(camera, mode)
+        editing = self._edits.update(edits, overlay)
+        problem = refusal(COMPUTE - 1, settings)
+        if problem is not None:
+            raise InputError(problem)
+        self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
+        sorter.request(self._wanted.line)
+
+    def _draw(self, wish: _Wish, scene: SceneTextures, order: DepthOrder | None) -> None:
+        if order is self._order and wish.same_picture(self._drawn):
+            return
+        settings = wish.settings
+        uniforms = view_uniforms(wish.camera, settings, scene.placement.centre)
+        previous = self._ctx.detect_framebuffer()
+        if not wish.same_footprints(self._projected):
+            with self._timers.stage("project"):
+                self._projection.run(
+                    scene,
+                    uniforms,
+                    self._edits,
+                    sh_degree=3 if settings.sh_degree is None else settings.sh_degree,
+                    antialiased=settings.model.antialiased,
+                    depth=wish.mode == "depth",
+                )
+            self._projected = wish
+            self._counters["projected"] += 1
+        with self._timers.stage("draw"):
+            if order is not None and order is not self._order:
+                self._upload_order(order)
+            self._targets.fit((wish.camera.width, wish.camera.height), settings.blend, wish.mode)
+            self._gather(wish, uniforms, scene)
+            self._resolving.draw(
+                wish.mode,
+                self._targets.gathered,
+                self._targets.shown,
+                background=settings.background,
+                camera=wish.camera,
+                depths=depth_range(self._edits.placement, wish.camera) if wish.mode == "depth" else None,
+            )
+        self._drawn = wish
+        self._counters["drawn"] += 1
+        previous.use()
+
+    def _upload_order(self, order: DepthOrder) -> None:
+        self._order_texels.write(order.order)
+        self._order = order
+        self._timers.latest["sort"] = order.milliseconds
+        self._counters["sorted"] += 1
+
+    def _gather(self, wish: _Wish, uniforms: dict[str, Uniform], scene: SceneTextures) -> None:
+        target = self._targets.gathered
+        if wish.mode == "ellipsoids":
+            self._gathering.draw_ellipsoids(target, self._projection, uniforms, self._edits, scene)
+            return
+        ordered = 0
+        if self._order is not None:
+            # Behind the eye no vertices are needed; but in the order of another view they may be before it.
+            exact = self._order.view == wish.line
+            ordered = self._order.before_eye if exact else len(self._order.order)
+        self._gathering.draw_splats(
+            wish.mode,
+            target,
+            self._projection,
+            uniforms,
+            self._edits,
+            self._order_texels.texture,
+            ordered,
+        )
+
+    # ---- results
+
+    @property
+    def busy(self) -> bool:
+        if self._sorter is None:
+            return False
+        return self._sorter.busy or self._sorter.newest() is not self._order
+
+    def read(self) -> np.ndarray:
+        if self._wanted is None:
+            raise RuntimeError("draw() comes first")
+        scene, sorter = self._loaded()
+        self._draw(self._wanted, scene, sorter.wait())
+        return self._targets.shown.read()
+
+    def _visible(self) -> int:
+        # Waits for the projection of the last frame, which has long been drawn when the next one asks.
+        return self._projection.read_visible()
+
+    def release(self) -> None:
+        self._release_scene()  # ends the sort thread
+        super().release()
+        self._projection.release()
+        self._gathering.release()
+
+    def _release_scene(self) -> None:
+        if self._sorter is not None:
+            self._sorter.release()
+        if self._scene is not None:
+            self._scene.release()
+        self._order_texels.release()
+        self._sorter = self._scene = self._source = self._order = None
+        self._projected = self._drawn = self._wanted = None
+
+
+def _line(camera: Camera, editing: Editing, edits: SceneEdits | None) -> ViewLine:
+    """Edits that leave every mean where it is leave the order, too."""
+    return ViewLine.of(camera, edits if editing.places else None, editing.places)

@@ -1,0 +1,283 @@
+"""Captures in ``transforms*.json``: NeRF-synthetic scenes, nerfstudio and instant-ngp.
+
+Formats: the NeRF synthetic data set (Mildenhall et al. 2020); nerfstudio documentation, "Data conventions";
+instant-ngp documentation, "Tips for training NeRF models". ``transform_matrix`` is camera-to-world with
+OpenGL's axes (x right, y up, z backward). Keys of a frame win over those of the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from splatview.scene.camera import Camera
+from splatview.scene.captures.capture import (
+    Capture,
+    Photo,
+    PosedPhotos,
+    Shot,
+    find_mask,
+    find_photo,
+    tidy_name,
+)
+from splatview.scene.captures.photos import image_size
+from splatview.scene.captures.points import first_points
+from splatview.scene.errors import InputError
+from splatview.scene.formats.io import array, excerpt, integer, number, read_json
+from splatview.scene.lens import Lens
+
+PERSPECTIVE = ("", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+"""Names of lenses in ``camera_model``; the coefficients decide what is left of them."""
+
+Frames = tuple[Path, bool | None]
+"""A file, and whether its photos are held out (None: it does not say)."""
+
+DEFAULT_POINTS = ("sparse_pc.ply", "points3d.ply")
+"""Where other programs put points that the file does not mention."""
+
+
+def find_transforms(folder: Path) -> list[Frames]:
+    """The files that make up the capture in `folder`; none where there is none."""
+    train, *others = (folder / f"transforms_{part}.json" for part in ("train", "test", "val"))
+    if train.is_file():
+        held_out = next((other for other in others if other.is_file()), None)
+        return [(train, None)] if held_out is None else [(train, False), (held_out, True)]
+    single = folder / "transforms.json"
+    return [(single, None)] if single.is_file() else []
+
+
+def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
+    """The capture in `folder` by `files` of `find_transforms`. Raises InputError."""
+    shots, missing, ply_names = [], [], []
+    for path, held_out in files:
+        content = read_json(path, what="capture")
+        frames = content.get("frames") if isinstance(content, dict) else None
+        if not isinstance(frames, list):
+            raise InputError(f"{path}: is no capture: the list 'frames' is missing")
+        held_out_names = _held_out_names(content, path)
+        for i, frame in enumerate(frames):
+            where = f"{path}: frame {i}"
+            if not (isinstance(frame, dict) and isinstance(frame.get("file_path"), str)):
+                raise InputError(f"{where}: must be an object with the keys file_path, transform_matrix")
+            name = tidy_name(frame["file_path"])
+            photo = find_photo(folder, frame["file_path"])
+            if photo is None:
+                missing.append(name)
+                continue
+            shot_held_out = held_out if held_out_names is None else name in held_out_names
+            shots.append(
+                _shot({**content, **frame}, f"{where} ({excerpt(name)})", folder, photo, shot_held_out)
+            )
+        if isinstance(content.get("ply_file_path"), str):
+            ply_names.append(content["ply_file_path"])
+    points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
+    return PosedPhotos(
+        source=files[0][0],
+        images=folder,
+        shots=shots,
+        missing=missing,
+        points=points,
+        point_colours=colours,
+        warnings=warnings,
+    )
+
+
+def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
+    """Of nerfstudio's lists; None where the file has none."""
+    for key in ("test_filenames", "val_filenames"):
+        names = content.get(key)
+        if names:
+            if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+                raise InputError(f"{path}: {key!r} must be a list of file names")
+            return {tidy_name(name) for name in names}
+    return None
+
+
+def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None) -> Shot:
+    name = tidy_name(values["file_path"])
+    try:
+        camera = _camera(values, where, photo, name)
+    except InputError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{where}: {error}") from None
+    return Shot(
+        name=name,
+        path=photo,
+        camera=camera,
+        mask=_mask(values, where, folder, name),
+        held_out=held_out,
+    )
+
+
+def _mask(values: Mapping[str, Any], where: str, folder: Path, name: str) -> Path | None:
+    if isinstance(values.get("mask_path"), str):
+        mask = find_photo(folder, values["mask_path"])
+        if mask is None:
+            raise InputError(f"{where}: the mask {excerpt(values['mask_path'])} is not in {folder}")
+        return mask
+    # Photos are named from the capture's folder, masks from that of the photos.
+    return find_mask(folder, name) or find_mask(folder, name.partition("/")[2] or name)
+
+
+def _world_to_camera(values: Mapping[str, Any], where: str) -> np.ndarray:
+    rows = values.get("transform_matrix")
+    shape = (3, 4) if isinstance(rows, list) and len(rows) == 3 else (4, 4)
+    to_world = array(values, "transform_matrix", shape, where)[:3]
+    # Where a scene was resized its cameras may be too, which changes no ray.
+    scale = np.cbrt(np.linalg.det(to_world[:, :3]))
+    rotation = to_world[:, :3] / scale if scale > 0 else to_world[:, :3]
+    matrix = np.eye(4)
+    matrix[:3, :3] = (rotation * (1, -1, -1)).T
+    matrix[:3, 3] = -matrix[:3, :3] @ to_world[:, 3]
+    return matrix
+
+
+def _camera(values: Mapping[str, Any], where: str, photo: Path, name: str) -> Camera:
+    """Raises InputError, or ValueError of `Camera`."""
+    if "w" in values and "h" in values:
+        width, height = integer(values, "w", where), integer(values, "h", where)
+    else:
+        width, height = image_size(photo)
+
+    fx = _focal(values, "x", width, where)
+    fy = _focal(values, "y", height, where)
+    if fx is None and fy is None:
+        raise InputError(f"{where}: has neither fl_x nor camera_angle_x; the focal length is unknown")
+    return Camera(
+        width=width,
+        height=height,
+        fx=fx or fy or 0.0,
+        fy=fy or fx or 0.0,
+        cx=_optional(values, "cx", width / 2, where),
+        cy=_optional(values, "cy", height / 2, where),
+        world_to_camera=_world_to_camera(values, where),
+        name=name,
+        lens=_lens(values, where),
+    )
+
+
+def _lens(values: Mapping[str, Any], where: str) -> Lens:
+    names = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+    k1, k2, k3, k4, k5, k6, p1, p2 = (_optional(values, name, 0.0, where) for name in names)
+    kind = str(values.get("camera_model") or "").upper()
+    if kind in FISHEYE or values.get("is_fisheye") is True:
+        model, distortion = "OPENCV_FISHEYE", (k1, k2, k3, k4)
+    elif kind not in PERSPECTIVE:
+        raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; undistort the photos")
+    elif kind == "FULL_OPENCV":
+        model, distortion = kind, (k1, k2, p1, p2, k3, k4, k5, k6)
+    else:
+        model, distortion = "RADIAL4", (k1, k2, k3, k4, p1, p2)
+    if not all(map(math.isfinite, distortion)):
+        raise InputError(f"{where}: the distortion must be finite numbers")
+    return Lens(model=model, parameters=distortion)
+
+
+def _focal(values: Mapping[str, Any], axis: str, size: int, where: str) -> float | None:
+    """By ``fl_x`` or ``camera_angle_x``, the full angle of view in radians."""
+    if f"fl_{axis}" in values:
+        return number(values, f"fl_{axis}", where)
+    key = f"camera_angle_{axis}"
+    if key not in values:
+        return None
+    angle = number(values, key, where)
+    if not 0 < angle < math.pi:
+        raise InputError(f"{where}: {key!r} must be an angle in radians between 0 and pi, not {angle:g}")
+    return size / 2 / math.tan(angle / 2)
+
+
+def _optional(values: Mapping[str, Any], key: str, default: float, where: str) -> float:
+    return number(values, key, where) if key in values else default
+
+
+# ---- A capture as a folder that nerfstudio, and `load_capture`, read: transforms.json, photos and points.
+#
+# Format: nerfstudio documentation, "Data conventions".
+
+
+POINTS = "sparse_pc.ply"
+
+_POINT = np.dtype([("position", "<f4", 3), ("colour", "u1", 3)])
+
+
+def save_capture(
+    capture: Capture, folder: Path, *, progress: Callable[[float], None] = lambda share: None
+) -> None:
+    """Writes photos, poses and points into `folder`, which is made; photos' names must end in .png.
+
+    Masks and what photos were laid over are not written. `progress` gets the share done, 0 to 1.
+
+    Raises:
+        InputError: the system refuses, or the format does not know a photo's lens.
+    """
+    lenses = [_lens_values(photo.camera.lens, folder) for photo in capture.photos]
+    images = folder / "images"
+    try:
+        images.mkdir(parents=True, exist_ok=True)
+        for i, photo in enumerate(capture.photos):
+            Image.fromarray(photo.image()).save(images / photo.name)
+            progress((i + 1) / len(capture.photos))
+        (folder / POINTS).write_bytes(_point_cloud(capture.points, capture.point_colours))
+        content = {
+            "ply_file_path": POINTS,
+            "train_filenames": [f"images/{photo.name}" for photo in capture.train],
+            "test_filenames": [f"images/{photo.name}" for photo in capture.held_out],
+            "frames": [{**_frame(photo), **lens} for photo, lens in zip(capture.photos, lenses, strict=True)],
+        }
+        # Last: a folder with this file is whole.
+        (folder / "transforms.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def _frame(photo: Photo) -> dict[str, object]:
+    camera = photo.camera
+    to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    return {
+        "file_path": f"images/{photo.name}",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "transform_matrix": to_world.tolist(),
+    }
+
+
+def _lens_values(lens: Lens | None, folder: Path) -> dict[str, object]:
+    """The keys of a frame that say how its lens distorts. Raises InputError."""
+    if lens is None:
+        return {"camera_model": "OPENCV"}
+    form = lens.form
+    names = ("k1", "k2", "k3", "k4")
+    if form.skew_last or any((form.n5, form.n6, form.s1, form.s2, form.s3, form.s4)):
+        raise InputError(f"{folder}: transforms.json has no lenses of the model {lens.model}")
+    radial = dict(zip(names, (form.n1, form.n2, form.n3, form.n4), strict=True))
+    skew = {"p1": form.p1, "p2": form.p2}
+    if form.slope:
+        if lens.model == "FOV" or form.p1 or form.p2:
+            raise InputError(f"{folder}: transforms.json has no lenses of the model {lens.model}")
+        return {"camera_model": "OPENCV_FISHEYE", **radial}
+    if lens.model == "FULL_OPENCV":
+        keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+        return {"camera_model": lens.model, **dict(zip(keys, lens.parameters, strict=True))}
+    return {"camera_model": "OPENCV", **radial, **skew}
+
+
+def _point_cloud(points: np.ndarray, colours: np.ndarray) -> bytes:
+    """A binary .ply of (P, 3) positions and (P, 3) uint8 colours."""
+    names = [f"property float {name}" for name in "xyz"]
+    names += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *names, "end_header"]
+    table = np.empty(len(points), _POINT)
+    table["position"], table["colour"] = points, colours
+    return ("\n".join(header) + "\n").encode() + table.tobytes()

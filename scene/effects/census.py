@@ -1,0 +1,323 @@
+"""The whole receipt: every effect, on or off, in a fixed order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from splatview.scene.camera import Camera
+from splatview.scene.edits import (
+    DELETED,
+    HIDDEN,
+    IDENTITY_COLOUR,
+    PALETTE_SHIFT,
+    SELECTED,
+    SceneEdits,
+    adjusted_means,
+    cropped_in,
+)
+from splatview.scene.effects.appearance import (
+    antialiased_effect,
+    background_effect,
+    brightest_colour,
+    flat_effect,
+    hidden_light_effect,
+    left_out_effects,
+    transparency_effect,
+)
+from splatview.scene.effects.effect import Effect, Saving
+from splatview.scene.effects.overrides import NOTHING_FORCED, Overrides
+from splatview.scene.effects.sh_bands import band_effects, own_degrees_effect
+from splatview.scene.framing import robust_bounds
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.health import FAR_SPACING, Finding, check
+from splatview.scene.image_model import RenderSettings
+from splatview.scene.projection import FLOAT32_MAX
+
+# ---- What depends on how a scene is looked at: the lens, the order, and whether anything has changed.
+
+
+GRID = 17
+"""Pixels along each side of a picture where it is looked how far a lens moves them."""
+
+SORT_OPERATIONS = 4 * 3
+"""A splat: four passes of a radix sort, each counting, adding up and moving."""
+
+
+def sorting_effect(gaussians: Gaussians) -> Effect:
+    n = len(gaussians)
+    return Effect(
+        name="sorting",
+        on=n > 1,
+        why=f"{n:,} splats; they are sorted anew only when camera, scene or settings change",
+        saving=Saving(operations=n * SORT_OPERATIONS, bytes=8 * n),
+        # One splat over another, each of any colour.
+        bound=math.inf if n > 1 else 0.0,
+    )
+
+
+def redrawing_effect(camera: Camera | None, previous: Camera | None) -> Effect:
+    """`previous`: the camera of the picture that is on the screen, of the same scene in the same state."""
+    same = camera is not None and previous is not None and camera.same_view(previous)
+    if camera is None:
+        why = "a view that is at rest is neither projected, sorted nor drawn again"
+    elif previous is None:
+        why = "nothing has been drawn yet"
+    else:
+        why = "the camera has not moved" if same else "the camera has moved"
+    return Effect(
+        name="redrawing",
+        on=camera is not None and not same,
+        why=why,
+        saving=Saving(what="the whole picture"),
+        bound=math.inf if camera is not None and not same else 0.0,
+    )
+
+
+def lens_effect(camera: Camera | None) -> Effect:
+    lens = None if camera is None else camera.lens
+    if camera is None:
+        why = "there is no camera yet: a pinhole"
+    elif lens is None:
+        why = "the camera is a pinhole" if not camera.orthographic else "the camera's rays are parallel"
+    else:
+        why = f"{lens.model}: it moves what is seen by up to {largest_displacement(camera):.3g} px"
+    return Effect(
+        name="lens distortion",
+        on=lens is not None,
+        why=why,
+        saving=Saving(what="the lens's formula and its derivative, at every splat"),
+        bound=math.inf if lens is not None else 0.0,
+    )
+
+
+def largest_displacement(camera: Camera) -> float:
+    """How far the lens moves anything that the picture shows from where a pinhole has it, px."""
+    x, y = np.meshgrid(np.linspace(0, camera.width, GRID), np.linspace(0, camera.height, GRID))
+    pixels = np.stack([x, y], axis=-1)
+    pinhole = camera.points_at(pixels, 1.0)[..., :2] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    moved = np.linalg.norm(pinhole - pixels, axis=-1)
+    return float(moved[np.isfinite(moved)].max(initial=0.0))
+
+
+# ---- Where the splats are: whether float32 can hold it.
+
+
+def centred_effect(gaussians: Gaussians) -> Effect:
+    """Whether positions are kept relative to a centre in float64, or may be single numbers of float32.
+
+    A file of float64 needs it wherever a position is no number of float32: then `bound` is not 0 but unknown,
+    as by an eye that is near enough any step can be seen. One of float32 has lost its digits already; but far
+    from the origin the camera and the edits would lose them too.
+    """
+    centre, radius = robust_bounds(gaussians.means)
+    furthest = float(np.abs(centre).max()) + radius
+    with np.errstate(over="ignore", invalid="ignore"):
+        sizes = np.exp(gaussians.log_scales.max(axis=1, initial=-np.inf))
+        spacing = float(np.spacing(np.float32(furthest)))
+        single = gaussians.means.astype(np.float32)
+        rounded = int((single.astype(np.float64) != gaussians.means).any(axis=1).sum())
+    if gaussians.means.dtype == np.float32:
+        rounded = 0
+    sizes = sizes[(sizes > 0) & (sizes <= FLOAT32_MAX)]
+    size = float(np.median(sizes)) if len(sizes) else 1.0
+    on = bool(spacing > FAR_SPACING * size) or rounded > 0
+    stored = gaussians.means.dtype.name
+    why = (
+        f"positions are {stored} and reach {furthest:.4g}, where float32 has steps of {spacing:.2g}; "
+        f"the median splat measures {size:.2g}"
+    )
+    if gaussians.means.dtype == np.float64:
+        why += f"; {rounded:,} of {len(gaussians):,} are no numbers of float32"
+    return Effect(
+        name="float64-centred positions",
+        on=on,
+        why=why,
+        saving=Saving(what="one difference a splat"),
+        bound=math.inf if on else 0.0,
+    )
+
+
+# ---- Edits in force: what is left out, moved or recoloured, and what is only lit up.
+
+
+MARK_BYTES = 4
+"""A splat, for its state and its adjustment."""
+
+GRADE_OPERATIONS = 18
+"""A 3x3 matrix and a sum."""
+
+MOVE_OPERATIONS = 18 + 28
+"""A similarity of the mean, and a product of quaternions."""
+
+CROP_OPERATIONS = 21
+"""A 3x4 matrix and a comparison of each axis, a crop."""
+
+
+def edit_effects(gaussians: Gaussians, edits: SceneEdits | None) -> list[Effect]:
+    """Of the edits in force; all off where there are none."""
+    if edits is None:
+        edits = SceneEdits(marks=np.zeros(len(gaussians), np.uint32))
+    return [
+        _selection(gaussians, edits),
+        _hidden(gaussians, edits),
+        _crop(gaussians, edits),
+        _moves(gaussians, edits),
+        _grade(gaussians, edits),
+    ]
+
+
+def _counted(name: str, count: int, of: int, what: str, none: str, saving: Saving) -> Effect:
+    """An effect that is needed where it concerns a splat."""
+    return Effect(
+        name=name,
+        on=count > 0,
+        why=f"{count:,} of {of:,} splats {what}" if count else none,
+        saving=saving,
+        bound=math.inf if count else 0.0,
+    )
+
+
+def _marked(edits: SceneEdits, flags: int) -> int:
+    return int(np.count_nonzero(edits.marks & flags)) if edits.flags & flags else 0
+
+
+def _selection(gaussians: Gaussians, edits: SceneEdits) -> Effect:
+    n = len(gaussians)
+    return _counted(
+        "selection",
+        _marked(edits, SELECTED),
+        n,
+        "are selected and lit up",
+        "nothing is selected",
+        Saving(what="looking up a tint, at every splat"),
+    )
+
+
+def _hidden(gaussians: Gaussians, edits: SceneEdits) -> Effect:
+    n = len(gaussians)
+    return _counted(
+        "hidden splats",
+        _marked(edits, HIDDEN | DELETED),
+        n,
+        "are hidden or deleted",
+        "no splat is hidden or deleted",
+        Saving(bytes=n * MARK_BYTES),
+    )
+
+
+def _crop(gaussians: Gaussians, edits: SceneEdits) -> Effect:
+    n, crops = len(gaussians), edits.crops_in_force
+    if not crops:
+        return _counted("crop", 0, n, "", "there is no crop", Saving())
+    outside = n - int(cropped_in(crops, adjusted_means(gaussians, edits)).sum())
+    # One that cuts nothing off is computed all the same: what lies outside it is known only then.
+    return Effect(
+        name="crop",
+        on=True,
+        why=f"{len(crops):,} in force, which leave {outside:,} of {n:,} splats out",
+        saving=Saving(operations=n * len(crops) * CROP_OPERATIONS),
+        bound=math.inf if outside else 0.0,
+    )
+
+
+def _entries(edits: SceneEdits, wanted: list[bool]) -> int:
+    """Splats whose adjustment is one that is wanted, by its place in the palette."""
+    if not any(wanted):
+        return 0
+    return int(np.array(wanted)[edits.marks >> PALETTE_SHIFT].sum())
+
+
+def _moves(gaussians: Gaussians, edits: SceneEdits) -> Effect:
+    n = len(gaussians)
+    wanted = [
+        entry.moves or entry.size != 1 or entry.opacity != (1.0, 0.0, 0.0, 1.0) for entry in edits.palette
+    ]
+    return _counted(
+        "adjusted splats",
+        _entries(edits, wanted),
+        n,
+        "are moved, resized or more or less opaque than in the file",
+        "no splat is moved, resized or faded",
+        Saving(operations=n * MOVE_OPERATIONS, bytes=n * MARK_BYTES),
+    )
+
+
+def _grade(gaussians: Gaussians, edits: SceneEdits) -> Effect:
+    n = len(gaussians)
+    return _counted(
+        "colour grade",
+        _entries(edits, [entry.colour != IDENTITY_COLOUR for entry in edits.palette]),
+        n,
+        "have another colour than in the file",
+        "no colour is changed",
+        Saving(operations=n * GRADE_OPERATIONS, bytes=n * MARK_BYTES),
+    )
+
+
+def census(
+    gaussians: Gaussians,
+    *,
+    findings: list[Finding] | None = None,
+    overrides: Overrides = NOTHING_FORCED,
+    camera: Camera | None = None,
+    previous: Camera | None = None,
+    edits: SceneEdits | None = None,
+    settings: RenderSettings | None = None,
+) -> list[Effect]:
+    """All effects, in a fixed order; SH bands only as far as the file has them.
+
+    `findings`: what `health.check` said of the scene, where that is known already. `overrides`: what the user
+    has forced on or off, by name; it is told, and changes nothing of what the census says. The rest is how
+    the scene is looked at, as far as that is known: by which `camera` after which `previous` one, with which
+    `edits` in force and which `settings`.
+    """
+    return scene_effects(gaussians, findings=findings, overrides=overrides) + view_effects(
+        gaussians, camera=camera, previous=previous, edits=edits, settings=settings
+    )
+
+
+def scene_effects(
+    gaussians: Gaussians, *, findings: list[Finding] | None = None, overrides: Overrides = NOTHING_FORCED
+) -> list[Effect]:
+    """What the scene alone decides, which takes time: a second for some millions of splats."""
+    brightest = brightest_colour(gaussians)
+    effects = [
+        *band_effects(gaussians),
+        own_degrees_effect(gaussians),
+        antialiased_effect(gaussians),
+        flat_effect(gaussians),
+        centred_effect(gaussians),
+        transparency_effect(gaussians, brightest),
+        hidden_light_effect(gaussians, brightest),
+        *left_out_effects(gaussians, check(gaussians) if findings is None else findings),
+        sorting_effect(gaussians),
+    ]
+    return with_overrides(effects, overrides)
+
+
+def view_effects(
+    gaussians: Gaussians,
+    *,
+    camera: Camera | None = None,
+    previous: Camera | None = None,
+    edits: SceneEdits | None = None,
+    settings: RenderSettings | None = None,
+) -> list[Effect]:
+    """What changes from picture to picture."""
+    return [
+        lens_effect(camera),
+        background_effect(settings),
+        *edit_effects(gaussians, edits),
+        redrawing_effect(camera, previous),
+    ]
+
+
+def with_overrides(effects: list[Effect], overrides: Overrides) -> list[Effect]:
+    """The same effects with the user's word on those that take it."""
+    return [
+        replace(effect, forced=overrides.get(effect.name)) if effect.can_override else effect
+        for effect in effects
+    ]

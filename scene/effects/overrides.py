@@ -1,0 +1,98 @@
+"""From the census to settings, the user's word counting more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from splatview.scene.effects.appearance import ANTIALIASED, FLAT, antialiasing, early_stop_for, is_flat
+from splatview.scene.effects.effect import Effect
+from splatview.scene.effects.sh_bands import band_name, used_sh_degree
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import ImageModel, RenderSettings
+
+Overrides = Mapping[str, bool | None]
+"""By the name of an effect: on, off, or as the census decides (None, or not named)."""
+
+NOTHING_FORCED: Overrides = MappingProxyType({})
+
+
+def settings_for(gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED) -> RenderSettings:
+    """The settings that the scene calls for: its image model, and SH as far as it can be seen.
+
+    `overrides`: effects that the user forces on or off, by name; of an SH band that is off, those above are
+    off too.
+
+    Raises:
+        ValueError: an effect that this scene has not, or that cannot be forced, is named.
+    """
+    forced = {name: word for name, word in overrides.items() if word is not None}
+    possible = overridable(gaussians)
+    for name in forced:
+        if name not in possible:
+            raise ValueError(f"{name!r} cannot be switched by hand, only {', '.join(possible)}")
+    stored = gaussians.sh_degree
+    used = used_sh_degree(gaussians)
+    used = max([used, *(band for band in range(1, stored + 1) if forced.get(band_name(band)) is True)])
+    used = min([used, *(band - 1 for band in range(1, stored + 1) if forced.get(band_name(band)) is False)])
+    antialiased, blur, _ = antialiasing(gaussians.comments)
+    flat = forced[FLAT] if FLAT in forced else is_flat(gaussians)
+    model = ImageModel(blur=blur).with_footprint("disc" if flat else "ellipsoid")
+    return RenderSettings(
+        model=replace(model, antialiased=forced.get(ANTIALIASED, antialiased)),
+        sh_degree=used if used < stored else None,
+        early_stop=early_stop_for(gaussians),
+    )
+
+
+def overridable(gaussians: Gaussians) -> tuple[str, ...]:
+    """Names of the effects that `settings_for` takes the user's word for."""
+    return (*(band_name(band) for band in range(1, gaussians.sh_degree + 1)), ANTIALIASED, FLAT)
+
+
+# ---- Effects and settings: which effects settings have on, and the same settings with one the other way.
+
+
+def in_force(gaussians: Gaussians, settings: RenderSettings) -> dict[str, bool]:
+    """Whether `settings` have each effect that can be forced (`overridable`), by its name."""
+    degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
+    bands = {band_name(band): band <= degree for band in range(1, gaussians.sh_degree + 1)}
+    others = {name: _has(name, settings) for name in overridable(gaussians) if name not in bands}
+    return bands | others
+
+
+def as_settings_have_them(
+    effects: Sequence[Effect], gaussians: Gaussians, settings: RenderSettings
+) -> list[Effect]:
+    """`effects` of a census, with `forced` where `settings` have them otherwise."""
+    now = in_force(gaussians, settings)
+    return [
+        replace(effect, forced=now[effect.name])
+        if effect.can_override and now.get(effect.name, effect.on) != effect.on
+        else effect
+        for effect in effects
+    ]
+
+
+def switched(gaussians: Gaussians, settings: RenderSettings, name: str, on: bool) -> RenderSettings:
+    """`settings` with the effect called `name` on or off. An SH band brings those below it, and takes those
+    above it along; everything else stays as it is.
+
+    Raises:
+        ValueError: there is no such effect that can be switched.
+    """
+    wanted = in_force(gaussians, settings) | {name: on}
+    if on:
+        for band in range(1, gaussians.sh_degree + 1):
+            if name == band_name(band):
+                wanted.update({band_name(lower): True for lower in range(1, band)})
+    forced = settings_for(gaussians, wanted)
+    model = settings.model.with_footprint(forced.model.footprint)
+    model = replace(model, antialiased=forced.model.antialiased)
+    return replace(settings, model=model, sh_degree=forced.sh_degree)
+
+
+def _has(name: str, settings: RenderSettings) -> bool:
+    model = settings.model
+    return {ANTIALIASED: model.antialiased, FLAT: model.footprint == "disc"}[name]

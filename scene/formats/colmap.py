@@ -1,0 +1,288 @@
+"""Cameras of a COLMAP model: ``cameras`` (intrinsics) and ``images`` (poses), binary or text.
+
+Format: COLMAP documentation, "Output Format". Poses are world-to-camera; the centre of the top-left pixel
+is (0.5, 0.5); both are ours too.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatview.scene.camera import Camera
+from splatview.scene.errors import InputError
+from splatview.scene.formats.io import excerpt
+from splatview.scene.lens import COUNTS, Lens
+from splatview.scene.projection import rotation_matrices
+
+MAX_NAME_BYTES = 4096
+"""Of an image; longer than any file system's."""
+
+
+MODELS = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+)
+"""By COLMAP's model number."""
+
+ONE_FOCAL_LENGTH = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
+"""Models that begin with f, cx, cy; the others begin with fx, fy, cx, cy. The distortion follows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapCamera:
+    """A row of ``cameras``: intrinsics that several images may share."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    lens: Lens
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapImage:
+    """A row of ``images``: a photo's pose. (w, x, y, z) and t of world-to-camera."""
+
+    name: str
+    camera_id: int
+    quat: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+def is_colmap(path: Path) -> bool:
+    """Whether `path` names a COLMAP model: a folder, or its ``cameras`` or ``images`` file."""
+    return path.is_dir() or path.suffix.lower() in (".bin", ".txt")
+
+
+def load_colmap_cameras(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
+    """A camera for each image, sorted by name. `path`: see `is_colmap`.
+
+    `on_note` gets a line about each lens that is no pinhole.
+
+    Raises:
+        InputError: a file is missing, truncated or holds an unknown camera model.
+    """
+    cameras_path, images_path = find_model(path)
+    intrinsics = read_cameras(cameras_path)
+    images = read_images(images_path)
+    cameras = []
+    for image in images:
+        lens = image_lens(image, intrinsics, (cameras_path, images_path))
+        cameras.append(image_camera(image, lens, images_path))
+    for note in _distortion_notes(intrinsics, images):
+        on_note(f"{cameras_path}: {note}")
+    return sorted(cameras, key=lambda camera: camera.name)
+
+
+def image_lens(
+    image: ColmapImage, intrinsics: Mapping[int, ColmapCamera], paths: tuple[Path, Path]
+) -> ColmapCamera:
+    """The image's camera; `paths` are those of `find_model`. Raises InputError where there is none."""
+    lens = intrinsics.get(image.camera_id)
+    if lens is None:
+        raise InputError(
+            f"{paths[1]}: image {excerpt(image.name)} has camera {image.camera_id}, which is not in "
+            f"{paths[0].name}; both files must come from the same model"
+        )
+    return lens
+
+
+def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
+    """The lens at the image's pose. Raises InputError, naming `path`."""
+    try:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
+        matrix[:3, 3] = image.translation
+        return Camera(
+            width=lens.width,
+            height=lens.height,
+            fx=lens.fx,
+            fy=lens.fy,
+            cx=lens.cx,
+            cy=lens.cy,
+            world_to_camera=matrix,
+            name=image.name,
+            lens=lens.lens,
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
+
+
+def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[ColmapImage]) -> list[str]:
+    """A line about each lens in use that is more than a pinhole."""
+    numbers = sorted({image.camera_id for image in images})
+    return [
+        f"camera {number} has the lens {intrinsics[number].lens}; its views are drawn through it"
+        for number in numbers
+        if not intrinsics[number].lens.is_pinhole
+    ]
+
+
+def find_model(path: Path) -> tuple[Path, Path]:
+    """The files (cameras, images) of the model at `path`; a folder may also hold it in ``sparse/0``."""
+    if path.is_dir():
+        for folder in (path, path / "sparse" / "0", path / "sparse"):
+            for suffix in (".bin", ".txt"):
+                pair = folder / f"cameras{suffix}", folder / f"images{suffix}"
+                if all(file.is_file() for file in pair):
+                    return pair
+        raise InputError(
+            f"{path}: holds no COLMAP model (cameras and images, .bin or .txt, here or in sparse/0)"
+        )
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.stem not in ("cameras", "images"):
+        raise InputError(f"{path}: is no camera file; COLMAP's are cameras and images (.bin or .txt)")
+    pair = path.with_stem("cameras"), path.with_stem("images")
+    for file in pair:
+        if not file.is_file():
+            raise InputError(f"{path}: needs {file.name} in the same folder")
+    return pair
+
+
+def read_cameras(path: Path) -> dict[int, ColmapCamera]:
+    """``cameras.bin`` or ``.txt`` by camera number. Raises InputError."""
+    return _read(path, _cameras_binary if path.suffix == ".bin" else _cameras_text)
+
+
+def read_images(path: Path) -> list[ColmapImage]:
+    """``images.bin`` or ``.txt`` in the order of the file. Raises InputError."""
+    return _read(path, _images_binary if path.suffix == ".bin" else _images_text)
+
+
+def _read(path: Path, parse: Callable):
+    try:
+        with open(path, "rb") as file:
+            return parse(file, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _focal_lengths(model: str) -> int:
+    return 1 if model in ONE_FOCAL_LENGTH else 2
+
+
+def _parameters(model: str) -> int:
+    """All that a row has: focal lengths, principal point, distortion."""
+    return _focal_lengths(model) + 2 + COUNTS[model]
+
+
+def _lens(model: str, width: int, height: int, params: Sequence[float], path: Path) -> ColmapCamera:
+    if not all(map(math.isfinite, params)):
+        raise InputError(f"{path}: a {model} camera has parameters that are not finite")
+    focals = _focal_lengths(model)
+    try:
+        lens = Lens(model=model, parameters=tuple(params[focals + 2 :]))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    return ColmapCamera(
+        width=width,
+        height=height,
+        fx=params[0],
+        fy=params[focals - 1],
+        cx=params[focals],
+        cy=params[focals + 1],
+        lens=lens,
+    )
+
+
+def _unpack(file: io.BufferedReader, layout: str, path: Path) -> tuple:
+    size = struct.calcsize(layout)
+    raw = file.read(size)
+    if len(raw) < size:
+        raise InputError(f"{path}: is truncated; copy or export it again")
+    return struct.unpack(layout, raw)
+
+
+def _cameras_binary(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera]:
+    cameras = {}
+    (count,) = _unpack(file, "<Q", path)
+    for _ in range(count):
+        number, model_number, width, height = _unpack(file, "<IiQQ", path)
+        if not 0 <= model_number < len(MODELS):
+            raise InputError(f"{path}: camera {number} has the unknown model {model_number}")
+        model = MODELS[model_number]
+        params = _unpack(file, f"<{_parameters(model)}d", path)
+        cameras[number] = _lens(model, width, height, params, path)
+    return cameras
+
+
+def _cameras_text(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera]:
+    cameras = {}
+    for line in file:
+        words = line.decode("utf-8", "replace").split()
+        if not words or words[0].startswith("#"):
+            continue
+        model = words[1] if len(words) > 1 else ""
+        if model not in MODELS:
+            raise InputError(f"{path}: unknown camera model in the line {excerpt(' '.join(words))}")
+        try:
+            number, width, height = int(words[0]), int(words[2]), int(words[3])
+            params = [float(word) for word in words[4:]]
+            if len(params) != _parameters(model):
+                raise ValueError
+        except (ValueError, IndexError):
+            line = excerpt(" ".join(words))
+            raise InputError(f"{path}: the line {line} is no {model} camera") from None
+        cameras[number] = _lens(model, width, height, params, path)
+    return cameras
+
+
+def _images_binary(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+    images = []
+    (count,) = _unpack(file, "<Q", path)
+    file_bytes = path.stat().st_size
+    for _ in range(count):
+        _, *pose, camera_id = _unpack(file, "<I7dI", path)
+        name = bytearray()
+        while (byte := file.read(1)) != b"\0":
+            if not byte or len(name) == MAX_NAME_BYTES:
+                raise InputError(f"{path}: is truncated or damaged: an image's name does not end")
+            name += byte
+        (points,) = _unpack(file, "<Q", path)
+        # The 2D points, (x, y, number) each: of no use here.
+        if points * 24 > file_bytes - file.tell():
+            raise InputError(f"{path}: is truncated; copy or export it again")
+        file.seek(points * 24, io.SEEK_CUR)
+        images.append(_image(name.decode("utf-8", "replace"), camera_id, pose))
+    return images
+
+
+def _images_text(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+    images = []
+    lines = (line.decode("utf-8", "replace").strip() for line in file)
+    for line in lines:
+        if not line or line.startswith("#"):
+            continue
+        words = line.split(maxsplit=9)
+        try:
+            pose = [float(word) for word in words[1:8]]
+            images.append(_image(words[9], int(words[8]), pose))
+        except (ValueError, IndexError):
+            raise InputError(f"{path}: the line {excerpt(line)} is no image") from None
+        # The line behind an image has its 2D points, and may be empty.
+        next(lines, None)
+    return images
+
+
+def _image(name: str, camera_id: int, pose: Sequence[float]) -> ColmapImage:
+    return ColmapImage(name=name, camera_id=camera_id, quat=tuple(pose[:4]), translation=tuple(pose[4:]))

@@ -1,0 +1,54 @@
+"""Pictures that go all the way round, for backgrounds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from splatview.scene.background import WORLD_UP, Panorama
+from splatview.scene.errors import InputError
+
+LARGEST_SIDE = 8192
+"""Px. Wider pictures are made smaller: at a usual field of view, this is more than a screen shows of them."""
+
+
+PIXELS_PER_BYTE = 400
+"""Of a file, at most: deflate makes RGB at best 344 times smaller. More is a damaged header, or a small file
+made to fill the memory."""
+
+ALWAYS_HELD = 2**20
+"""Pixels that any file may say it has."""
+
+
+def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> Panorama:
+    """An equirectangular picture in any format that Pillow reads; transparency shows black.
+
+    Raises:
+        InputError: the file is missing, is no picture that can be read, or is too short for its size.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as file:
+            width, height = file.size
+            if width * height > max(ALWAYS_HELD, PIXELS_PER_BYTE * path.stat().st_size):
+                raise InputError(
+                    f"{path}: says it has {width}x{height} pixels, more than so short a file can hold"
+                )
+            picture = file.convert("RGBA") if "A" in file.getbands() or "transparency" in file.info else file
+            if picture.mode == "RGBA":
+                picture = Image.alpha_composite(Image.new("RGBA", picture.size, (0, 0, 0, 255)), picture)
+            picture = picture.convert("RGB")
+            if max(picture.size) > LARGEST_SIDE:
+                picture.thumbnail((LARGEST_SIDE, LARGEST_SIDE), Image.Resampling.BOX)
+            pixels = np.array(picture)
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such picture for the background") from None
+    except Exception as error:
+        # Decoders of damaged files raise nearly anything: OSError, SyntaxError, struct.error, ValueError...
+        reason = str(error).partition("\n")[0].removesuffix(repr(str(path))).strip()
+        raise InputError(f"{path}: is no picture that can be read ({reason})") from None
+    return Panorama(pixels=pixels, up=up, name=str(path))

@@ -1,0 +1,319 @@
+"""Splats from a .ply in the layout that the field's trainers write.
+
+Means in ``x y z``; ``f_dc_0..2``; ``f_rest_*`` channel by channel; ``opacity`` a logit; ``scale_*``
+logarithms; ``rot_*`` wxyz (Kerbl et al. 2023, their released code). Properties may stand in any order.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import re
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from splatview.scene.errors import InputError
+from splatview.scene.formats.io import Watch, atomic_write
+from splatview.scene.formats.ply_body import Target, check_size, read_rows
+from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, TYPES, Element, Header, read_header
+from splatview.scene.formats.point_cloud import read_point_cloud
+from splatview.scene.gaussians import Gaussians
+
+# ---- Files that are something else: recognised by their first bytes, and refused with what to do.
+
+
+CONVERT = "convert it to an uncompressed .ply, with `splat-transform IN OUT.ply` or in SuperSplat"
+
+MAGICS = (
+    (b"\x1f\x8b", "an .spz file"),
+    (b"NGSP", "an .spz file"),
+    (b"PK\x03\x04", "an .sog file (or another zip)"),
+)
+
+SUFFIXES = {
+    ".spz": "an .spz file",
+    ".sog": "an .sog file",
+    ".splat": "a .splat file",
+    ".ksplat": "a .ksplat file",
+}
+
+PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
+
+
+def refuse_other_format(file: BinaryIO, path: Path) -> None:
+    """Raises InputError unless the file begins as a .ply does; leaves `file` at its start."""
+    start = file.read(8)
+    file.seek(0)
+    if start[:3] == b"ply" and start[3:].lstrip(b" \t").startswith((b"\n", b"\r\n")):
+        return
+    kind = next((kind for magic, kind in MAGICS if start.startswith(magic)), None)
+    kind = kind or SUFFIXES.get(path.suffix.lower())
+    if kind:
+        raise InputError(f"{path}: {kind} is not supported yet; {CONVERT}")
+    if start.startswith(PICTURES):
+        raise InputError(f"{path}: is a picture, not a scene; give a .ply file")
+    raise InputError(f"{path}: is not a .ply file (it does not begin with the line 'ply')")
+
+
+def refuse_other_ply(header: Header, path: Path) -> None:
+    """Raises InputError where the header is that of a mesh or of a compressed scene."""
+    vertex = header.element("vertex")
+    names = {prop.name for prop in vertex.properties} if vertex else set()
+    if "packed_position" in names:
+        raise InputError(f"{path}: a compressed .ply is not supported yet; {CONVERT}")
+    if "opacity" in names or "f_dc_0" in names:
+        return
+    for element in header.elements:
+        if element.name in ("face", "tristrips") and element.count > 0:
+            raise InputError(
+                f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample "
+                "points on it, or train splats from pictures of it"
+            )
+
+
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+REQUIRED = (
+    *POSITION,
+    *(f"f_dc_{i}" for i in range(3)),
+    "opacity",
+    *(f"scale_{i}" for i in range(2)),
+    *(f"rot_{i}" for i in range(4)),
+)
+"""``scale_2`` may be missing: 2D Gaussian splatting writes two."""
+
+REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
+"""Number of ``f_rest_*`` -> SH coefficients a channel, the constant one included."""
+
+FLAT_RATIO = 1000.0
+"""Splats stored with two scales get a third that is this much smaller than the smaller one: their normal is
+the third axis (Huang et al. 2024, their released code), and drawn as ellipsoids they are thin."""
+
+FLAT_TAG = "SplatRenderMode: 2dgs"
+"""The comment by which a file says that its splats are discs."""
+
+
+def load_ply(path: Path, watch: Watch) -> Gaussians:
+    """Splats, or a point cloud as round splats. Raises InputError and LoadCancelled."""
+    try:
+        with open(path, "rb", opener=_open_regular) as file:
+            return _load(file, path, watch)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+    except PermissionError:
+        raise InputError(f"{path}: may not be read; check its permissions") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def _open_regular(name: str, flags: int) -> int:
+    # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
+    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError
+        raise InputError(f"{name}: is a device or a pipe, not a file")
+    return descriptor
+
+
+def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
+    file_bytes = os.fstat(file.fileno()).st_size
+    if file_bytes == 0:
+        raise InputError(f"{path}: is empty")
+    refuse_other_format(file, path)
+    header = read_header(file, path)
+    vertex = header.element("vertex")
+    refuse_other_ply(header, path)
+    if vertex is None:
+        raise InputError(f"{path}: has no element vertex, so no splats")
+    _check_names(vertex, path)
+    if not any(name.startswith(("f_dc_", "f_rest_", "opacity", "scale_", "rot_")) for name in _names(vertex)):
+        return read_point_cloud(file, file_bytes, header, vertex, path, watch)
+    return _read_splats(file, file_bytes, header, vertex, path, watch)
+
+
+def _names(vertex: Element) -> list[str]:
+    return [prop.name for prop in vertex.scalars]
+
+
+def _check_names(vertex: Element, path: Path) -> None:
+    names = [prop.name for prop in vertex.properties]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{path}: the header has property {twice!a} twice; the file is damaged")
+
+
+def _read_splats(
+    file: io.BufferedReader, file_bytes: int, header: Header, vertex: Element, path: Path, watch: Watch
+) -> Gaussians:
+    column = {name: i for i, name in enumerate(_names(vertex))}
+    rest = [name for name in column if name.startswith("f_rest_")]
+    coefficients = REST_COUNTS.get(len(rest))
+    rest_names = [f"f_rest_{i}" for i in range(len(rest))]
+    missing = [name for name in REQUIRED if name not in column]
+    for name in missing:
+        if any(prop.name == name for prop in vertex.properties):
+            raise InputError(f"{path}: {name} is a list, not a number a splat; export the scene again")
+    if missing:
+        raise InputError(f"{path}: the splats have no {', '.join(missing)}; export the scene again with them")
+    if coefficients is None or not set(rest_names) <= set(column):
+        raise InputError(
+            f"{path}: {len(rest)} properties f_rest_* make no whole SH bands; degrees 0 to 3 have 0, 9, 24 "
+            "and 45, numbered from f_rest_0; export the scene again"
+        )
+    scale_names = ("scale_0", "scale_1", "scale_2" if "scale_2" in column else "scale_1")
+    per_channel = coefficients - 1
+    sh_names = [f"f_dc_{c}" for c in range(3)]
+    sh_names += [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
+    used = [*POSITION, *sh_names, *scale_names, "opacity", *(f"rot_{i}" for i in range(4))]
+    for name in used:
+        dtype = vertex.scalars[column[name]].dtype
+        if dtype.kind != "f":
+            raise InputError(f"{path}: {name} is {dtype.name}, but must be a float; export the scene again")
+    check_size(header, vertex, file_bytes, path)
+
+    n = vertex.count
+    precise = any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in POSITION)
+    means = np.empty((n, 3), dtype=np.float64 if precise else np.float32)
+    quats = np.empty((n, 4), dtype=np.float32)
+    log_scales = np.empty((n, 3), dtype=np.float32)
+    opacity_logits = np.empty(n, dtype=np.float32)
+    sh = np.empty((n, coefficients, 3), dtype=np.float32)
+    extras = {
+        name: np.empty(n, dtype=vertex.scalars[i].dtype.newbyteorder("="))
+        for name, i in column.items()
+        if name not in used
+    }
+    named: list[tuple[list[str], np.ndarray]] = [
+        (list(POSITION), means),
+        (sh_names, sh),
+        (["opacity"], opacity_logits),
+        (list(scale_names), log_scales),
+        ([f"rot_{i}" for i in range(4)], quats),
+        *(([name], values) for name, values in extras.items()),
+    ]
+    targets = [Target(columns=[column[name] for name in names], array=array) for names, array in named]
+    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+
+    comments = header.comments
+    if any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in used if name not in POSITION):
+        comments += ("splatview: the file's doubles were rounded to float32, but for positions",)
+    if "scale_2" not in column:
+        log_scales[:, 2] = log_scales[:, :2].min(axis=1) - np.float32(math.log(FLAT_RATIO))
+        comments += (
+            FLAT_TAG,
+            f"splatview: the file had two scales; the third is the smaller / {FLAT_RATIO:g}",
+        )
+    if set(NORMAL) <= set(extras) and not any(_has_bits(extras[name]) for name in NORMAL):
+        # The usual layout has normals of zeros that mean nothing; saving writes them again.
+        extras = {name: values for name, values in extras.items() if name not in NORMAL}
+    return Gaussians(
+        means=means,
+        quats=quats,
+        log_scales=log_scales,
+        opacity_logits=opacity_logits,
+        sh=sh,
+        comments=comments,
+        extras=extras,
+    )
+
+
+def _has_bits(values: np.ndarray) -> bool:
+    """Whether any bit is set: -0.0 counts."""
+    return bool(values.view(f"u{values.itemsize}").any())
+
+
+# ---- Splats to a binary little endian .ply that every viewer of the field opens.
+
+
+CHUNK_BYTES = 1 << 20
+"""Put together at once; no second copy of the scene is made."""
+
+PLY_NAMES = {
+    TYPES[name]: name for name in ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
+}
+"""numpy's type codes to the names that the oldest readers know."""
+
+NORMALS = ("nx", "ny", "nz")
+
+
+def save_ply(gaussians: Gaussians, path: Path) -> None:
+    """Writes x y z, nx ny nz, f_dc, f_rest, opacity, scale, rot, then the extras; comments in the header.
+
+    Normals are zeros unless the extras have them. float64 means are written as doubles.
+
+    Raises:
+        InputError: an extra has a name or type that .ply cannot hold, or the file cannot be written.
+    """
+    columns = _columns(gaussians, path)
+    dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    n = len(gaussians)
+    chunk = max(1, CHUNK_BYTES // dtype.itemsize)
+    header = _header(gaussians, dtype).encode("utf-8", "replace")
+    if len(header) > MAX_HEADER_BYTES:
+        raise InputError(
+            f"{path}: cannot be written: comments of {len(header):,} bytes make no readable header"
+        )
+    with atomic_write(path) as file:
+        file.write(header)
+        for start in range(0, n, chunk):
+            stop = min(start + chunk, n)
+            rows = np.empty(stop - start, dtype=dtype)
+            for name, values in columns.items():
+                rows[name] = values[start:stop]
+            file.write(rows.data)
+
+
+def _columns(gaussians: Gaussians, path: Path) -> dict[str, np.ndarray]:
+    """Property name -> values (N,), in the order of the file."""
+    zeros = np.broadcast_to(np.float32(0), (len(gaussians),))
+    extras = dict(gaussians.extras)
+    columns = {name: gaussians.means[:, i] for i, name in enumerate("xyz")}
+    columns |= {name: extras.pop(name, zeros) for name in NORMALS}
+    columns |= {f"f_dc_{c}": gaussians.sh[:, 0, c] for c in range(3)}
+    rest = gaussians.sh[:, 1:].shape[1]
+    columns |= {f"f_rest_{c * rest + k}": gaussians.sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
+    columns["opacity"] = gaussians.opacity_logits
+    columns |= {f"scale_{i}": gaussians.log_scales[:, i] for i in range(3)}
+    columns |= {f"rot_{i}": gaussians.quats[:, i] for i in range(4)}
+    for name, values in extras.items():
+        if name in columns or name.startswith("f_rest_"):
+            raise InputError(
+                f"{path}: cannot be written: the extra property {name!r} has the name of a splat's own"
+            )
+        if name.split() != [name] or not name.isascii() or not name.isprintable():
+            raise InputError(
+                f"{path}: cannot be written: {name!r} is no name for a .ply property (one ASCII word)"
+            )
+        columns[name] = values
+    for name, values in columns.items():
+        if values.dtype.str[1:] not in PLY_NAMES:
+            raise InputError(
+                f"{path}: cannot be written: .ply has no type {values.dtype} (property {name}); "
+                "give it as float32, float64 or an integer of at most 32 bits"
+            )
+    return columns
+
+
+def _header(gaussians: Gaussians, dtype: np.dtype) -> str:
+    lines = ["ply", "format binary_little_endian 1.0"]
+    for comment in gaussians.comments:
+        # A comment may not bring in header lines of its own.
+        for line in re.split(r"[\r\n]+", comment):
+            if line.startswith(OBJ_INFO):
+                lines.append(line)
+            else:
+                lines.append(f"comment {line}".rstrip())
+    lines.append(f"element vertex {len(gaussians)}")
+    lines += [f"property {PLY_NAMES[dtype[name].str[1:]]} {name}" for name in dtype.names or ()]
+    return "\n".join([*lines, "end_header", ""])

@@ -1,0 +1,8 @@
+"""Packages, found: the repository root is the package, folder scene/ is splatview.scene, and so on."""
+
+from setuptools import find_namespace_packages, setup
+
+FLOORS = ("scene", "shaders", "raster", "edit", "measure", "trainer", "renderers", "viewer", "cli")
+FOUND = find_namespace_packages(include=[name for floor in FLOORS for name in (floor, f"{floor}.*")])
+
+setup(packages=[f"splatview.{name}" for name in FOUND], package_dir={"splatview": "."})

@@ -1,0 +1,194 @@
+"""What the ladder says of a shortcut is what one finds oneself with `splatview render`, rung for rung."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.cli import ladder, render
+from splatview.cli.ladder import draw_truths
+from splatview.cli.main import main
+from splatview.measure.knobs import KNOBS, Knob, Plan, apply_choices
+from splatview.measure.ladder import climb, rungs_for
+from splatview.measure.metrics import psnr
+from splatview.renderers.gl.context import create_headless_context
+from splatview.renderers.headless import HeadlessRenderer, SceneArtist, make_headless
+from splatview.scene import Camera, Gaussians, InputError, look_at
+from splatview.scene.camera import turned_about
+from splatview.scene.formats import save_scene
+
+EXACT_DB = 60.0
+EYE, TARGET, SIZE = (-0.5, -1.0, -3.0), (0.0, 0.1, 0.0), (64, 48)
+VIEW = ["--eye", "-0.5,-1,-3", "--target", "0,0.1,0", "--size", "64x48"]
+CAMERA = look_at(EYE, TARGET, up=(0, -1, 0), width=SIZE[0], height=SIZE[1])
+
+
+def renderers() -> list[str]:
+    try:
+        create_headless_context(require=430).release()
+    except InputError:
+        return ["cpu"]
+    return ["cpu", "quads", "tiles"]
+
+
+@pytest.fixture(scope="module")
+def scene(random_gaussians) -> Gaussians:
+    """Large opaque splats in front of many others, so that every shortcut leaves out something."""
+    made = random_gaussians(400, seed=4)
+    return replace(made, log_scales=made.log_scales + 0.7, opacity_logits=made.opacity_logits + 3)
+
+
+@pytest.fixture(scope="module")
+def truth(scene) -> np.ndarray:
+    truths, apart = draw_truths(scene, [CAMERA], Plan().settings)
+    assert apart < 1e-9
+    return truths[0]
+
+
+@pytest.fixture(scope="module")
+def artists(scene) -> dict[str, SceneArtist]:
+    return {name: SceneArtist(make_headless(name), scene, turned) for name in renderers()}
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    return turned_about(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
+
+
+def drawn(artist: SceneArtist, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:
+    plan = apply_choices(Plan(), choices, artist.name)
+    artist.prepare(camera, plan)
+    return artist.draw(camera, plan)
+
+
+def shared_renderers():
+    made: dict[str, HeadlessRenderer] = {}
+
+    def make(name: str, *, mode: str = "splats") -> HeadlessRenderer:
+        if name not in made:
+            made[name] = make_headless(name)
+        return made[name]
+
+    return make
+
+
+def owned(knobs: tuple[Knob, ...] = KNOBS) -> list[tuple[str, Knob]]:
+    return [(name, knob) for name in ("cpu", "quads", "tiles") for knob in knobs if name in knob.renderers]
+
+
+def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys, monkeypatch):
+    # Each command compiles its shaders; here they share them, as it were in one process.
+    for command in (render, ladder):
+        monkeypatch.setattr(command, "make_headless", shared_renderers())
+    save_scene(scene, tmp_path / "scene.ply")
+    names = renderers()
+
+    def run(*argv: object) -> str:
+        assert main([str(argument) for argument in argv]) == 0
+        return capsys.readouterr().out
+
+    def rendered(*options: str) -> np.ndarray:
+        out = tmp_path / "x.npy"
+        run("render", tmp_path / "scene.ply", "-o", out, *VIEW, *options)
+        return np.load(out)
+
+    text = run(
+        *("ladder", tmp_path / "scene.ply", *VIEW, "--json", "--views", 1, "--rounds", 1),
+        *("--renderers", ",".join(names)),
+    )
+    rungs = json.loads(text)["rungs"]
+    artists = [SceneArtist(make_headless(name), scene) for name in names]
+    expected = {(r.artist.name, r.knob, r.value) for r in rungs_for(artists, Plan(), used_sh_degree=3)}
+    assert {(r["renderer"], r["knob"], r["value"]) for r in rungs} == expected
+    reference = rendered("--renderer", "reference")
+    for rung in rungs:
+        here = psnr(rendered(*rung["options"]), reference)
+        stated = rung["psnr"]
+        # Above 100 dB float32 itself, in which pictures are written, begins to count.
+        close = (here > 100 and stated > 100) or stated == pytest.approx(here, abs=0.1)
+        assert close, (rung["renderer"], rung["knob"], rung["value"], stated, here)
+
+
+@pytest.mark.parametrize(("name", "knob"), owned(), ids=lambda x: getattr(x, "name", x))
+def test_the_exact_end_of_every_knob_is_exact_and_the_others_are_not(artists, truth, name, knob):
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    best, *coarser = (
+        psnr(drawn(artists[name], {knob.name: value.text}), truth) for value in knob.values_for(name)
+    )
+    assert best >= EXACT_DB
+    # Above so much, roundings decide.
+    decibels = [min(each, 90) for each in (best, *coarser)]
+    if knob.monotone:
+        assert all(b <= a + 0.01 for a, b in pairwise(decibels)), decibels
+    if knob.name != "early-stop" or name == "cpu":  # else whole blocks stop, and this picture has too few
+        assert min(coarser) < best
+
+
+@pytest.mark.parametrize("name", ["cpu", "quads"])
+def test_splats_kept_are_the_same_whatever_is_drawn(artists, scene, name):
+    from splatview.renderers.headless import reduced
+
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    half, quarter = (reduced(scene, Plan(kept=share)) for share in (0.5, 0.25))
+    assert (len(half), len(quarter)) == (200, 100)
+    assert reduced(scene, Plan(kept=0.5)) is half
+    rows = {row.tobytes() for row in half.means}
+    assert all(row.tobytes() in rows for row in quarter.means), "a smaller share is part of a larger one"
+    direct = make_headless(name).draw(half, CAMERA, Plan().settings)
+    np.testing.assert_array_equal(drawn(artists[name], {"keep": "50"}), direct)
+
+
+@pytest.mark.parametrize("value", ["3-sigma", "2-sigma"])
+def test_renderers_cut_alike(artists, value):
+    if len(artists) == 1:
+        pytest.skip("no OpenGL 4.3")
+    pictures = {name: drawn(artist, {"cut": value}) for name, artist in artists.items()}
+    exact = drawn(artists["cpu"], {})
+    assert np.abs(pictures["cpu"] - exact).max() > 0.01
+    for name in ("quads", "tiles"):
+        apart = np.abs(pictures[name] - pictures["cpu"]).max(axis=2)
+        assert np.mean(apart > 2e-3) < 3e-3, "but for pixels on the cut to the last digit"
+
+
+@pytest.mark.parametrize("name", ["quads", "tiles"])
+def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(artists, scene, name):
+    if name not in artists:
+        pytest.skip("no OpenGL 4.3")
+    # One that has drawn nothing else: an order that was kept would count.
+    artists = {**artists, name: SceneArtist(make_headless(name), scene)}
+    held = []
+    for knob in (knob for knob in KNOBS if knob.name == "attributes"):
+        for value in knob.values:
+            picture = drawn(artists[name], {knob.name: value.text, "sh-degree": "3"})
+            held.append(artists[name].memory(Plan()))
+            assert psnr(picture, drawn(artists["cpu"], {knob.name: value.text})) > EXACT_DB
+    assert held[0] - held[1] == len(artists[name].scene) * (236 - 124), "float16, but for positions"
+    assert held[1] - held[2] == len(artists[name].scene) * (96 - 56), "a byte in place of two, and a step"
+
+
+def test_a_scene_that_pops_does_so_in_the_global_order_only():
+    turn = np.radians(35) / 2
+    sheets = Gaussians(  # an opaque red and a green one that cross, their means equally far
+        means=np.array([[-0.001, 0, 0], [0.001, 0, 0]], np.float32),
+        quats=np.array([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]], np.float32),
+        log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
+        opacity_logits=np.array([4, 4], np.float32),
+        sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
+    )
+
+    def beside(view: int, number: int) -> Camera:
+        return look_at((1e-4 * number, 0, -2.5), (0, 0, 0), up=(0, -1, 0), width=40, height=33)
+
+    camera = look_at((-1e-4, 0, -2.5), (0, 0, 0), up=(0, -1, 0), width=40, height=33)
+    truths, _ = draw_truths(sheets, [camera], Plan().settings)
+    rungs = rungs_for([SceneArtist(make_headless("cpu"), sheets)], Plan(), used_sh_degree=0, knobs=["order"])
+    made = climb(rungs, [camera], truths, moved=beside, seconds=1, rounds=3)
+    popping = {one.rung.value: one.popping for one in made.rungs}
+    assert popping["cpu"] > 0.3
+    assert popping["per-pixel"] < 0.01

@@ -1,0 +1,229 @@
+"""Whatever is wrong with a capture or an output, `splatview train` says it in one line and exits with 2."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatview.cli import train_setup
+from splatview.cli.main import main
+from splatview.scene.formats import load_scene
+from splatview.trainer import run as session
+
+Damage = Callable[[Path], None]
+
+
+@pytest.fixture
+def complaint(capture_folder: Path, tmp_path: Path, capsys, monkeypatch) -> Callable[..., str]:
+    """`complaint(damage, options...)`: what training on the damaged capture says, which is one line."""
+    monkeypatch.chdir(tmp_path)
+
+    def train(damage: Damage = lambda folder: None, *options: str) -> str:
+        damage(capture_folder)
+        assert main(["train", str(capture_folder), "--headless", "--iterations", "5", *options]) == 2
+        printed = capsys.readouterr()
+        lines = printed.err.strip().splitlines()
+        assert lines[-1].startswith("splatview: ") and len(lines) == 1, printed.err
+        assert printed.out == ""
+        assert not list(tmp_path.glob("*.ply")), "a scene was written all the same"
+        return lines[0]
+
+    return train
+
+
+def model(folder: Path, name: str) -> Path:
+    return folder / "sparse" / "0" / name
+
+
+def edited(name: str, old: str, new: str) -> Damage:
+    def damage(folder: Path) -> None:
+        text = model(folder, name).read_text()
+        assert old in text
+        model(folder, name).write_text(text.replace(old, new, 1))
+
+    return damage
+
+
+def cut(name: str, share: float) -> Damage:
+    def damage(folder: Path) -> None:
+        path = model(folder, name) if name.endswith(".txt") else folder / "images" / name
+        data = path.read_bytes()
+        path.write_bytes(data[: int(len(data) * share)])
+
+    return damage
+
+
+def emptied(folder: Path) -> None:
+    shutil.rmtree(folder)
+    folder.mkdir()
+
+
+def without_photos(folder: Path) -> None:
+    shutil.rmtree(folder / "images")
+
+
+def without_poses(folder: Path) -> None:
+    model(folder, "images.txt").write_text("# none\n")
+
+
+def with_one_photo(folder: Path) -> None:
+    for photo in sorted((folder / "images").iterdir())[1:]:
+        photo.unlink()
+
+
+def with_a_larger_photo(folder: Path) -> None:
+    Image.new("RGB", (96, 80)).save(folder / "images" / "view_4.png")
+
+
+def with_a_smaller_mask(folder: Path) -> None:
+    (folder / "masks").mkdir()
+    Image.new("L", (24, 20)).save(folder / "masks" / "view_4.png.png")
+
+
+def with_black_masks(folder: Path) -> None:
+    (folder / "masks").mkdir()
+    for photo in (folder / "images").iterdir():
+        Image.new("L", (48, 40)).save(folder / "masks" / photo.name)
+
+
+def with_json(text: str) -> Damage:
+    def damage(folder: Path) -> None:
+        emptied(folder)
+        (folder / "transforms.json").write_text(text)
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (emptied, "holds no capture"),
+        (shutil.rmtree, "no such folder"),
+        (without_photos, "none of its 20 photos is in"),
+        (without_poses, "holds no images"),
+        (with_one_photo, "only one photo (view_0.png) is left"),
+        (with_a_larger_photo, "view_4.png: is 96x80 pixels, but its camera says 48x40"),
+        (with_a_smaller_mask, "view_4.png.png: is 24x20 pixels, but its camera says 48x40"),
+        (with_black_masks, "masks leave nothing"),
+        (cut("view_7.png", 0.5), "view_7.png: is no readable image"),
+        (cut("view_7.png", 0), "view_7.png: is no readable image"),
+        (cut("cameras.txt", 0.5), "cameras.txt: "),
+        (cut("images.txt", 0.41), "images.txt: "),
+        (cut("points3D.txt", 0.501), "points3D.txt: "),
+        (edited("cameras.txt", "PINHOLE", "SPHERE"), "SPHERE"),
+        (edited("cameras.txt", "1 PINHOLE", "2 PINHOLE"), "not in cameras.txt"),
+        (edited("images.txt", "1 ", "1 nan "), "images.txt: "),
+        (with_json('{"frames": [{"file_path":'), "not JSON"),
+        (with_json('{"frames": []}'), "names no photos"),
+        (with_json('{"camera_model": "EQUIRECTANGULAR"}'), "the list 'frames' is missing"),
+    ],
+)
+def test_captures(complaint: Callable[..., str], damage: Damage, message: str) -> None:
+    assert message in complaint(damage)
+
+
+def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: Path) -> None:
+    def damage(folder: Path) -> None:
+        shutil.rmtree(folder / "sparse")
+        pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"
+        frames = [f'{{"file_path": "images/view_{i}.png", "transform_matrix": {pose}}}' for i in range(3)]
+        (folder / "transforms.json").write_text(
+            f'{{"camera_model": "EQUIRECTANGULAR", "fl_x": 30, "frames": [{", ".join(frames)}]}}'
+        )
+
+    message = complaint(damage)
+    assert "frame 0 ('images/view_0.png'): lenses of the kind 'EQUIRECTANGULAR' cannot be used" in message
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("-o", "nowhere/toy.ply"), "nowhere/toy.ply: cannot be written: No such file or directory"),
+        (("-o", "."), "saved as .ply"),
+        (("-o", "/dev/full"), "saved as .ply"),
+        (("--metrics", "."), "is a folder"),
+        (("--metrics", "nowhere/m.jsonl"), "cannot be written"),
+        (("--resume", "missing.safetensors"), "no such file"),
+        (("--batch", "0"), "at least 1"),
+        (("--demo",), "name the folder of a capture, or --demo"),
+    ],
+)
+def test_options(complaint: Callable[..., str], options: tuple[str, ...], message: str) -> None:
+    assert message in complaint(lambda folder: None, *options)
+
+
+def test_neither_capture_nor_demo(capsys) -> None:
+    assert main(["train", "--headless"]) == 2
+    assert "name the folder of a capture, or --demo" in capsys.readouterr().err
+
+
+def test_a_disk_too_full_for_the_run(complaint: Callable[..., str], monkeypatch) -> None:
+    monkeypatch.setattr(
+        train_setup.shutil, "disk_usage", lambda folder: shutil._ntuple_diskusage(1, 1, 10**5)
+    )
+    message = complaint()
+    assert "the disk has 0.1 MB left, and up to 2,000 splats with their checkpoint need 3.3 MB" in message
+
+
+def test_a_disk_that_fills_up_while_training(
+    capture_folder: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    """No write into the output's folder succeeds after the check: the scene goes where there is room."""
+    output, refuge = tmp_path / "full" / "toy.ply", tmp_path / "refuge"
+    output.parent.mkdir()
+    refuge.mkdir()
+    monkeypatch.setattr(session.tempfile, "tempdir", str(refuge))
+    fsync = os.fsync
+
+    def full(descriptor: int) -> None:
+        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).parent == output.parent:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    options = ["--iterations", "5", "-o", str(output), "--metrics", "/dev/full"]
+    assert main(["train", str(capture_folder), "--headless", *options]) == 2
+    *notes, last = capsys.readouterr().err.strip().splitlines()
+    assert any("no checkpoint written" in note and "No space left" in note for note in notes)
+    assert any("/dev/full: a line could not be written" in note for note in notes)
+    assert "toy.ply: cannot be written: No space left on device; the trained scene is saved as" in last
+    assert len(load_scene(last.rpartition(" ")[2])) == 60
+    assert list(output.parent.iterdir()) == []
+
+
+def test_what_is_left_out_is_named_and_the_rest_trained(
+    capture_folder: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (capture_folder / "images" / "view_3.png").unlink()
+    points = model(capture_folder, "points3D.txt")
+    points.write_text("99 nan 0 0 1 2 3 0.5\n" + points.read_text())
+    (capture_folder / "masks").mkdir()
+    mask = np.zeros((40, 48), np.uint8)
+    Image.fromarray(mask).save(capture_folder / "masks" / "view_5.png.png")
+    mask[:20] = 255
+    Image.fromarray(mask).save(capture_folder / "masks" / "view_6.png.png")
+    assert main(["train", str(capture_folder), "--headless", "--iterations", "5"]) == 0
+    printed = capsys.readouterr().err
+    assert "1 of 20 photos are not in" in printed and "view_3.png" in printed
+    assert "1 photos are left out, for their masks hide all of them: view_5.png" in printed
+    assert "1 of 61 points are not finite, or out of all bounds, and left out" in printed
+    assert len(load_scene(tmp_path / "toy.ply")) == 60
+
+
+def test_it_is_so_in_a_process_of_its_own(capture_folder: Path, tmp_path: Path) -> None:
+    with_a_larger_photo(capture_folder)
+    command = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
+    done = subprocess.run(
+        [*command, "train", str(capture_folder), "--headless"], capture_output=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 2 and done.stdout == b"" and done.stderr.count(b"\n") == 1

@@ -1,0 +1,51 @@
+"""What old OpenGL refuses is asked before, so that ladders and panels leave it out."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from splatview.renderers.types import refusal
+from splatview.scene import RenderSettings
+from splatview.scene.formats import save_scene
+
+PROGRAM = "import sys; from splatview.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+LACKING = (
+    {"order": "16-bit"},
+    {"order": "weighted"},
+    {"order": "stochastic"},
+    {"resort_frames": 4},
+    {"resort_degrees": 5.0},
+)
+
+
+@pytest.mark.parametrize("chosen", LACKING, ids=str)
+def test_settings_that_need_compute_shaders(chosen) -> None:
+    settings = RenderSettings(**chosen)
+    assert refusal(430, settings) is None
+    assert "needs OpenGL 4.3" in (refusal(410, settings) or "")
+    assert refusal(330, RenderSettings()) is None
+
+
+def test_stored_attributes_need_them_too() -> None:
+    assert refusal(430, attributes="float16") is None
+    assert "need OpenGL 4.3" in (refusal(330, attributes="float16") or "")
+
+
+def test_a_ladder_on_old_opengl_leaves_them_out(ctx, random_gaussians, tmp_path: Path) -> None:
+    save_scene(random_gaussians(200, sh_degree=1), tmp_path / "a.ply")
+    command = [sys.executable, "-c", PROGRAM, "ladder", "a.ply", "--size", "48x32"]
+    command += ["--renderers", "quads", "--rounds", "3"]
+    old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
+    done = subprocess.run(
+        command, env=os.environ | old, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    if ctx.info["GL_RENDERER"].startswith("llvmpipe"):  # it obeys the override
+        assert "keep 25" in done.stdout and "early-stop" in done.stdout
+        assert not [word for word in ("16-bit", "stochastic", "resort", "attributes") if word in done.stdout]

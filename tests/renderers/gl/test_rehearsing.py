@@ -1,0 +1,256 @@
+"""Compiling in the background: who is told what, what is drawn meanwhile, and that it is the same picture."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splatview import raster
+from splatview.raster.frame import kind_of
+from splatview.renderers import make_renderer
+from splatview.renderers.cpu_async import CpuAhead
+from splatview.renderers.edit_snapshot import shown_edits
+from splatview.renderers.gl.programs import Variants
+from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.shader_fallback import StandingIn, mode_key, title_of
+from splatview.renderers.precompile import MOST_REMEMBERED, Rehearsals, rehearsal_of
+from splatview.renderers.types import Overlay
+from splatview.scene import RenderSettings, look_at
+from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
+from splatview.viewer.picture import CpuPicture
+
+COUNT = 200
+CAMERA = look_at((0.4, -0.6, -2.4), (0, 0, 0), width=48, height=40)
+SETTINGS = RenderSettings(blend="float32")
+PATIENCE = 20.0
+NOTHING: Any = SimpleNamespace(renderer="quads")
+
+
+def some_edits() -> SceneEdits:
+    marks = np.zeros(COUNT, np.uint32)
+    marks[::5] |= HIDDEN
+    marks[::3] |= SELECTED
+    marks[50:120] |= 1 << PALETTE_SHIFT
+    grade = ((0.5, 0.2, 0.0, 0.1), (0.0, 0.9, 0.1, -0.05), (0.3, 0.0, 0.4, 0.2))
+    turned = Adjustment(rotation=(0.8, 0.36, -0.48, 0.0), scale=1.3, colour=grade)
+    crops = (Crop(shape="sphere", half_extents=(0.9, 0.7, 0.8)),)
+    return SceneEdits(marks=marks, palette=(IDENTITY, turned), crops=crops, flags=HIDDEN | SELECTED)
+
+
+class Stage:
+    """Rehearsals that go on for as long as the test likes."""
+
+    def __init__(self, **options) -> None:
+        self.performed: list = []
+        self._curtain = threading.Event()
+        self.rehearsals = Rehearsals(perform=self._perform, **options)
+
+    def _perform(self, rehearsal) -> None:
+        assert self._curtain.wait(PATIENCE)
+        self.performed.append(rehearsal)
+
+    def finish(self, *keys: str) -> None:
+        self._curtain.set()
+        if keys:
+            assert self.rehearsals.wait(keys)
+
+
+def test_each_key_is_compiled_once_and_remembered_by_the_next_session(tmp_path):
+    memory = tmp_path / "cache" / "compiled.txt"
+    changes: list[str] = []
+    stage = Stage(memory=memory, on_change=lambda: changes.append(stage.rehearsals.title))
+    asked: list[list[str]] = []
+    for keys in (["a"], ["a", "b"], ["b"]):
+        stage.rehearsals.ask(keys, f"crops {keys}", lambda keys=keys: asked.append(keys) or NOTHING)
+    assert asked == [["a"], ["a", "b"]]
+    assert not stage.rehearsals.is_done(["a"])
+    stage.finish("a", "b")
+    assert stage.rehearsals.is_done(["a", "b"])
+    stage.rehearsals.release()
+    assert "crops ['a']" in changes
+    later = Rehearsals(memory=memory)
+    assert later.is_done(["b", "a"])
+    assert not later.is_done(["c"])
+
+
+def test_a_memory_that_cannot_be_used_is_done_without(tmp_path):
+    memory = tmp_path / "compiled.txt"
+    memory.write_bytes(b"\xff\xfe\n")
+    assert not Rehearsals(memory=memory).is_done(["a"])
+    memory.write_text("a\n" * (MOST_REMEMBERED + 1))
+    assert not Rehearsals(memory=memory).is_done(["a"])
+    assert not memory.exists()
+    assert not Rehearsals(memory=tmp_path).is_done(["a"])
+
+
+def test_programs_do_not_wait_for_kernels():
+    at_work, curtain = threading.Event(), threading.Event()
+
+    def perform(rehearsal) -> None:
+        if rehearsal.renderer == "cpu":
+            at_work.set()
+            assert curtain.wait(PATIENCE)
+
+    rehearsals = Rehearsals(perform=perform)
+    rehearsals.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
+    rehearsals.ask(["program"], "points", lambda: NOTHING)
+    assert rehearsals.wait(["program"])
+    assert not rehearsals.is_done(["kernel"])
+    assert at_work.wait(PATIENCE)
+    assert rehearsals.title == "edits"
+    curtain.set()
+    assert rehearsals.wait(["kernel"])
+    rehearsals.release()
+
+
+def test_what_fails_is_told_once_and_not_waited_for():
+    def fail(rehearsal) -> None:
+        raise RuntimeError("no second OpenGL context")
+
+    rehearsals = Rehearsals(perform=fail)
+    rehearsals.ask(["a"], "crops", lambda: NOTHING)
+    assert rehearsals.wait(["a"])
+    assert rehearsals.take_problem() == (
+        "crops cannot be compiled in the background: no second OpenGL context"
+    )
+    assert rehearsals.take_problem() is None
+    assert rehearsals.is_done(["a"])
+
+
+def test_an_end_wakes_who_waits():
+    stage = Stage()
+    stage.rehearsals.ask(["a"], "crops", lambda: NOTHING)
+    told: list[bool] = []
+    waiting = threading.Thread(target=lambda: told.append(stage.rehearsals.wait(["a"])))
+    waiting.start()
+    stage.rehearsals.release()
+    waiting.join(PATIENCE)
+    assert told == [False]
+    assert stage.rehearsals.is_done(["never asked for"])
+    stage.finish()
+
+
+def test_a_process_draws_and_says_why_it_cannot(random_gaussians):
+    rehearsals = Rehearsals()
+    rehearsal = rehearsal_of("quads", random_gaussians(9), CAMERA, SETTINGS, edits=None)
+    rehearsals.ask(
+        ["wrong"], "nothing", lambda: replace(rehearsal, renderer="cpu", mode="splats", camera=None)
+    )  # pyright: ignore
+    assert rehearsals.wait(["wrong"])
+    assert "AttributeError" in (rehearsals.take_problem() or "")
+    rehearsals.ask(["right"], "quads", lambda: rehearsal)
+    assert rehearsals.wait(["right"])
+    assert rehearsals.take_problem() is None
+    rehearsals.release()
+
+
+@pytest.mark.parametrize("name", ["quads", "tiles", "legacy"])
+def test_general_programs_stand_in_until_the_others_are_compiled(ctx, random_gaussians, name):
+    if name != "legacy" and ctx.version_code < 430:
+        pytest.skip("needs OpenGL 4.3")
+    stage = Stage()
+    variants = StandingIn(ctx, stage.rehearsals)
+    renderer = make_renderer(ctx, name, variants) if name != "legacy" else LegacyQuadsRenderer(ctx, variants)
+    variants.prepare(renderer)
+    assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
+    scene, edits, overlay = random_gaussians(COUNT, seed=4), some_edits(), Overlay()
+    meanwhile = renderer.render(scene, CAMERA, SETTINGS, edits=edits, overlay=overlay)
+    variants.after_drawing(name, scene, CAMERA, SETTINGS, "splats", edits, overlay)
+    assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
+    turned = replace(CAMERA, fx=CAMERA.fx + 1)
+    renderer.render(scene, turned, SETTINGS, edits=edits, overlay=overlay)
+    asked = [variants._key(variant) for variant in variants.take_waiting()]
+    assert asked
+    stage.finish(*asked)
+    renderer.render(scene, turned, RenderSettings(), edits=edits, overlay=overlay)
+    assert not variants.take_waiting()
+    specialised = renderer.render(scene, CAMERA, SETTINGS, edits=edits, overlay=overlay)
+    assert any(not variant.general for variant in variants.made if "project" in variant.files[-1])
+    np.testing.assert_allclose(specialised, meanwhile, atol=2e-6)
+    (rehearsal,) = stage.performed
+    assert rehearsal.variants
+    assert "hidden splats" in title_of(rehearsal.variants)
+    stage.rehearsals.release()
+    renderer.release()
+
+
+@pytest.mark.parametrize("mode", ["splats", "points", "ellipsoids", "depth"])
+@pytest.mark.parametrize("edited", [False, True])
+def test_a_rehearsal_needs_the_programs_of_the_picture_it_stands_for(ctx, random_gaussians, mode, edited):
+    scene = random_gaussians(COUNT, sh_degree=2)
+    settings = replace(SETTINGS, model=replace(SETTINGS.model, antialiased=True))
+    shown = {"edits": some_edits(), "overlay": Overlay()} if edited else {}
+    made = []
+    rehearsal = rehearsal_of("quads", scene, CAMERA, settings, mode=mode, **shown)
+    small = {"edits": rehearsal.edits, "overlay": rehearsal.overlay}
+    for gaussians, camera, options in (
+        (scene, CAMERA, shown),
+        (rehearsal.gaussians, rehearsal.camera, small),
+    ):
+        variants = Variants(ctx)
+        renderer = make_renderer(ctx, "quads", variants)
+        image = renderer.render(gaussians, camera, settings, mode=mode, **options)
+        made.append(variants.made)
+        renderer.release()
+    assert image.std() > 0.01, "nothing was drawn"
+    assert made[0] == made[1]
+
+
+def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaussians):
+    scene, stage = random_gaussians(COUNT, seed=6), Stage()
+    ahead = CpuAhead(stage.rehearsals)
+    shown = shown_edits(some_edits(), Overlay(), None)
+    raster.render(scene, CAMERA, SETTINGS)  # compiled, or in the cache
+    assert ahead.must_wait(scene, CAMERA, SETTINGS, None) is None
+    assert ahead.must_wait(scene, CAMERA, SETTINGS, shown) is None
+    baked, edits = ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)
+    assert edits is None
+    assert ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)[0] is baked, "baked once"
+    meanwhile = raster.render(baked, CAMERA, SETTINGS)
+    stage.finish(kind_of(scene, CAMERA, SETTINGS, edited=True))
+    same, edits = ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)
+    assert same is scene
+    assert edits is not None
+    np.testing.assert_allclose(raster.render(scene, CAMERA, SETTINGS, edits=edits), meanwhile, atol=1e-4)
+    (rehearsal,) = stage.performed
+    assert rehearsal.renderer == "cpu"
+    assert rehearsal.edits.in_force
+    stage.rehearsals.release()
+
+
+def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
+    scene, stage = random_gaussians(COUNT), Stage()
+    ahead = CpuAhead(stage.rehearsals)
+    discs = replace(SETTINGS, model=replace(SETTINGS.model, footprint="disc"))
+    raster.render(scene, CAMERA, SETTINGS)
+    kind = ahead.must_wait(scene, CAMERA, discs, None)
+    assert kind is not None
+    assert kind == kind_of(scene, CAMERA, discs)
+    assert kind != kind_of(scene, CAMERA, SETTINGS)
+    stage.finish()
+    assert ahead.wait(kind)
+    assert ahead.must_wait(scene, CAMERA, discs, None) is None
+    stage.rehearsals.release()
+
+
+def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
+    stage, ready = Stage(), threading.Event()
+    picture = CpuPicture(ctx, on_ready=ready.set, rehearsals=stage.rehearsals)
+    for _ in picture.load_steps(random_gaussians(COUNT, seed=5)):
+        pass
+    picture.draw(CAMERA, SETTINGS, "points")
+    assert picture.busy
+    assert ready.wait(PATIENCE), "splats meanwhile"
+    assert picture.status == "Compiling for this machine: points"
+    stage.finish(mode_key(ctx, "points"))
+    picture.draw(CAMERA, SETTINGS, "points")
+    assert not picture.busy
+    assert picture.texture.size == (CAMERA.width, CAMERA.height)
+    assert picture.read(CAMERA, SETTINGS, "points").std() > 0.01
+    stage.rehearsals.release()
+    picture.release()

@@ -1,0 +1,136 @@
+"""Edits kept for a picture in another thread, and tints as colour maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+
+from splatview.measure.metrics import largest_error, psnr
+from splatview.renderers.cpu_async import CpuTexture
+from splatview.renderers.edit_snapshot import shown_edits, tinted
+from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.types import Overlay
+from splatview.scene import Gaussians, RenderSettings, look_at, reference
+from splatview.scene.edits import (
+    DELETED,
+    IDENTITY,
+    LOCKED,
+    PALETTE_SHIFT,
+    PREVIEW,
+    SELECTED,
+    Adjustment,
+    Crop,
+    SceneEdits,
+    bake,
+)
+
+Make = Callable[..., Gaussians]
+
+CAMERA = look_at((0.5, -0.4, -2.4), (0, 0, 0), width=64, height=48)
+FLOAT32 = RenderSettings(blend="float32")
+GRADE = Adjustment(size=0.8, colour=((0.5, 0.2, 0, 0.1), (0, 0.9, 0.1, 0), (0.3, 0, 0.4, 0.2)))
+
+
+def bright(scene: Gaussians) -> Gaussians:
+    """Without colours below 0: a tint is blended before those are cut here, and after it on the GPU."""
+    sh = scene.sh * np.float32(0.1)
+    sh[:, 0] = np.abs(scene.sh[:, 0])
+    return replace(scene, sh=sh)
+
+
+def some_edits(count: int) -> SceneEdits:
+    rng = np.random.default_rng(0)
+    flags = rng.choice(np.array([0, SELECTED, LOCKED, PREVIEW | SELECTED, DELETED], np.uint32), count)
+    entries = rng.integers(0, 2, count).astype(np.uint32)
+    return SceneEdits(
+        marks=flags | entries << PALETTE_SHIFT,
+        palette=(IDENTITY, GRADE),
+        crops=(Crop(half_extents=(0.7, 0.7, 0.7)),),
+        flags=31,
+    )
+
+
+def test_tints_as_adjustments_give_the_picture_of_the_shaders(ctx: moderngl.Context, random_gaussians: Make):
+    if ctx.version_code < 430:
+        pytest.skip("needs OpenGL 4.3")
+    scene, edits, overlay = bright(random_gaussians(300)), some_edits(300), Overlay()
+    renderer = QuadsRenderer(ctx)
+    lit = renderer.render(scene, CAMERA, FLOAT32, edits=edits, overlay=overlay)
+    renderer.release()
+    truth = reference.render(bake(scene, tinted(edits, overlay)), CAMERA, FLOAT32)
+    assert psnr(lit, truth) >= 80
+    assert largest_error(lit, reference.render(bake(scene, edits), CAMERA, FLOAT32)) > 0.2
+
+
+def test_tinting_leaves_the_edits_alone():
+    edits = some_edits(100)
+    before = edits.marks.copy()
+    result = tinted(edits, Overlay(locked=(0, 0, 1, 0)))
+    assert np.array_equal(edits.marks, before)
+    assert np.array_equal(result.marks & 255, before & 255)
+    plain = (before & (SELECTED | PREVIEW)) == 0
+    assert np.array_equal(result.marks[plain], before[plain])
+    assert (result.marks[~plain] >> PALETTE_SHIFT >= 2).all()
+    assert len(result.palette) == 6  # two tints of two adjustments
+    assert result.palette[:2] == edits.palette
+    for marks in (np.zeros(0, np.uint32), np.full(5, DELETED, np.uint32)):
+        nothing = SceneEdits(marks=marks, flags=31)
+        assert tinted(nothing, Overlay()) is nothing
+
+
+def test_what_shows_is_one_object_until_it_changes():
+    marks = np.zeros(10, np.uint32)
+    edits, overlay = SceneEdits(marks=marks, flags=SELECTED), Overlay()
+    assert shown_edits(None, overlay, None) is None
+    assert shown_edits(edits, None, None) is None, "a selection without an overlay is not to be seen"
+    assert shown_edits(edits, Overlay(selected=(1, 0, 0, 0)), None) is None
+    first = shown_edits(edits, overlay, None)
+    assert first is not None
+    marks[3] = SELECTED
+    assert first.kept.marks[3] == 0
+    assert shown_edits(replace(edits), Overlay(), first) is first
+    newer = (
+        replace(edits, marks_version=1),
+        replace(edits, marks=marks.copy()),
+        replace(edits, palette=(IDENTITY, GRADE)),
+        replace(edits, crops=(Crop(),)),
+        replace(edits, flags=SELECTED | DELETED),
+    )
+    for changed in newer:
+        second = shown_edits(changed, overlay, first)
+        assert second is not None
+        assert second is not first
+        assert second.kept.marks[3] == SELECTED
+    assert shown_edits(replace(edits, crops=(Crop(enabled=False),)), overlay, first) is first
+    assert shown_edits(edits, Overlay(selected=(1, 0, 0, 1)), first) is not first
+
+
+def test_the_cpu_s_pictures_show_edits(ctx: moderngl.Context, random_gaussians: Make):
+    scene, edits, overlay = random_gaussians(300), some_edits(300), Overlay()
+    texture = CpuTexture(ctx)
+    try:
+        texture.load(scene)
+        for lit in (None, overlay):
+            drawn = edits if lit is None else tinted(edits, lit)
+            truth = reference.render(bake(scene, drawn), CAMERA, FLOAT32)
+            assert psnr(texture.read(CAMERA, FLOAT32, edits=edits, overlay=lit), truth) >= 80
+            for _ in range(2):  # the second time, edits have changed before an eye at rest
+                edits.marks[:] = np.roll(edits.marks, 7)
+                edits = replace(edits, marks_version=edits.marks_version + 1)
+                texture.draw(CAMERA, FLOAT32, edits=edits, overlay=lit)
+                while texture.busy:
+                    texture.wait(1.0)
+                    texture.draw(CAMERA, FLOAT32, edits=edits, overlay=lit)
+                shown = np.frombuffer(texture.texture.read(), np.float32).reshape(truth.shape)
+                drawn = edits if lit is None else tinted(edits, lit)
+                assert psnr(shown, reference.render(bake(scene, drawn), CAMERA, FLOAT32)) >= 80
+        drawings = texture.stats.drawn
+        texture.draw(CAMERA, FLOAT32, edits=replace(edits), overlay=Overlay())
+        assert not texture.busy
+        assert texture.stats.drawn == drawings
+    finally:
+        texture.release()

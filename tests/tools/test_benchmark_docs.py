@@ -1,0 +1,107 @@
+"""README tables are made from the committed JSON and agree with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from benchmark_docs import fill, ladder_table, main
+
+from splatview.measure.knobs import KNOBS
+from splatview.measure.machine import FOLDER, write_results
+
+ROOT = Path(__file__).parents[2]
+RESULTS = {"table": {"columns": ["what", "ms"], "rows": [["sort", 1.5], ["draw", 20]], "note": "Medians."}}
+
+
+@pytest.mark.parametrize("page", ["README.md", "ACCURACY.md", "SPEED.md"])
+def test_pages_agree_with_their_json(page):
+    assert main(["--check", str(ROOT / page)]) == 0, "run `make tables`"
+
+
+@pytest.mark.parametrize("name", ["skull", "playbot"])
+def test_the_tables_of_accuracy_are_those_of_the_measurements(name):
+    ladder = json.loads((ROOT / FOLDER / f"ladder_{name}.json").read_text())
+    assert ladder["table"] == ladder_table(ladder), "the table is not of this measurement"
+    bill = json.loads((ROOT / FOLDER / f"bill_{name}.json").read_text())
+    assert bill["table"]["rows"] == bill["rows"]
+    page = (ROOT / "ACCURACY.md").read_text()
+    assert f"(assets/benchmarks/ladder_{name}.png)" in page
+    assert (ROOT / FOLDER / f"ladder_{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_knob_is_on_the_page():
+    section = fill("<!-- table: knobs -->\nold\n<!-- end of table -->", ROOT / FOLDER)
+    for knob in KNOBS:
+        line = next(line for line in section.splitlines() if line.startswith(f"| `{knob.option}` "))
+        assert knob.changes in line and all(value.text in line for value in knob.values)
+
+
+def test_figures_have_the_noise_floor_beside_them():
+    rung = {
+        "knob": "cut",
+        "value": "3-sigma",
+        "renderer": "cpu",
+        "ms": 20.0,
+        "ms_quartiles": [18.0, 24.0],
+        "ratio": 0.8,
+        "noise": 0.06,
+        "psnr": 61.23,
+        "ssim": None,
+        "max_error": 0.0123,
+        "popping": 0.002,
+        "memory": 3 << 20,
+        "clear": True,
+        "pareto": True,
+    }
+    results = {
+        "scene": "x.ply",
+        "splats": 1000,
+        "size": [64, 48],
+        "baseline": {"renderer": "cpu"},
+        "noise": 0.05,
+        "views": 2,
+        "rounds": 9,
+        "truth": {"largest_difference_from_reference": 2e-15},
+        "rungs": [rung, {**rung, "clear": False}],
+        "left_out": [],
+    }
+    header, row, same = ladder_table(results)["rows"]
+    assert header[0] == "**drawn by `cpu`**"
+    assert row == [
+        "`--cut 3-sigma`",
+        "20.0 ±3.0",
+        "0.80 ±6%",
+        "61.2",
+        "-",
+        "0.012",
+        "0.002",
+        "3",
+        "yes",
+    ]
+    assert same[2] == "same ±6%"
+
+
+def test_fill_replaces_only_its_section(tmp_path):
+    write_results(tmp_path / "frames.json", RESULTS)
+    text = "before\n<!-- table: frames -->\nold\n<!-- end of table -->\nafter\n"
+    filled = fill(text, tmp_path)
+    assert filled.startswith(
+        "before\n<!-- table: frames -->\n| what | ms |\n| --- | ---: |\n| sort | 1.5 |\n"
+    )
+    assert filled.endswith("<!-- end of table -->\nafter\n") and "old" not in filled and "Medians. " in filled
+    assert fill(filled, tmp_path) == filled
+
+
+def test_check_sees_a_stale_table(tmp_path):
+    page = tmp_path / "PAGE.md"
+    page.write_text("<!-- table: frames -->\n<!-- end of table -->\n")
+    write_results(tmp_path / FOLDER / "frames.json", RESULTS)
+    assert main(["--check", str(page)]) == 1
+    assert main([str(page)]) == 0 and main(["--check", str(page)]) == 0
+
+
+def test_a_table_without_json_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"missing\.json"):
+        fill("<!-- table: missing -->\n<!-- end of table -->", tmp_path)

@@ -1,0 +1,187 @@
+"""Prices, shortcuts and the frame budget in a real window; run by `conftest.drive` like `drives`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import drives
+import numpy as np
+from drives import Hand
+from imgui_bundle import ImVec2, imgui
+
+from splatview import raster
+from splatview.measure.knobs import Plan
+from splatview.renderers.headless import reduced as fewer
+from splatview.viewer.navigation import orbit
+from splatview.viewer.state import Core
+
+
+def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Measure, read the prices, take a shortcut by a click, compare, and take all back."""
+    hand.settle()
+    core.prefer(smooth=False)
+    accuracy = core.accuracy
+    accuracy.rounds = options.get("rounds")
+    exact = hand.picture()
+    hand.ctx.window_focus("//Accuracy")
+    hand.ctx.set_ref("//Accuracy")
+    hand.frames(3)
+    hand.ctx.item_click("**/###measure")
+    hand.wait(lambda: accuracy.measurement is not None, "the measurement to begin")
+    progress: list[float] = []
+
+    def over() -> bool:
+        if accuracy.measurement is not None:
+            progress.append(accuracy.measurement.progress)
+        return accuracy.measurement is None
+
+    hand.wait(over, "the prices", 400)
+    hand.frames(3)
+    assert accuracy.ladder is not None, hand.said
+    found["progress"] = [progress[0], max(progress)]
+    found["rungs"] = [
+        [one.rung.knob, one.rung.value, one.psnr, one.max_error, one.ratio] for one in accuracy.ladder.rungs
+    ]
+    found["noise"] = accuracy.ladder.noise
+    found["evaluations"] = accuracy.bill.evaluations if accuracy.bill else None
+    hand.shoot(options.get("shot_prices"))
+
+    hand.ctx.item_click("**/###sh-degree 0")
+    hand.frames(3)
+    hand.settle()
+    found["choices"] = dict(accuracy.choices)
+    plan = accuracy.plan(core)
+    picture = core.picture
+    assert picture is not None
+    coarse = hand.on_gl_thread(lambda: picture.read(core.camera, plan.settings, core.mode))
+    shown = seen(hand, core)
+    found["shown_is_coarse"] = float(np.abs(shown - coarse).max())
+    found["differs"] = float(np.abs(coarse - exact).max())
+
+    for right in ("chosen", "signed", "perceptual"):
+        accuracy.comparing.right = right
+        hand.wait(lambda: not accuracy.comparing.busy, "the comparison")
+        hand.frames(3)
+        hand.shoot((options.get("shot_split") or "").replace("#", right) or None)
+    compared = accuracy.comparing.latest
+    assert compared is not None, accuracy.comparing.problem
+    found["compared"] = [compared.psnr, compared.largest, compared.noticed]
+    found["line"] = [accuracy.comparing.line]
+    eye = core.camera.eye
+    drag_line(hand, 60)
+    found["line"].append(accuracy.comparing.line)
+    found["eye_moved"] = float(np.abs(core.camera.eye - eye).max())
+    accuracy.comparing.right = "off"
+
+    hand.ctx.window_focus("//Accuracy")
+    hand.ctx.set_ref("//Accuracy")
+    hand.ctx.item_click("**/###exact")
+    hand.frames(3)
+    hand.settle()
+    found["back"] = float(np.abs(seen(hand, core) - exact).max())
+    found["choices_after"] = dict(accuracy.choices)
+
+    reduced(core, hand, found, exact)
+    hand.ctx.item_click("**/###measure")
+    hand.wait(lambda: accuracy.measurement is not None, "the second measurement")
+    hand.frames(2)
+    hand.ctx.item_click("**/###cancel")
+    hand.wait(lambda: accuracy.measurement is None, "it to end")
+    found["prices_kept"] = accuracy.ladder is not None
+
+
+def reduced(core: Core, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
+    """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
+    accuracy, picture = core.accuracy, core.picture
+    assert core.scene is not None and picture is not None
+    for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
+        hand.ctx.item_click(f"**/###{name} {value}")
+        hand.frames(3)
+        hand.wait(lambda: accuracy.storing is None, "the scene to be stored")
+        hand.settle()
+        shown = seen(hand, core)
+        plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
+        wanted = raster.render(fewer(core.scene.gaussians, plan), core.camera, core.settings)
+        found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]
+        hand.ctx.item_click(f"**/###{name} {value}")
+        hand.frames(3)
+        hand.wait(lambda: accuracy.storing is None, "the scene as it is")
+        hand.settle()
+        found[f"{name} back"] = float(np.abs(seen(hand, core) - exact).max())
+
+
+def drag_line(hand: Hand, dx: float) -> None:
+    hand.point(hand.core.accuracy.comparing.line, 0.6)
+    hand.ctx.mouse_drag_with_delta(ImVec2(dx, 0), imgui.MouseButton_.left)
+    hand.frames(2)
+
+
+def seen(hand: Hand, core: Core) -> np.ndarray:
+    """What the window shows of the scene now (H, W, 4)."""
+    picture = core.picture
+    assert picture is not None
+    hand.settle()
+    return hand.on_gl_thread(
+        lambda: (
+            np.frombuffer(picture.texture.read(), picture_type(picture.texture.dtype))
+            .reshape(*reversed(picture.texture.size), 4)
+            .astype(np.float32)
+        )
+    )
+
+
+def picture_type(name: str) -> type[np.floating]:
+    return np.float16 if name == "f2" else np.float32
+
+
+def governor(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Turn with a budget that a full frame does not meet, and come to rest."""
+    hand.settle()
+    core.prefer(smooth=False)
+    accuracy, picture = core.accuracy, core.picture
+    assert picture is not None
+    exact_size = picture.texture.size
+
+    def turn(_: Core) -> None:
+        core.steer(orbit(core.view, 0.01, 0.0))
+
+    def turned(frames: int) -> list[float]:
+        times: list[float] = []
+        last = core.stats.drawn if core.stats else 0
+        while len(times) < frames:
+            core.post(turn)
+            hand.frames(1)
+            stats = core.stats
+            if stats is not None and stats.drawn != last and stats.ms:
+                last = stats.drawn
+                times.append(sum(stats.ms.values()))
+        return times
+
+    full = turned(options["frames"])
+    found["full_ms"] = float(np.median(full))
+    time.sleep(0.4)
+    hand.settle()
+    core.post(lambda core: core.accuracy.hold(core, options["share"] * found["full_ms"]))
+    hand.settle()
+    time.sleep(options.get("patience", 0.0))
+    turned(options["frames"])
+    governed = turned(2 * options["frames"])
+    found["budget_ms"] = options["share"] * found["full_ms"]
+    found["governed_ms"] = float(np.median(governed))
+    found["moving_size"] = picture.texture.size
+    found["badge"] = accuracy.note or picture.note
+    hand.shoot(options.get("shot"))
+    sizes = []
+    for _ in range(4):
+        hand.frames(1)
+        sizes.append(picture.texture.size)
+    found["resting_sizes"] = sizes
+    hand.settle()
+    found["exact_size"], found["final_size"] = exact_size, picture.texture.size
+    found["badge_at_rest"] = accuracy.note or picture.note
+
+
+if __name__ == "__main__":
+    sys.exit(drives.main(globals()))

@@ -1,0 +1,406 @@
+"""What a user does with the window, run by `conftest.drive` in a process of its own.
+
+usage: drives.py NAME RESULT.json OPTIONS.json [SCENE ...]
+
+Each function gets the window's `Core`, ImGui's test context, the options, and a dict to report in.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle.glfw_utils import glfw_window_hello_imgui
+
+import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
+
+from splatview.viewer import app as dropping
+from splatview.viewer import commands as keys
+from splatview.viewer import dialogs as file_dialogs
+from splatview.viewer import layout, loading
+from splatview.viewer.app import run_window
+from splatview.viewer.state import Core
+
+
+class Hand:
+    """The user's hands and eyes."""
+
+    def __init__(self, core: Core, ctx: Any):
+        self.core, self.ctx = core, ctx
+
+    def frames(self, count: int = 3) -> None:
+        self.ctx.yield_(count)
+
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = 60) -> None:
+        limit = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > limit:
+                raise AssertionError(f"waited in vain for {what}; messages: {self.said}")
+            self.ctx.yield_(1)
+
+    def settle(self) -> None:
+        """Until nothing is on its way any more."""
+        self.frames(2)
+        self.wait(
+            lambda: not self.core.waiting and self.core.transition is None and self.core.scene is not None,
+            "the window to settle",
+        )
+        self.frames(2)
+
+    def press(self, key: str) -> None:
+        self.ctx.key_press(keys.chord(key))
+        self.frames(2)
+
+    def hold(self, key: str, seconds: float) -> None:
+        self.ctx.key_hold(keys.chord(key), seconds)
+
+    def drag(self, dx: float, dy: float, button: int = 0, *, over: tuple[float, float] = (0.5, 0.5)) -> None:
+        self.point(*over)
+        self.ctx.mouse_drag_with_delta(ImVec2(dx, dy), button)
+        self.frames(1)
+
+    def point(self, x: float, y: float) -> None:
+        """At a share of the picture's width and height."""
+        view = self.ctx.window_info("//View").rect_full
+        self.ctx.mouse_teleport_to_pos(
+            ImVec2(view.min.x + x * (view.max.x - view.min.x), view.min.y + y * (view.max.y - view.min.y))
+        )
+        self.frames(2)
+
+    def drop(self, *paths: str) -> None:
+        """As GLFW does when files are dropped: calls the C callback that the window has installed."""
+        window = glfw_window_hello_imgui()
+        unused: Any = lambda *_: None  # noqa: E731
+        callback: Any = glfw.set_drop_callback(window, unused)
+        names = (ctypes.c_char_p * len(paths))(*[path.encode() for path in paths])
+        self.on_gl_thread(lambda: callback(window, len(paths), names))
+        dropping.install_drop_handler(self.core)
+
+    def on_gl_thread(self, work: Callable[[], Any]) -> Any:
+        """The test runs in a thread of its own, where no GL context is current."""
+        answer: list[Any] = []
+        self.core.post(lambda core: answer.append(work()))
+        self.wait(lambda: bool(answer), "the frame loop")
+        return answer[0]
+
+    def picture(self) -> np.ndarray:
+        """What a saved picture would hold now."""
+        core = self.core
+        assert core.picture is not None
+        picture = core.picture
+        return self.on_gl_thread(lambda: picture.read(core.camera, core.settings, core.mode))
+
+    def picture_of_edits(self) -> np.ndarray:
+        """The same with the edits in force."""
+        core = self.core
+        assert core.picture is not None and core.desk is not None
+        picture, document = core.picture, core.desk.document
+        return self.on_gl_thread(
+            lambda: picture.read(core.camera, core.settings, core.mode, edits=document.edits)
+        )
+
+    def shoot(self, path: str | None) -> None:
+        """The whole window into a file, where one is asked for."""
+        if path is not None and shutil.which("import"):
+            subprocess.run(["import", "-window", "root", path], check=False)
+
+    @property
+    def said(self) -> list[str]:
+        return [message.text for message in self.core.messages]
+
+
+def pose(core: Core) -> dict[str, Any]:
+    camera, view = core.camera, core.view
+    return {
+        "eye": camera.eye.tolist(),
+        "forward": camera.forward.tolist(),
+        "target": view.target.tolist(),
+        "distance": view.distance,
+        "fov_y": view.lens.fov_y,
+    }
+
+
+def camera_json(core: Core) -> dict[str, Any]:
+    camera = core.camera
+    data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return {**data, "world_to_camera": camera.world_to_camera.tolist()}
+
+
+def tour(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Open by drop, orbit, pan, zoom, focus, fly, every mode, help, a picture."""
+    hand.settle()
+    found["first"] = core.scene.name if core.scene else None
+    hand.drop(options["drop"])
+    hand.wait(lambda: core.scene is not None and core.scene.name == Path(options["drop"]).name, "the drop")
+    hand.settle()
+    found["title"] = core.scene.name if core.scene else None
+    core.prefer(smooth=False)
+
+    found["start"] = pose(core)
+    hand.drag(60, 0)
+    found["orbited"] = pose(core)
+    hand.drag(40, 30, 1)
+    found["panned"] = pose(core)
+    hand.point(0.5, 0.5)
+    hand.ctx.mouse_wheel_y(2)
+    hand.frames(3)
+    found["zoomed"] = pose(core)
+    hand.press("F")
+    hand.settle()
+    found["framed"] = pose(core)
+    hand.point(0.5, 0.5)
+    hand.ctx.mouse_double_click(0)
+    hand.frames(4)
+    found["focused"] = pose(core)
+    found["focus_said"] = hand.said[-1]
+
+    hand.press("F3")
+    found["navigation"] = core.preferences.navigation
+    before = pose(core)
+    hand.hold("W", 0.3)
+    hand.frames(2)
+    found["flown"] = [before, pose(core)]
+    before = pose(core)
+    hand.drag(50, 0)
+    found["looked"] = [before, pose(core)]
+    hand.press("F4")
+    before = pose(core)
+    hand.drag(30, 20)
+    found["rolled"] = [before, pose(core)]
+    hand.press("F2")
+    hand.press("Z")
+    found["from_z"] = pose(core)
+    hand.press("F")
+
+    found["modes"] = {}
+    for key, mode in zip("23451", ("points", "ellipsoids", "depth", "overdraw", "splats"), strict=True):
+        hand.press(key)
+        hand.settle()
+        image = hand.picture()
+        found["modes"][core.mode] = {
+            "asked": mode,
+            "mean": float(np.mean(image[..., :3])),
+            "finite": bool(np.isfinite(image).all()),
+        }
+
+    hand.press("F1")
+    found["help_open"] = core.dialog == "help"
+    found["help_window"] = hand.ctx.get_window_by_ref("//Keys and mouse") is not None
+    hand.press("F1")
+    found["help_closed"] = core.dialog is None
+
+    hand.press("B")
+    found["bookmarks"] = [bookmark.name for bookmark in core.bookmarks]
+    hand.settle()
+    found["camera"] = camera_json(core)
+    hand.press("F12")
+    hand.settle()
+    found["said"] = hand.said
+    assert core.picture is not None
+    assert core.stats is not None
+    found["stats"] = {
+        "splats": core.stats.splats,
+        "drawn_idle": idle_draws(core, hand),
+        "stages": sorted(core.stats.ms),
+        "history": len(core.frame_history),
+    }
+    core.prefer(background=(0.25, 0.5, 0.75), fly_speed=3.0)
+
+
+def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """By menu and panel: open by a typed path, a picture at twice the size, every panel, every entry."""
+    file_dialogs.has_native_dialogs = lambda: False
+    hand.settle()
+    ctx = hand.ctx
+    ctx.set_ref("##MainMenuBar")
+    ctx.menu_click("File/Open...")
+    hand.frames(4)
+    ctx.key_chars_replace_enter(options["typed"])
+    hand.wait(lambda: core.scene is not None and core.scene.name == Path(options["typed"]).name, "the scene")
+    hand.settle()
+    found["opened"] = core.scene.name if core.scene else None
+    ctx.menu_click("File/Open...")
+    hand.frames(4)
+    ctx.item_click("//Open a scene/Cancel")
+    hand.frames(3)
+
+    ctx.menu_click("Camera/Trackball")
+    hand.frames(3)
+    found["navigation"] = core.preferences.navigation
+    ctx.menu_click("Camera/Up axis/+Z")
+    hand.settle()
+    found["up"] = core.view.up.tolist()
+
+    ctx.menu_click("File/Save a picture as...")
+    hand.frames(4)
+    ctx.item_click("//Save a picture/2 x")
+    ctx.item_click("//Save a picture/Beside the scene")
+    hand.settle()
+    found["picture_size"] = list(core.picture_size)
+
+    found["panels"] = []
+    for name, _, _ in layout.PANELS:
+        ctx.window_focus(f"//{name}")
+        hand.frames(2)
+        if ctx.get_window_by_ref(f"//{name}").active:
+            found["panels"].append(name)
+    ctx.window_focus("//Picture")
+    hand.frames(4)
+    ctx.item_click("//Picture/##Antialiased")
+    hand.settle()
+    found["antialiased"] = core.settings.model.antialiased
+    ctx.item_click("//Picture/As the scene calls for")
+    hand.settle()
+    found["antialiased_after"] = core.settings.model.antialiased
+
+    hand.press("H")
+    hand.frames(4)
+    wide = core.picture_size[0]
+    hand.press("H")
+    hand.frames(4)
+    found["widths"] = [wide, core.picture_size[0]]
+    hand.press("H")  # ends with the panels hidden: the next run must have them
+
+
+def second_look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    hand.settle()
+    windows = hello_imgui.get_runner_params().docking_params.dockable_windows
+    found["visible"] = [window.label for window in windows if window.is_visible]
+    found["navigation"] = core.preferences.navigation
+
+
+def idle_draws(core: Core, hand: Hand) -> int:
+    """Pictures drawn in 20 frames in which nothing changes."""
+    hand.frames(2)
+    assert core.stats is not None
+    before = core.stats.drawn
+    hand.frames(20)
+    return core.stats.drawn - before
+
+
+def second_run(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """What the first run left behind."""
+    hand.settle()
+    found["background"] = core.settings.background
+    found["fly_speed"] = core.preferences.fly_speed
+    found["recent"] = list(core.preferences.recent)
+    found["bookmarks"] = [bookmark.name for bookmark in core.bookmarks]
+    found["said"] = hand.said
+
+
+def trouble(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A broken file, a cancelled load, a load overtaken by another, and an end in the middle of one."""
+    hand.settle()
+    kept = core.scene
+    hand.drop(options["broken"])
+    hand.wait(lambda: core.problem is not None, "the error")
+    hand.frames(3)
+    found["problem"] = core.problem
+    found["scene_stays"] = core.scene is kept
+    hand.ctx.item_click("//That did not work/OK")
+    hand.frames(3)
+    found["problem_closed"] = core.problem is None
+
+    slow_down()
+    hand.drop(options["slow"])
+    hand.wait(lambda: core.loading is not None and (core.loading.progress or 0) > 0.05, "progress")
+    before = imgui.get_frame_count()
+    hand.frames(10)
+    found["frames_while_loading"] = imgui.get_frame_count() - before
+    hand.ctx.item_click("//Loading/Cancel")
+    hand.frames(3)
+    found["cancelled"] = core.loading is None and core.scene is kept
+
+    hand.drop(options["slow"])
+    hand.wait(lambda: core.loading is not None, "the slow load")
+    overtaken = core.loading
+    hand.drop(options["slow"], options["slow"])
+    hand.wait(lambda: core.loading is not overtaken, "the second load")
+    found["overtaken_cancelled"] = overtaken is not None and overtaken.cancelled
+    # The window closes now, with a load under way.
+    found["still_loading"] = core.loading is not None
+
+
+def look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Which renderer shows what."""
+    hand.settle()
+    assert core.picture is not None
+    found["renderer"] = core.picture.name
+    found["camera"] = camera_json(core)
+    found["pixel_sum"] = float(hand.picture()[..., :3].sum())
+
+
+def slow_down() -> None:
+    """Reading takes some ten seconds from here on, unless it is cancelled."""
+
+    def slow(path, *, progress, cancelled):
+        for step in range(1000):
+            if cancelled():
+                raise loading.LoadCancelled
+            progress(step / 1000)
+            time.sleep(0.01)
+        raise AssertionError("nobody cancelled")
+
+    loading.load_scene = slow
+
+
+def turn(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The CPU renderer: coarse while moving, sharp at rest, other modes by GL."""
+    core.prefer(smooth=False)
+    hand.settle()
+    picture = core.picture
+    assert picture is not None
+    found["renderer"] = picture.name
+    found["rest_size"] = list(picture.texture.size)
+    found["picture_size"] = list(core.picture_size)
+    sizes = set()
+    hand.point(0.5, 0.5)
+    hand.ctx.mouse_down(0)
+    for step in range(40):
+        view = hand.ctx.window_info("//View").rect_full
+        hand.ctx.mouse_teleport_to_pos(ImVec2(view.min.x + 100 + 4 * step, view.min.y + 150))
+        hand.frames(1)
+        sizes.add(tuple(picture.texture.size))
+    hand.ctx.mouse_up(0)
+    found["moving_sizes"] = sorted(map(list, sizes))
+    hand.settle()
+    found["rest_size_again"] = list(picture.texture.size)
+    shown = np.frombuffer(hand.on_gl_thread(picture.texture.read), np.float32)
+    found["largest_error"] = float(np.abs(shown - hand.picture().ravel()).max())
+    found["drawn_idle"] = idle_draws(core, hand)
+
+
+def main(drives: dict[str, Any]) -> int:
+    """`drives`: name -> function, those of the script that was run."""
+    name, result, options, *paths = sys.argv[1:]
+    found: dict[str, Any] = {}
+    given = json.loads(options)
+
+    def act(core: Core, ctx: Any) -> None:
+        hand = Hand(core, ctx)
+        try:
+            drives[name](core, hand, given, found)
+        finally:
+            found["messages"] = hand.said
+
+    code = run_window(
+        [Path(path) for path in paths],
+        size=tuple(given.get("size", (800, 500))),
+        renderer=given.get("renderer", "quads"),
+        drive=act,
+    )
+    Path(result).write_text(json.dumps(found))
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main(globals()))

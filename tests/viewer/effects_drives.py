@@ -1,0 +1,66 @@
+"""The receipt in a real window: read, priced, overridden and taken back; run by `conftest.drive`."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from typing import Any
+
+import drives
+import numpy as np
+from drives import Hand
+
+from splatview.edit.operations import Hide, SelectAll
+from splatview.viewer.editing.commands import apply
+from splatview.viewer.state import Core
+
+
+def receipt(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    hand.settle()
+    core.prefer(smooth=False)
+    effects = core.effects
+    effects.rounds = options.get("rounds")
+    exact = hand.picture()
+    hand.ctx.window_focus("//Effects")
+    hand.ctx.set_ref("//Effects")
+    hand.frames(3)
+    found["receipt"] = [[e.name, e.on, e.in_force, e.why] for e in effects.receipt(core)]
+    hand.shoot(options.get("shot"))
+
+    hand.ctx.item_click("**/###measure effects")
+    hand.wait(lambda: effects.pricing is not None, "the pricing to begin")
+    hand.wait(lambda: effects.pricing is None, "the prices", 120)
+    hand.frames(3)
+    found["prices"] = {
+        name: [price.on, price.ms, price.saved_ms, price.psnr, price.max_error, str(price)]
+        for name, price in effects.prices.items()
+    }
+    hand.shoot(options.get("shot_prices"))
+
+    hand.ctx.item_click("**/##SH band 2")
+    hand.frames(3)
+    hand.settle()
+    found["without"] = [e.name for e in effects.receipt(core) if e.forced is False]
+    found["degree"] = core.settings.sh_degree
+    found["differs"] = float(np.abs(hand.picture() - exact).max())
+    hand.ctx.item_click("**/##antialiased opacity")
+    hand.frames(3)
+    found["antialiased"] = core.settings.model.antialiased
+    hand.ctx.item_click("**/###as called for")
+    hand.frames(3)
+    hand.settle()
+    found["overridden"] = effects.overridden(core)
+    found["back"] = float(np.abs(hand.picture() - exact).max())
+
+    core.post(partial(apply, operation=SelectAll()))
+    core.post(partial(apply, operation=Hide()))
+
+    def hidden() -> Any:
+        return next(effect for effect in effects.receipt(core) if effect.name == "hidden splats")
+
+    hand.wait(lambda: hidden().on, "the receipt to know of the edit")
+    found["hidden"] = hidden().why
+
+
+if __name__ == "__main__":
+    sys.exit(drives.main(globals()))

@@ -1,0 +1,148 @@
+"""What goes wrong around a window, run by `conftest.drive` or by `test_faults` in a process of its own.
+
+usage: fault_drives.py NAME RESULT.json OPTIONS.json [SCENE or CAPTURE ...]
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import drives
+import training_drives
+from drives import Hand
+from training_drives import seen, steps, training_of
+
+from splatview.edit.operations import Delete, SelectAll, SelectInverse
+from splatview.viewer import layout, overlays
+from splatview.viewer.editing import commands, files
+from splatview.viewer.state import Core
+
+
+def delete_all_but_what_is_selected_next(core: Core, hand: Hand) -> None:
+    """Some edit that is in no file."""
+    hand.on_gl_thread(lambda: commands.apply(core, SelectAll()))
+    hand.on_gl_thread(lambda: commands.apply(core, Delete()))
+    hand.on_gl_thread(lambda: commands.undo(core))
+    hand.on_gl_thread(lambda: commands.apply(core, SelectInverse()))
+    hand.frames(2)
+
+
+def broken_frames(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A panel fails, then a part between two frames; then a request to end."""
+    hand.settle()
+    kept, over = core.scene, overlays.over_picture
+
+    def fail(_: Core) -> None:
+        from imgui_bundle import imgui
+
+        imgui.begin_child("never ended")
+        imgui.push_id("never popped")
+        raise ValueError("a panel broke")
+
+    layout.overlays.over_picture = fail  # pyright: ignore[reportPrivateImportUsage]
+    hand.wait(lambda: core.problem is not None, "word of it")
+    found["panel"] = core.problem
+    hand.frames(20)
+    layout.overlays.over_picture = over  # pyright: ignore[reportPrivateImportUsage]
+    hand.ctx.item_click("//That did not work/OK")
+
+    def fail_too() -> None:
+        raise ZeroDivisionError("between two frames")
+
+    core.note_statistics = fail_too  # pyright: ignore[reportAttributeAccessIssue]
+    hand.wait(lambda: core.problem is not None, "word of that")
+    found["part"] = core.problem
+    hand.frames(20)
+    del core.note_statistics
+    hand.ctx.item_click("//That did not work/OK")
+    found["told"] = sum("inside the program" in line for line in hand.said)
+    found["scene_stays"] = core.scene is kept
+    found["picture_mean"] = float(hand.picture()[..., :3].mean())
+    delete_all_but_what_is_selected_next(core, hand)
+    hand.drag(30, 10)
+    os.kill(os.getpid(), signal.SIGTERM)
+    hand.wait(lambda: core.quitting, "the window to heed it")
+
+
+def display_ends(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The X server is killed under a window with unsaved edits."""
+    hand.settle()
+    delete_all_but_what_is_selected_next(core, hand)
+    core.prefer(fly_speed=2.5)
+    os.kill(options["server"], signal.SIGKILL)
+    hand.wait(lambda: False, "an end")
+
+
+def display_ends_in_training(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    seen(hand, 10)
+    os.kill(options["server"], signal.SIGKILL)
+    hand.wait(lambda: False, "an end")
+
+
+def closes_while_exporting(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The window is closed while a file is being written."""
+    hand.settle()
+    export, begun = files.export, threading.Event()
+
+    def slowly(*arguments: Any) -> int:
+        begun.set()
+        time.sleep(1.0)
+        return export(*arguments)
+
+    files.export = slowly  # pyright: ignore[reportPrivateImportUsage]
+    hand.on_gl_thread(lambda: files.export_to(core, Path(options["out"])))
+    hand.wait(begun.is_set, "the export to begin")
+    found["there"] = Path(options["out"]).exists()
+
+
+def capture_goes(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The folder of photos is removed in the middle of training."""
+    training = training_of(core)
+    seen(hand, 5)
+    shutil.rmtree(options["capture"])
+    steps(hand, 30)
+    training.thread.evaluate()
+    hand.wait(lambda: training.status.evaluation is not None, "the scores")
+    found["scores"] = len(training.scores)
+    hand.ctx.window_focus("//Compare")
+    hand.wait(lambda: training.comparer.latest is not None, "the comparison")
+    training.thread.change(iterations=training.status.iteration + 20)
+    hand.wait(lambda: training.status.state == "done", "the end", 120)
+    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
+    found["failure"] = training.status.failure
+
+
+def edits_until_killed(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Beside another window on the same scene: edits, and says so; ends when it is killed, or told to."""
+    hand.settle()
+    delete_all_but_what_is_selected_next(core, hand)
+    hand.press("B")
+    core.prefer(fly_speed=options["speed"])
+    hand.wait(lambda: core.preferences == core.preferences, "a frame")
+    Path(options["ready"]).touch()
+    hand.wait(Path(options["go"]).exists, "the word", 120)
+    found["export"] = None
+    if options["export"]:
+        hand.on_gl_thread(lambda: commands.apply(core, Delete()))
+        hand.on_gl_thread(lambda: commands.undo(core))
+        hand.on_gl_thread(lambda: files.export_to(core, Path(options["export"])))
+        hand.wait(lambda: core.desk is not None and core.desk.job is None, "the export")
+        hand.frames(3)
+    found["said"] = hand.said
+    found["position"] = core.desk.document.history.position if core.desk else None
+
+
+TRAINING = (display_ends_in_training, capture_goes)
+
+if __name__ == "__main__":
+    if sys.argv[1] in {function.__name__ for function in TRAINING}:
+        training_drives.functions.update({function.__name__: function for function in TRAINING})
+        sys.exit(training_drives.main())
+    sys.exit(drives.main(globals()))

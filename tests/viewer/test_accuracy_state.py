@@ -1,0 +1,74 @@
+"""What a measurement does when the scene changes under it."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+
+from splatview.measure.knobs import Plan
+from splatview.scene import look_at
+from splatview.viewer.quality.measurement import Cancelled, Painter
+from splatview.viewer.state import Core
+
+CAMERA = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)
+
+
+@pytest.fixture
+def opened(core, random_gaussians, wait_for_loading, tmp_path) -> Core:
+    from splatview.scene.formats import save_scene
+    from splatview.viewer.open import open_paths
+
+    save_scene(random_gaussians(50), tmp_path / "a.ply")
+    open_paths(core, [tmp_path / "a.ply"])
+    wait_for_loading(core)
+    return core
+
+
+def asked(core: Core, painter: Painter) -> list[str]:
+    """How a picture ends that another thread asks for while frames go by."""
+    ends: list[str] = []
+
+    def ask() -> None:
+        try:
+            painter.draw(CAMERA, Plan())
+            ends.append("drawn")
+        except Cancelled:
+            ends.append("cancelled")
+        except Exception as error:
+            ends.append(repr(error))
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    while asking.is_alive():
+        core.run_posted()
+        asking.join(0.01)
+    return ends
+
+
+def test_a_picture_of_the_open_scene(opened) -> None:
+    assert asked(opened, Painter(opened, threading.Event(), lambda: None)) == ["drawn"]
+
+
+def test_another_scene_cancels(opened, random_gaussians) -> None:
+    painter = Painter(opened, threading.Event(), lambda: None)
+    opened.scene = replace(opened.scene, gaussians=random_gaussians(20))
+    assert asked(opened, painter) == ["cancelled"]
+
+
+def test_a_failure_is_told_only_of_the_open_scene(opened, random_gaussians, monkeypatch) -> None:
+    painter = Painter(opened, threading.Event(), lambda: None)
+
+    def fail(*_, **__):
+        raise ValueError("50 marks for a scene of 20 splats")
+
+    monkeypatch.setattr(opened.picture, "read", fail, raising=False)
+    assert "50 marks" in asked(opened, painter)[0]
+
+    def overtaken(*_, **__):
+        opened.scene = replace(opened.scene, gaussians=random_gaussians(20))
+        fail()
+
+    monkeypatch.setattr(opened.picture, "read", overtaken, raising=False)
+    assert asked(opened, painter) == ["cancelled"]

@@ -1,0 +1,242 @@
+"""The editing half of the window without a display: strokes, jobs, previews, words, turns."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatview.edit.document import Document
+from splatview.edit.operations import OPERATIONS, Select
+from splatview.edit.operations.appearance import Opacity
+from splatview.edit.operations.crop import RemoveCrop
+from splatview.edit.operations.transform import Transform
+from splatview.edit.progress import Watch
+from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
+from splatview.scene import InputError, look_at
+from splatview.scene.edits import PREVIEW, Adjustment, Crop
+from splatview.viewer.commands import ACTIONS
+from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
+from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.tool_state import Stroke, mode_of
+from splatview.viewer.editing.tools import place_of
+from splatview.viewer.menus import matching
+from splatview.viewer.panels.crops import outline
+
+CAMERA = look_at((0, 0, -4), (0, 0, 0), up=(0, -1, 0), width=200, height=100)
+
+
+@pytest.fixture
+def desk(random_gaussians) -> Desk:
+    return Desk(document=Document(random_gaussians(300)))
+
+
+def finish(desk: Desk) -> None:
+    limit = time.monotonic() + 60
+    while desk.job is not None:
+        assert time.monotonic() < limit, "the job does not end"
+        desk.advance()
+        time.sleep(0.001)
+
+
+def stroke(tool, *points) -> Stroke:
+    made = Stroke(tool=tool, mode="set", radius=5)
+    for point in points:
+        made.corner(*point) if tool == "polygon" else made.to(*point)
+    return made
+
+
+# ---- strokes
+
+
+def test_a_drag_becomes_a_rectangle_of_its_ends():
+    operation = stroke("rectangle", (10, 20), (50, 5), (90, 80)).operation(CAMERA, "front")
+    assert operation is not None
+    assert isinstance(operation.by, Rectangle)
+    corners = (operation.by.x0, operation.by.y0, operation.by.x1, operation.by.y1)
+    assert (*corners, operation.by.depth) == (10, 20, 90, 80, "front")
+
+
+@pytest.mark.parametrize("tool", ["rectangle", "lasso"])
+def test_a_click_with_a_tool_that_is_dragged_selects_nothing(tool):
+    assert stroke(tool, (10, 20), (11, 20)).operation(CAMERA, "through") is None
+
+
+def test_a_click_with_the_brush_paints_a_spot():
+    operation = stroke("brush", (10, 20)).operation(CAMERA, "through")
+    assert operation is not None
+    assert isinstance(operation.by, Brush)
+    assert (operation.by.points, operation.by.radius) == (((10, 20),), 5)
+
+
+def test_a_slow_hand_adds_no_points_to_a_path():
+    path = stroke("brush", (10, 20), (10.5, 20), (11, 20), (13, 20))
+    assert path.points == [(10, 20), (13, 20)]
+
+
+def test_a_polygon_closes_at_its_first_corner():
+    outline = stroke("polygon", (10, 10), (90, 10), (50, 80))
+    assert not outline.corner(40, 60)
+    assert outline.corner(12, 11)
+    operation = outline.operation(CAMERA, "through")
+    assert operation is not None
+    assert isinstance(operation.by, Polygon)
+    assert operation.by.points == ((10, 10), (90, 10), (50, 80), (40, 60))
+    assert stroke("polygon", (10, 10), (90, 10)).operation(CAMERA, "through") is None
+
+
+def test_keys_say_what_becomes_of_the_selection():
+    modes = [mode_of(shift=shift, ctrl=ctrl) for shift in (False, True) for ctrl in (False, True)]
+    assert modes == ["set", "remove", "add", "intersect"]
+
+
+# ---- the desk
+
+
+def test_edits_are_told_of_and_mistakes_too(desk):
+    assert desk.apply(OPERATIONS["select_all"]())
+    assert desk.news is not None and "300" in desk.news
+    assert desk.apply(OPERATIONS["delete"]())
+    assert desk.document.counts.deleted == 300
+    desk.undo()
+    assert desk.document.counts.selected == 300
+    desk.redo()
+    desk.redo()
+    assert desk.news == "Nothing to redo"
+    assert not desk.apply(RemoveCrop(index=3))
+    assert desk.problem is not None and "0 crops" in desk.problem
+
+
+def test_slow_work_runs_aside_and_nothing_changes_beneath_it(desk):
+    go_on = threading.Event()
+
+    def work(watch: Watch) -> int:
+        watch.step(0.5)
+        go_on.wait(60)
+        return 7
+
+    results: list[int] = []
+    desk.start("Counting", work, results.append)
+    assert desk.job is not None
+    desk.undo()
+    assert desk.problem is not None and "Counting" in desk.problem
+    assert not desk.apply(OPERATIONS["select_all"]())
+    go_on.set()
+    finish(desk)
+    assert results == [7]
+    assert desk.document.counts.selected == 0
+
+
+def test_slow_operations_are_applied_when_they_are_planned(desk):
+    desk.apply_slowly(Select(by=Everything()), "Selecting")
+    finish(desk)
+    assert desk.document.counts.selected == 300
+
+
+def test_a_cancelled_job_changes_nothing(desk):
+    started = threading.Event()
+
+    def work(watch: Watch) -> None:
+        started.set()
+        while True:
+            watch.step(0.1)
+            time.sleep(0.001)
+
+    desk.start("Waiting", work, lambda _: pytest.fail("it was cancelled"))
+    started.wait(60)
+    assert desk.job is not None
+    desk.job.cancel()
+    finish(desk)
+    assert desk.news is not None and "cancelled" in desk.news
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [(InputError("no such file"), "no such file"), (KeyError("x"), "inside the program")]
+)
+def test_a_failing_job_is_told_of(desk, error, words):
+    def work(watch: Watch) -> None:
+        raise error
+
+    desk.start("Trying", work, lambda _: pytest.fail("it failed"))
+    finish(desk)
+    assert desk.problem is not None and words in desk.problem
+
+
+def test_a_preview_is_no_step_until_it_is_kept(desk):
+    desk.preview("look", Opacity(value=0.5, scope="scene"))
+    assert desk.edits.adjusts and desk.forms.previewing == "look"
+    assert desk.document.history.position == 0
+    desk.cancel_preview()
+    assert desk.document.history.position == 0 and desk.forms.previewing == ""
+    desk.preview("look", Opacity(value=0.5, scope="scene"))
+    desk.commit_preview()
+    assert [step.title for step in desk.document.history.done] == ["Opacity x 0.5: 300 splats"]
+
+
+def test_a_highlight_is_shown_until_the_next_edit_and_is_no_edit(desk):
+    mask = np.arange(300) < 7
+    before = desk.document.marks.copy()
+    desk.highlight = mask
+    lit = desk.edits
+    assert np.count_nonzero(lit.marks & PREVIEW) == 7
+    assert lit is desk.edits, "made once"
+    np.testing.assert_array_equal(desk.document.marks, before)
+    desk.apply(OPERATIONS["select_all"]())
+    assert not (desk.edits.marks & PREVIEW).any()
+    assert desk.highlight is None
+
+
+def test_a_picked_splat_is_where_its_adjustment_put_it(desk):
+    desk.apply(Transform(scope="scene", translation=(1, 2, 3)))
+    expected = desk.gaussians.means[4] + (1, 2, 3)
+    np.testing.assert_allclose(place_of(desk.gaussians, desk.edits, 4), expected, rtol=1e-6)
+
+
+# ---- words and turns
+
+
+def test_commands_are_found_by_their_words_and_keys():
+    assert matching("brush")[0].action == "tool_brush"
+    assert matching("invert sel")[0].action == "select_inverse"
+    assert matching("ctrl+z")[0].action == "undo"
+    assert matching("undo")[0].action == "undo"
+    assert {command.action for command in matching("")} == set(ACTIONS)
+    assert not matching("no such thing at all")
+
+
+degrees = st.floats(-179, 179)
+
+
+@given(degrees, st.floats(-89, 89), degrees)
+def test_angles_come_back(x, y, z):
+    np.testing.assert_allclose(angles_of(quat_of((x, y, z))), (x, y, z), atol=1e-6)
+
+
+@given(degrees, degrees, degrees)
+def test_quaternions_of_matrices_turn_alike(x, y, z):
+    R = Adjustment(rotation=quat_of((x, y, z))).R
+    np.testing.assert_allclose(Adjustment(rotation=quat_from_matrix(R)).R, R, atol=1e-12)
+
+
+def test_straight_up_is_an_angle_too():
+    quat = quat_of((30, 90, 0))
+    np.testing.assert_allclose(
+        Adjustment(rotation=quat_of(angles_of(quat))).R, Adjustment(rotation=quat).R, atol=1e-6
+    )
+
+
+def test_outlines_lie_on_the_crops_surface():
+    box = Crop(centre=(1, 2, 3), half_extents=(1, 2, 0.5), rotation=quat_of((20, 30, 40)))
+    edges = np.concatenate(outline(box))
+    assert len(outline(box)) == 12
+    unit = box.unit_from_world
+    own = edges @ unit[:, :3].T + unit[:, 3]
+    np.testing.assert_allclose(np.abs(own), 1, atol=1e-9)
+    ball = Crop(shape="sphere", centre=(1, 2, 3), half_extents=(1, 2, 0.5))
+    unit = ball.unit_from_world
+    own = np.concatenate(outline(ball)) @ unit[:, :3].T + unit[:, 3]
+    np.testing.assert_allclose(np.linalg.norm(own, axis=1), 1, atol=1e-9)

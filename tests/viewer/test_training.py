@@ -1,0 +1,395 @@
+"""The window's side of a training without a window: what is taken over when, shares, comparisons, cameras."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splatview.raster import render
+from splatview.renderers import FrameStats
+from splatview.scene import RenderSettings, look_at
+from splatview.scene.captures.demo import demo_capture
+from splatview.trainer.background import TrainingThread
+from splatview.trainer.run import Outputs, Session
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import fresh, initial_parameters
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import Shots, shots_of
+from splatview.viewer.navigation import orbit
+from splatview.viewer.overlays import nearest, wanted
+from splatview.viewer.state import Core
+from splatview.viewer.training import live as actions
+from splatview.viewer.training import live as watching
+from splatview.viewer.training.comparison import Comparer, Wish, compare, shrink_for
+from splatview.viewer.training.live import Training, viewer_threads, watched_photos
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return demo_capture(render, photos=9, width=48, height=36, splats=1500)
+
+
+@pytest.fixture
+def training(core, capture, tmp_path) -> Iterator[Training]:
+    """A training that `core` watches; its thread has not begun."""
+    shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
+    start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
+    settings = TrainSettings(iterations=10**6, max_splats=8000)
+    trainer = Trainer(shots, start, capture.scene_radius, settings, threads=1)
+    outputs = Outputs(
+        scene=tmp_path / "pond.ply",
+        checkpoint=tmp_path / "pond.safetensors",
+        metrics=None,
+        pictures=tmp_path / "pictures",
+    )
+    session = Session(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
+    thread = TrainingThread(session, cores=4)
+    core.training = Training(
+        thread=thread,
+        name="pond",
+        photos=watched_photos(shots.all, held_out),
+        settings=trainer.render_settings,
+    )
+    yield core.training
+    core.training.stop()
+    thread.close()
+
+
+def until(core: Core, condition: Callable[[], Any], what: str) -> None:
+    """Runs the part of the frame loop that trainings need."""
+    limit = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < limit, f"waited in vain for {what}"
+        core.run_posted()
+        if core.training is not None:
+            core.training.advance(core)
+        time.sleep(0.001)
+
+
+def test_the_first_snapshot_is_shown_from_a_photos_camera(core, training):
+    training.start(core)
+    until(core, lambda: core.scene is not None, "a scene")
+    assert core.scene is not None and core.scene.name == "pond (training)"
+    assert core.scene.paths == (training.thread.outputs.scene,)
+    middle = training.photos[len(training.photos) // 2].camera
+    np.testing.assert_allclose(core.camera.eye, middle.eye, atol=1e-9)
+    np.testing.assert_allclose(core.camera.forward, middle.forward, atol=1e-9)
+    assert core.view.distance > 0
+    assert core.settings.background == training.settings.background
+    assert [camera.name for camera in core.cameras] == sorted(camera.name for camera in core.cameras)
+    assert wanted(core)
+
+
+def test_snapshots_reach_the_picture_in_order_and_the_view_stays(core, training):
+    training.start(core)
+    until(core, lambda: core.scene is not None, "a scene")
+    core.steer(look(core, 0.3))
+    view = core.view
+    seen = []
+    until(core, lambda: seen_steps(training, seen) >= 3, "three snapshots")
+    assert seen == sorted(set(seen))
+    assert core.view is view, "a new snapshot moves nobody"
+    assert core.picture.loaded[-1] is training.shown.gaussians is core.scene.gaussians
+
+
+def seen_steps(training: Training, seen: list[int]) -> int:
+    if training.shown is not None and training.shown.iteration not in seen:
+        seen.append(training.shown.iteration)
+    return len(seen)
+
+
+def look(core: Core, angle: float):
+    return orbit(core.view, angle, 0.0)
+
+
+def test_a_snapshot_waits_for_the_picture_of_the_last_one(core, training):
+    training.start(core)
+    until(core, lambda: training.shown is not None, "a snapshot")
+    training.advance(core)
+    core.picture.busy = True
+    at = training.shown.iteration
+    now = [core.now() + 100.0]  # long after the view was set
+    core.now = lambda: now[0]
+    for _ in range(50):
+        training.advance(core)
+        time.sleep(0.002)
+    assert training.shown.iteration == at
+    core.steer(look(core, 0.1))  # while the view moves, something is always being drawn
+    training.advance(core)
+    now[0] += 1.2
+    until(core, lambda: training.shown.iteration > at, "a snapshot in spite of it")
+
+
+def test_nothing_is_shown_in_a_minimised_window(core, training):
+    training.start(core)
+    until(core, lambda: training.shown is not None, "a snapshot")
+    training.minimised = True
+    training.advance(core)
+    assert training.thread.snapshot_seconds is None
+    at = training.shown
+    until(core, lambda: training.status.iteration > at.iteration + 20, "steps")
+    assert training.shown is at
+    assert training.idle_fps(core) < 1
+
+
+def test_shares_follow_the_users_hand(core, training):
+    core.prefer(training_share=0.5)
+    now = [1000.0]
+    core.now = lambda: now[0]
+    training.start(core)
+    until(core, lambda: core.scene is not None, "a scene")
+    training.advance(core)
+    assert training.thread.share == 0.5, "the view has just been set"
+    assert core.picture.threads == 2, "of four cores"
+    assert core.picture.cores == 2
+    now[0] += 10
+    training.advance(core)
+    assert training.thread.share == 1.0, "nobody moves the view"
+    core.steer(look(core, 0.1))
+    training.advance(core)
+    assert training.thread.share == 0.5
+    now[0] += 10
+    core.prefer(training_takes_idle_cores=False)
+    training.advance(core)
+    assert training.thread.share == 0.5
+    core.prefer(training_share=1.0)
+    training.advance(core)
+    assert core.picture.cores == pytest.approx(0.4), "the view can always be turned"
+    training.thread.pause()
+    until(core, lambda: core.picture.cores is None, "all cores for the viewer")
+    assert core.picture.threads is None
+
+
+@pytest.mark.parametrize(
+    ("share", "cores", "threads"), [(0.5, 2, 1), (1.0, 2, 1), (0.75, 8, 2), (0.1, 4, 3), (0.5, 1, 1)]
+)
+def test_the_viewer_has_the_rest(share, cores, threads):
+    assert viewer_threads(share, cores) == threads
+
+
+def test_dear_pictures_are_made_less_often(core, training):
+    """On a processor that draws, live pictures take a twentieth of the machine at most."""
+    core.picture.name = "cpu"
+    core.picture.threads = 2
+    core.stats = FrameStats(splats=1, visible=1, ms={"forward": 900.0}, projected=1, sorted=1, drawn=1)
+    frames = 2 * 0.02  # core-seconds of the window's own for each picture
+    training.start(core)
+    core.prefer(training_share=0.5)
+    training.advance(core)
+    assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.05 * 4))
+    core.prefer(training_updates="low")
+    training.advance(core)
+    assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.02 * 4))
+    core.prefer(training_updates="off")
+    training.advance(core)
+    assert training.thread.snapshot_seconds is None
+    core.picture.name = "recording"
+    core.prefer(training_updates="live")
+    training.advance(core)
+    assert training.thread.snapshot_seconds == 0.1, "a GPU is not counted"
+
+
+def test_a_scene_that_does_not_fit_is_told_once_and_training_goes_on(core, training):
+    core.picture.too_big = 1
+    training.start(core)
+    until(core, lambda: core.problem is not None, "word of it")
+    assert "no longer shown" in core.problem
+    assert core.preferences.training_updates == "off"
+    at = training.status.iteration
+    until(core, lambda: training.status.iteration > at + 5, "steps")
+
+
+def test_actions_reach_the_thread(core, training, tmp_path):
+    training.start(core)
+    until(core, lambda: training.status.iteration > 3, "steps")
+    core.post(actions.pause_or_resume)
+    until(core, lambda: training.status.state == "paused", "the pause")
+    at = training.status.iteration
+    core.post(actions.step_once)
+    until(core, lambda: training.status.iteration == at + 1, "a step")
+    core.post(actions.pause_or_resume)
+    until(core, lambda: training.status.iteration > at + 3, "more steps")
+    core.post(actions.stop_and_save)
+    until(core, lambda: training.status.saved_at is not None, "saving")
+    assert (tmp_path / "pond.ply").exists()
+
+    asked: dict[str, Any] = {}
+    core.choose_files = lambda title, done, **options: asked.update({"done": done, **options})
+    core.post(actions.export)
+    until(core, lambda: "done" in asked, "the question")
+    assert asked["kind"] == "save_scene" and asked["name"].endswith(".ply")
+    asked["done"]([tmp_path / "out.ply"])
+    until(core, (tmp_path / "out.ply").exists, "the export")
+    core.post(actions.change_settings)
+    core.post(lambda core: actions.change_settings(core, max_splats=0))
+    until(core, lambda: any("max_splats" in message.text for message in core.messages), "a refusal")
+    assert training.status.settings.max_splats == 8000
+
+
+def test_actions_without_a_training_say_so(core):
+    actions.pause_or_resume(core)
+    assert "Nothing is being trained" in core.messages[-1].text
+
+
+def test_going_to_a_photo_compares_it(core, training):
+    training.start(core)
+    until(core, lambda: core.scene is not None, "a scene")
+    actions.go_to_photo(core, 3)
+    training.advance(core)
+    np.testing.assert_allclose(core.camera.eye, training.photos[3].camera.eye, atol=1e-9)
+    assert training.photo is training.photos[3]
+    core.camera_index = 5  # by the keys that go through the cameras
+    training.advance(core)
+    assert training.photo is training.photos[5]
+    actions.compare_photo(core, -1)
+    assert training.photo is training.photos[-1]
+
+
+def test_another_scene_stays_until_the_training_is_asked_for(core, training, random_gaussians):
+    training.start(core)
+    until(core, lambda: core.scene is not None, "a scene")
+    other = watching.LoadedScene(
+        gaussians=random_gaussians(10),
+        paths=(Path("other.ply"),),
+        name="other",
+        centre=np.zeros(3),
+        radius=1.0,
+        settings=RenderSettings(),
+        seconds=0.0,
+    )
+    core.scene, core.cameras = other, []
+    at = training.status.iteration
+    until(core, lambda: training.status.iteration > at + 10, "steps")
+    assert core.scene is other and not training.followed_by(core) and not wanted(core)
+    loaded = len(core.picture.loaded)
+    training.thread.pause()
+    actions.show_training(core)
+    until(core, lambda: len(core.picture.loaded) > loaded, "the scene in training again")
+    assert core.scene.name == "pond (training)" and wanted(core)
+
+
+def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
+    shots = shots_of(capture.train)
+    photos = watched_photos(shots[:2], shots_of(capture.held_out))
+    assert [photo.name for photo in photos] == sorted(photo.name for photo in photos)
+    assert sum(photo.held_out for photo in photos) == len(capture.held_out)
+
+    def named(shot, name):
+        return replace(shot, camera=replace(shot.camera, name=name))
+
+    same = [named(shots[0], "left/1.png"), named(shots[1], "right/1.png"), named(shots[2], "left/2.png")]
+    assert [photo.label for photo in watched_photos(same, [])] == ["left/1.png", "2.png", "right/1.png"]
+
+
+# ---- comparisons
+
+
+def test_a_comparison_is_the_photo_the_render_and_their_difference(capture):
+    shot = shots_of(capture.photos)[1]
+    scene = initial_scene(capture)
+    made = compare(Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=1, gain=2.0))
+    np.testing.assert_array_equal(made.photo, shot.pixels)
+    expected = render(scene, shot.camera, RenderSettings())[..., :3].clip(0, 1)
+    np.testing.assert_allclose(made.render / 255, expected, atol=0.51 / 255)
+    apart = np.abs(made.render.astype(int) - made.photo) * 2
+    np.testing.assert_allclose(made.difference, np.minimum(apart, 255), atol=1)
+    error = np.mean((expected - shot.pixels / 255.0) ** 2)
+    assert made.psnr == pytest.approx(-10 * math.log10(error), abs=0.05)
+
+    half = compare(Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=2.0))
+    assert half.photo.shape == half.render.shape == half.difference.shape == (18, 24, 3)
+    stronger = compare(
+        Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=4.0), 1, half
+    )
+    assert stronger.render is half.render, "only what has changed is made anew"
+    assert stronger.difference.mean() > half.difference.mean()
+
+
+def initial_scene(capture):
+    start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
+    return fresh(start).snapshot()
+
+
+def test_what_a_mask_leaves_out_differs_nowhere(capture):
+    shot = shots_of(capture.photos)[1]
+    mask = np.zeros(shot.pixels.shape[:2], bool)
+    mask[:, :10] = True
+    masked = replace(shot, mask=mask)
+    wish = Wish(shot=masked, gaussians=initial_scene(capture), settings=RenderSettings(), shrink=1, gain=9.0)
+    made = compare(wish)
+    assert (made.difference[:, 10:] == 0).all() and made.difference[:, :10].any()
+
+
+def test_a_comparer_makes_the_latest_wish_and_survives_trouble(capture, monkeypatch):
+    comparer = Comparer()
+    shots, scene = shots_of(capture.photos), initial_scene(capture)
+
+    def wish(index: int, **changes: Any) -> Wish:
+        options = {"gaussians": scene, "settings": RenderSettings(), "shrink": 1, "gain": 1.0, **changes}
+        return Wish(shot=shots[index], **options)
+
+    def ask(wanted: Wish) -> None:
+        limit = time.monotonic() + 60
+        while comparer.latest is None or comparer.latest.wish.shot is not wanted.shot or comparer.busy:
+            assert time.monotonic() < limit
+            comparer.want(wanted, 1)
+            if comparer.problem:
+                return
+            time.sleep(0.001)
+
+    ask(wish(0))
+    first = comparer.latest
+    comparer.want(wish(0), 1)
+    assert not comparer.busy, "the same again costs nothing"
+    ask(wish(2))
+    assert comparer.latest is not first
+    monkeypatch.setattr("splatview.raster.render", lambda *arguments, **options: 1 / 0)
+    ask(wish(3))
+    assert comparer.problem == "ZeroDivisionError: division by zero"
+    monkeypatch.undo()
+    comparer.problem = None
+    ask(wish(1))
+    assert comparer.latest is not None and comparer.latest.wish.shot is shots[1]
+    assert comparer.problem is None
+    comparer.close()
+
+
+@pytest.mark.parametrize(
+    ("size", "room", "shrink"),
+    [
+        ((400, 300), (400, 300), 1),
+        ((400, 300), (199, 200), 2),
+        ((4000, 3000), (300, 300), 13),
+        ((8, 8), (0, 0), 1),
+    ],
+)
+def test_photos_shrink_to_what_is_seen(size, room, shrink):
+    assert shrink_for(size[0], size[1], room) == shrink
+
+
+# ---- cameras in the view
+
+
+def test_the_nearest_camera_is_found_within_reach():
+    lines = [
+        np.array([[(0, 0), (10, 0)], [(0, 0), (0, 10)]], float),
+        np.array([[(50, 50), (60, 60)]] * 2, float),
+    ]
+    assert nearest(lines, (5, 2), 3) == 0
+    assert nearest(lines, (56, 54), 3) == 1
+    assert nearest(lines, (30, 30), 3) is None
+    assert nearest([], (0, 0), 3) is None
+
+
+def test_loaded_cameras_are_drawn_where_wanted(core):
+    core.cameras = [look_at((0, 0, -3), (0, 0, 0))]
+    assert not wanted(core)
+    core.prefer(show_cameras=True)
+    assert wanted(core)

@@ -1,0 +1,355 @@
+"""What a user does with a window that trains, run by `conftest.drive` in a process of its own.
+
+usage: training_drives.py NAME RESULT.json OPTIONS.json CAPTURE
+
+`splatview train CAPTURE -o toy.ply` is run in the working directory, with the command-line options that
+OPTIONS names under "train".
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from drives import Hand, pose
+from imgui_bundle import ImVec2, hello_imgui
+
+from splatview.cli import train
+from splatview.cli import train as train_window
+from splatview.edit.operations import Select
+from splatview.edit.progress import NoTools
+from splatview.raster.compiling import niceness
+from splatview.scene import InputError
+from splatview.scene.edits import SceneEdits
+from splatview.viewer import dialogs as file_dialogs
+from splatview.viewer.overlays import PHOTO_SIZE, pyramids
+from splatview.viewer.state import Core
+from splatview.viewer.training.live import Training
+
+
+def training_of(core: Core) -> Training:
+    assert core.training is not None
+    return core.training
+
+
+def seen(hand: Hand, beyond: int = 0) -> int:
+    """Waits until the view shows a snapshot of a step after `beyond`, and returns its step."""
+    training = training_of(hand.core)
+    hand.wait(lambda: training.shown is not None and training.shown.iteration > beyond, "a snapshot")
+    assert training.shown is not None
+    return training.shown.iteration
+
+
+def steps(hand: Hand, count: int) -> None:
+    training = training_of(hand.core)
+    goal = training.status.iteration + count
+    hand.wait(lambda: training.status.iteration >= goal, f"{count} steps")
+
+
+def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Watch, pause, change a setting, step, go on, compare, fly, export, stop: by mouse and keys."""
+    file_dialogs.has_native_dialogs = lambda: False
+    core.prefer(smooth=False)
+    ctx, training = hand.ctx, training_of(core)
+    hand.wait(lambda: core.scene is not None, "the first snapshot")
+    found["scene"] = core.scene.name if core.scene else None
+    found["first_eye"] = pose(core)["eye"]
+    found["shown"] = [seen(hand), seen(hand, training.status.iteration)]
+    found["splats_shown"] = core.stats.splats if core.stats else None
+
+    ctx.item_click("//Training/###pause")
+    hand.wait(lambda: training.status.state == "paused", "the pause")
+    at = training.status.iteration
+    hand.wait(lambda: training.shown is not None and training.shown.iteration == at, "the last snapshot")
+    hand.wait(lambda: not core.waiting, "the picture")
+    picture = hand.picture()
+    drawn = core.stats.drawn if core.stats else 0
+    time.sleep(0.3)
+    hand.frames(10)
+    found["paused_at"] = [at, training.status.iteration]
+    found["drawn_in_pause"] = (core.stats.drawn if core.stats else 0) - drawn
+    found["picture_mean"] = float(picture[..., :3].mean())
+
+    found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(60)]
+    pacing = hello_imgui.get_runner_params().fps_idling
+    found["attended"] = pacing.time_active_after_last_event
+
+    before = training.status.settings
+    ctx.item_input_value("//Training/##Most splats", 1234)
+    hand.frames(3)
+    ctx.item_click("//Training/##Most splats/+")
+    hand.wait(lambda: training.status.settings.max_splats == 2234, "the setting")
+    found["max_splats"] = [before.max_splats, training.status.settings.max_splats]
+
+    ctx.item_click("//Training/###step")
+    hand.wait(lambda: training.status.iteration == at + 1, "one step")
+    hand.frames(5)
+    found["stepped_to"] = training.status.iteration
+    hand.press("Period")
+    hand.wait(lambda: training.status.iteration == at + 2, "one more step")
+
+    hand.press("Space")
+    hand.wait(lambda: training.status.state == "training", "training to go on")
+    steps(hand, 20)
+
+    ctx.window_focus("//Compare")
+    hand.wait(lambda: training.comparer.latest is not None, "the comparison")
+    ctx.item_click("//Compare/###next")
+    hand.wait(
+        lambda: (
+            training.comparer.latest is not None
+            and training.comparer.latest.wish.shot is training.photos[1].shot
+        ),
+        "the next photo",
+    )
+    made = training.comparer.latest
+    assert made is not None
+    found["compared"] = [list(made.photo.shape), list(made.render.shape), made.psnr]
+    ctx.window_focus("//Curves")
+    ctx.item_click("//Curves/seconds")
+    hand.frames(3)
+    found["by_seconds"] = training.by_seconds
+
+    ctx.item_click("//Photos/Go to this camera")
+    hand.frames(4)
+    found["at_photo"] = [core.camera.eye.tolist(), training.photos[1].camera.eye.tolist()]
+    ctx.item_click("//Photos/Measure")
+    hand.wait(lambda: training.status.evaluation is not None, "the scores")
+    found["scores"] = training.scores
+    hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
+    found["unattended_fps"] = pacing.fps_idle
+    ctx.mouse_move("//Training/###pause")
+    hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
+
+    shown = seen(hand)
+    hand.press("F3")
+    hand.hold("W", 0.3)
+    hand.press("F2")
+    found["flown"] = pose(core)["eye"]
+    seen(hand, shown)
+    hand.press("2")
+    hand.frames(3)
+    found["mode"] = core.mode
+    hand.press("1")
+    hand.press("F12")
+    hand.wait(lambda: any("Picture saved" in line for line in hand.said), "the screenshot")
+
+    ctx.item_click("//Training/###export")
+    hand.frames(4)
+    ctx.key_chars_replace_enter(str(Path.cwd() / "exported.ply"))
+    hand.wait(lambda: Path("exported.ply").exists(), "the export")
+    hand.wait(lambda: any("exported.ply" in line for line in hand.said), "word of it")
+    ctx.item_click("//Training/###stop")
+    hand.wait(lambda: training.status.saved_at is not None, "scene and checkpoint")
+    found["saved"] = [training.status.saved_at, training.status.iteration, training.status.state]
+    found["files"] = sorted(path.name for path in Path().iterdir())
+
+
+def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The trainer fails, and is tried again."""
+    training = training_of(core)
+    seen(hand)
+
+    def fail(*arguments: Any) -> Any:
+        raise FloatingPointError("a step went wrong")
+
+    trainer = training.thread.post(lambda session: session.trainer).result(60)
+    vars(trainer)["step"] = fail
+    hand.wait(lambda: core.problem is not None, "the dialog")
+    hand.frames(5)
+    found["problem"] = core.problem
+    found["state"] = training.status.state
+    found["scene_stays"] = core.scene is not None and len(core.scene.gaussians) == training.status.gaussians
+    found["picture_mean"] = float(hand.picture()[..., :3].mean())
+    hand.ctx.item_click("//That did not work/OK")
+    hand.frames(3)
+    del vars(trainer)["step"]
+    at = training.status.iteration
+    hand.ctx.item_click("//Training/###pause")
+    hand.wait(lambda: training.status.iteration > at + 3, "steps after the failure")
+    found["went_on"] = training.status.state
+
+
+def closes(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The window is closed in the middle of training, by Ctrl-C if `signal` is asked for."""
+    seen(hand, 5)
+    found["state"] = training_of(core).status.state
+    found["iteration"] = training_of(core).status.iteration
+    if options.get("signal"):
+        os.kill(os.getpid(), signal.SIGINT)
+        hand.wait(lambda: core.quitting, "the window to heed it")
+
+
+def elsewhere(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Another scene is opened while training goes on, and the training shown again; then it ends."""
+    training = training_of(core)
+    core.prefer(smooth=False)
+    seen(hand)
+    hand.drop(options["other"])
+    hand.wait(lambda: core.scene is not None and core.scene.name == "other.ply", "the other scene")
+    steps(hand, 10)
+    hand.frames(10)
+    found["other_stays"] = core.scene.name if core.scene else None
+    hand.frames(2)
+    hand.ctx.item_click("//Training/Show the training")
+    hand.wait(lambda: training.followed_by(core), "the training's scene")
+    found["back"] = [seen(hand), core.scene.name if core.scene else None]
+
+    index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
+    found["clicked"] = click_frustum(core, hand, index)
+    training.thread.change(iterations=training.status.iteration + 100)
+    hand.wait(lambda: training.status.state == "done", "the end", 120)
+    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
+    found["progress"] = training.status.progress
+    hand.wait(
+        lambda: training.shown is not None and training.shown.iteration == training.status.iteration,
+        "the last snapshot",
+    )
+    answer = training.thread.post(lambda session: session.trainer.splats.parameters.means.copy())
+    assert training.shown is not None
+    found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
+
+
+def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Select and delete, cut and let nothing grow, while training goes on; and take the rules back."""
+    ctx, training = hand.ctx, training_of(core)
+    core.prefer(smooth=False)
+    seen(hand, 60)
+    hand.press("R")
+    hand.drag(130, 90, over=(0.4, 0.45))
+    hand.wait(lambda: core.desk is not None and core.desk.document.counts.selected > 0, "a selection")
+    assert core.desk is not None and training.shown is not None
+    held, rectangle = training.shown, core.desk.document.history.done[-1].operation
+    assert isinstance(rectangle, Select)
+    splats = core.desk.document.selected.indices
+    steps(hand, 20)
+    hand.frames(5)
+    found["held"] = training.shown is held
+    ctx.window_focus("//Edit")
+    hand.wait(lambda: not core.waiting, "the picture")
+    hand.shoot(options.get("selected"))
+    hand.press("Delete")
+    hand.wait(lambda: training.shown is not held, "the snapshot without them")
+    now = training.shown
+    found["still_there"] = int(np.isin(held.ids[splats], now.ids).sum())
+    found["deleted"] = len(splats)
+    edited = SceneEdits(marks=np.zeros(len(now.ids), np.uint32))
+    found["in_rectangle"] = int(rectangle.by.mask(now.gaussians, edited, NoTools()).sum())
+    found["tool"] = core.desk.tool if core.desk else None
+    hand.press("Escape")
+    seen(hand, now.iteration)
+
+    crop(core, hand, "Add a box", options["growth"])
+    hand.shoot(options.get("growth_box"))
+    ctx.item_click("//Edit/Crop/No growth inside")
+    hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
+    first = training.thread.post(lambda session: session.trainer.splats.next_id).result(60)
+    ctx.item_click("//Edit/###let go")
+    steps(hand, 150)
+    at = seen(hand, training.status.iteration)
+    region = training.status.settings.no_growth[0]
+    found["born"] = int((training.shown.ids >= first).sum())
+    inner = replace(region, half_extents=tuple(0.8 * half for half in region.half_extents))
+    found["born_inside"] = int(
+        inner.contains(training.shown.gaussians.means[training.shown.ids >= first]).sum()
+    )
+
+    crop(core, hand, "Add a sphere", options["cut"])
+    ctx.item_click("//Edit/Crop/Cut away in training")
+    hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
+    hand.wait(lambda: core.desk is None, "the view to go on")
+    seen(hand, at + 60)
+    (sphere,) = training.status.settings.cut[0]
+    outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
+    beyond = np.linalg.norm((outside - sphere.centre) / sphere.half_extents, axis=1)
+    found["left"] = len(training.shown.ids)
+    found["beyond"] = float(beyond.max(initial=1.0))
+    training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
+    ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
+    hand.frames(3)
+    found["pointed"] = len(training.pointed)
+    hand.shoot(options.get("rules"))
+    ctx.item_click("//Edit/Rules of the training/cut 0/###remove")
+    ctx.item_click("//Edit/Rules of the training/no_growth 0/###remove")
+    hand.wait(lambda: not (training.status.settings.cut or training.status.settings.no_growth), "no rules")
+    found["failure"] = training.status.failure
+
+
+def crop(core: Core, hand: Hand, button: str, half: float) -> None:
+    """Holds the view and adds a crop of this half size."""
+    ctx = hand.ctx
+    ctx.item_click("//Edit/###hold")
+    hand.wait(lambda: core.desk is not None, "the desk")
+    hand.frames(3)
+    for section in ("Select", "Clean up"):
+        ctx.item_close(f"//Edit/{section}")
+    ctx.item_open("//Edit/Crop")
+    ctx.item_click(f"//Edit/Crop/{button}")
+    hand.wait(lambda: bool(core.desk and core.desk.document.crops), "the crop")
+    hand.frames(3)
+    for number in range(3):
+        ctx.item_input_value(f"//Edit/Crop/##Half size/$${number}", half)
+        hand.frames(2)
+
+
+def click_frustum(core: Core, hand: Hand, index: int) -> list[int]:
+    """Looks at the cameras from afar and clicks on one: its index, and the one that was gone to."""
+    training = training_of(core)
+    hand.press("F")
+    view = core.view
+    core.post(lambda core: core.steer(replace(view, distance=6 * view.distance)))
+    hand.frames(3)
+    assert core.scene is not None
+    drawn = dict(pyramids(training.cameras, core.camera, PHOTO_SIZE * core.scene.radius))
+    corner = hand.ctx.window_info("//View").rect_full.min
+    x, y = drawn[index][0][0]  # where its eye is
+    hand.ctx.mouse_teleport_to_pos(ImVec2(corner.x + float(x), corner.y + float(y)))
+    hand.frames(2)
+    hand.ctx.mouse_click(0)
+    hand.frames(3)
+    return [index, core.camera_index]
+
+
+def main() -> int:
+    name, result, given, capture = sys.argv[1:]
+    found: dict[str, Any] = {}
+    options = json.loads(given)
+
+    def act(core: Core, ctx: Any) -> None:
+        hand = Hand(core, ctx)
+        try:
+            functions[name](core, hand, options, found)
+        finally:
+            found["messages"] = hand.said
+
+    parsed = train.make_parser().parse([capture, "-o", "toy.ply", *options.get("train", [])])
+    assert parsed is not None
+    try:
+        code = train_window.train_in_window(
+            parsed,
+            time.perf_counter(),
+            lambda run: "",
+            drive=act,
+            size=tuple(options.get("size", (1000, 700))),
+        )
+    except InputError as error:
+        found["error"], code = str(error), 0
+    Path(result).write_text(json.dumps(found))
+    return code
+
+
+functions: dict[str, Callable[[Core, Hand, dict[str, Any], dict[str, Any]], None]] = {
+    function.__name__: function for function in (all_of_it, breaks, closes, elsewhere, edits)
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

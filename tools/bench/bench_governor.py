@@ -1,0 +1,245 @@
+"""How well a frame budget is held in the window while one flies, and how soon the exact picture is back.
+
+    python tools/bench/bench_governor.py SCENE [--size WxH] [--pictures N]
+
+Opens the window on a screen without a monitor (Xvfb), flies round the scene and towards it and back, and
+notes what drawing each picture took and how it was reduced. Writes governor.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatview.measure.machine import FOLDER, write_results
+from splatview.viewer.state import Core
+
+BUDGETS = {"cpu": (20.0, 30.0, 45.0), "quads": (250.0, 400.0)}
+"""ms, within what software OpenGL and the CPU can do with half a million splats."""
+
+PANELS = (474, 57)
+"""Px of the window beside and above the picture, about; what is measured is reported."""
+
+LEARNING = 12
+"""Pictures under a budget that are not counted: the governor finds out about the machine."""
+
+PATIENCE = 200.0
+
+
+def fly(core: Core, number: int) -> None:
+    """The next of the way's positions."""
+    from splatview.viewer.navigation import orbit
+    from splatview.viewer.navigation.controllers import dolly
+
+    core.steer(dolly(orbit(core.view, 0.012, 0.0), 1.0 + 0.01 * np.sin(number / 15)))
+
+
+def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, report: Path) -> None:
+    """Run in a process of its own: the window, and what is seen in it."""
+    from splatview.renderers.cpu_async import CpuTexture
+    from splatview.viewer import app, viewport
+
+    real_render = CpuTexture._render
+    app.look_for_abandoned = lambda core: None  # no dialog over the picture
+    real_draw, started, found = viewport.draw_picture, [], {}
+    frames: list[tuple[int, float, tuple[int, int], str]] = []
+
+    def render(self: Any, wish: Any, shortcut: Any, workspace: Any) -> None:
+        real_render(self, wish, shortcut, workspace)
+        reduced = "" if shortcut is None or shortcut.exact else shortcut.note
+        frames.append(
+            (len(frames), sum(self._stats.ms.values()), (wish.camera.width, wish.camera.height), reduced)
+        )
+
+    def note(core: Core) -> None:
+        if renderer == "cpu":
+            return  # drawn in a thread of its own, and noted there
+        stats, picture = core.stats, core.picture
+        if stats is None or picture is None or not stats.ms:
+            return
+        if not frames or frames[-1][0] != stats.drawn:
+            reduced = core.accuracy.note or picture.note
+            frames.append((stats.drawn, sum(stats.ms.values()), picture.texture.size, reduced))
+
+    def draw(core: Core, *arguments: Any) -> None:
+        real_draw(core, *arguments)
+        note(core)
+        if not started:
+            started.append(True)
+            threading.Thread(target=act, args=(core,), daemon=True).start()
+
+    def settle(core: Core) -> None:
+        time.sleep(0.5)
+        limit = time.monotonic() + PATIENCE
+        while core.waiting or core.transition or core.scene is None or pricing():
+            assert time.monotonic() < limit, "the window does not settle"
+            time.sleep(0.01)
+
+    def one_step(core: Core, number: int, done: threading.Event) -> None:
+        fly(core, number)
+        done.set()
+
+    def begin_to_measure(core: Core, begun: threading.Event) -> None:
+        core.accuracy.measure(core)
+        begun.set()
+
+    def pictures_while_flying(core: Core, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
+        frames.clear()
+        number, limit = 0, time.monotonic() + PATIENCE
+        while len(frames) < wanted and time.monotonic() < limit:
+            done = threading.Event()
+            core.post(one_step, number, done)
+            core.accuracy.wake()
+            done.wait(1.0)
+            number += 1
+        return list(frames)
+
+    def act(core: Core) -> None:
+        try:
+            settle(core)
+            core.prefer(smooth=False)
+            begun = threading.Event()
+            core.post(begin_to_measure, begun)
+            assert begun.wait(PATIENCE), "nothing is measured"
+            settle(core)
+            found["size"] = list(core.picture_size)
+            ladder = core.accuracy.ladder
+            found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
+            exact = core.picture.texture.size if core.picture else None
+            full = [ms for _, ms, size, note in pictures_while_flying(core, LEARNING) if not note]
+            found["full_ms"] = float(np.median(full)) if full else None
+            settle(core)
+            found["budgets"] = []
+            for budget in BUDGETS[renderer]:
+                core.post(lambda core, budget=budget: core.accuracy.hold(core, budget))
+                pictures_while_flying(core, LEARNING)
+                settle(core)  # what is to be found out about prices is found out at rest
+                pictures_while_flying(core, LEARNING)
+                flown = pictures_while_flying(core, pictures)
+                frames.clear()
+                settle(core)
+                if renderer != "cpu" and core.picture is not None:  # times come a frame late, or never
+                    frames.append((-1, 0.0, core.picture.texture.size, core.accuracy.note))
+                after = [(size == exact and not note) for _, _, size, note in frames]
+                times = [ms for _, ms, _, _ in flown]
+                found["budgets"].append(
+                    {
+                        "budget_ms": budget,
+                        "median_ms": float(np.median(times)),
+                        "quartiles_ms": [float(v) for v in np.percentile(times, [25, 75])],
+                        "pictures": len(times),
+                        "reduced": flown[-1][3],
+                        "pictures_until_exact": after.index(True) + 1 if True in after else None,
+                    }
+                )
+            report.write_text(json.dumps(found))
+        finally:
+            core.quitting = True
+
+    viewport.draw_picture = draw
+    CpuTexture._render = render
+    app.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer=renderer)
+
+
+def pricing() -> bool:
+    return any(thread.name == "splatview-cpu-plan" for thread in threading.enumerate())
+
+
+def measure(scene: Path, renderer: str, size: tuple[int, int], pictures: int) -> dict[str, Any]:
+    """One window on a screen of its own."""
+    ready, write_end = os.pipe()
+    screen = f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}x24"
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen, "-nolisten", "tcp"],
+        pass_fds=[write_end],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write_end)
+    with os.fdopen(ready) as pipe:
+        display = f":{pipe.readline().strip()}"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder) / "report.json"
+            environment = dict(
+                os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
+            )
+            environment.pop("WAYLAND_DISPLAY", None)
+            command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
+            command += ["--pictures", str(pictures), "--renderer", renderer, "--watch", str(report)]
+            subprocess.run(command, env=environment, check=True, timeout=600)
+            return json.loads(report.read_text())
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def row(renderer: str, found: dict[str, Any], one: dict[str, Any]) -> list[str]:
+    low, high = one["quartiles_ms"]
+    full = found["full_ms"]
+    return [
+        f"`{renderer}`",
+        "-" if full is None else f"{full:.0f}",
+        f"{one['budget_ms']:.0f}",
+        f"{one['median_ms']:.1f} ({low:.1f} to {high:.1f})",
+        f"{one['median_ms'] / one['budget_ms'] - 1:+.0%}",
+        one["reduced"] or "nothing",
+        str(one["pictures_until_exact"]),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--size", default="640x360")
+    parser.add_argument("--pictures", type=int, default=60)
+    parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
+    parser.add_argument("--renderer", choices=BUDGETS)
+    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    width, height = (int(part) for part in options.size.split("x"))
+    if options.watch:
+        watch(options.scene, options.renderer, (width, height), options.pictures, options.watch)
+        return
+    renderers = [options.renderer] if options.renderer else list(BUDGETS)
+    made = {}
+    for renderer in renderers:
+        made[renderer] = measure(options.scene, renderer, (width, height), options.pictures)
+        print(renderer, json.dumps(made[renderer], indent=1), flush=True)
+    write_results(
+        options.output or FOLDER / "governor.json",
+        {
+            "scene": options.scene.name,
+            "renderers": made,
+            "table": {
+                "columns": [
+                    "drawn by",
+                    "in full, ms",
+                    "budget, ms",
+                    "median while flying, ms (quartiles)",
+                    "off the budget",
+                    "left out at the end",
+                    "pictures until exact at rest",
+                ],
+                "rows": [row(name, found, one) for name, found in made.items() for one in found["budgets"]],
+                "note": f"{options.scene.name} at {width}x{height} in a window that llvmpipe draws; "
+                f"{options.pictures} pictures a budget flying round and to and fro. "
+                f"Until the exact one, those count that were under way when the camera stopped. "
+                f"{options.remark}".strip(),
+            },
+        },
+    )
+
+
+if __name__ == "__main__":
+    main()

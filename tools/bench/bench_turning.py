@@ -1,0 +1,229 @@
+"""How smoothly a scene turns in the window where OpenGL is software: pictures a second under a real drag.
+
+    python tools/bench/bench_turning.py SCENE [--size WxH] [--seconds S] [--rounds N]
+
+Opens the window on a screen without a monitor (Xvfb), lets xdotool drag the mouse over the picture to and
+fro, and notes when a new picture and when a frame of the window is shown. Each way of drawing gets a
+window of its own, in turn, `--rounds` times over. `--size` is the picture's, not the window's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatview.measure.machine import FOLDER, write_results
+from splatview.viewer.state import Core
+
+WAYS = {
+    "clock": "all splats, frames by the clock",
+    "splats": "all splats, frames by pictures",
+    "all": "merged splats, frames by pictures",
+}
+"""The last is what the program does; each one before lacks something more."""
+
+CLOCK_FPS = 24.0
+
+PANELS = (474, 57)
+"""Px of the window beside and above the picture, about; what is measured is reported."""
+
+STEP_SECONDS = 1 / 60
+"""Between two movements of the mouse."""
+
+TO_AND_FRO = 120
+"""Movements one way, 3 px each, before the mouse turns back: a quarter turn about the scene in 2 s."""
+
+
+def drag(display: str, at: tuple[int, int], seconds: float) -> subprocess.Popen[bytes]:
+    """The mouse, dragged to and fro from `at` at constant speed, in a process of its own."""
+    steps = int(seconds / STEP_SECONDS)
+    command = ["xdotool", "mousemove", str(at[0]), str(at[1]), "sleep", "0.3", "mousedown", "1"]
+    for step in range(steps):
+        away = 3 * (TO_AND_FRO - abs(TO_AND_FRO - step % (2 * TO_AND_FRO)))
+        command += ["mousemove", str(at[0] + away), str(at[1]), "sleep", f"{STEP_SECONDS:.4f}"]
+    command += ["mouseup", "1"]
+    return subprocess.Popen(command, env=dict(os.environ, DISPLAY=display))
+
+
+def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: Path) -> None:
+    """Run in a process of its own: the window, and what is seen in it."""
+    from splatview.renderers import cpu_async as cpu_texture
+    from splatview.renderers import moving_quality as moving
+    from splatview.viewer import app, viewport
+
+    started: list[bool] = []
+    notes: list[str] = []
+    frames: list[float] = []
+    pictures: list[tuple[float, int]] = []
+    found: dict[str, Any] = {}
+    if way in ("clock", "splats"):
+        cpu_texture.make_levels = lambda gaussians, stop: (moving.Level(gaussians),)
+    if way == "clock":
+        cpu_texture.CpuTexture.wait = lambda self, seconds: None
+        app.MAX_FPS = app.SOFTWARE_FPS = CLOCK_FPS
+    app.look_for_abandoned = lambda core: None  # no dialog over the picture
+    real_upload, real_draw = cpu_texture.CpuTexture._upload, viewport.draw_picture
+
+    def act(core: Core) -> None:
+        """What a user does, beside the frame loop. ImGui's test engine would shut out the real mouse."""
+        settle(core)
+        drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), 1.0).wait()  # prices are found out
+        settle(core)
+        drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), 2.0).wait()  # and compared with what it takes
+        settle(core)
+        frames.clear()
+        pictures.clear()
+        begun = os.times()
+        drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), seconds).wait()
+        ended, done = time.perf_counter(), os.times()
+        settle(core)
+        found.update(summary(frames, pictures, ended))
+        used = done.user + done.system - begun.user - begun.system
+        found["cores"] = used / (done.elapsed - begun.elapsed)
+        found["size"] = list(core.picture_size)
+        found["note"] = next((note for note in reversed(notes) if note), "in full")
+        report.write_text(json.dumps(found))
+        core.quitting = True
+
+    def upload(self, image):
+        real_upload(self, image)
+        pictures.append((time.perf_counter(), image.shape[0]))
+        notes.append(self.note)
+
+    def draw(core, *arguments):
+        if not started:
+            started.append(True)
+            threading.Thread(target=act, args=(core,), daemon=True).start()
+        frames.append(time.perf_counter())
+        real_draw(core, *arguments)
+
+    cpu_texture.CpuTexture._upload = upload
+    viewport.draw_picture = draw
+    app.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer="cpu")
+
+
+def settle(core: Core) -> None:
+    """Waits until nothing is on its way."""
+    time.sleep(0.5)
+    while core.waiting or core.transition or core.scene is None or pricing():
+        time.sleep(0.01)
+
+
+def pricing() -> bool:
+    return any(thread.name == "splatview-cpu-plan" for thread in threading.enumerate())
+
+
+def summary(frames: list[float], pictures: list[tuple[float, int]], ended: float) -> dict[str, Any]:
+    """Rates and gaps while the mouse moved, and how long after it the last picture came."""
+    moving = [at for at, _ in pictures if at < ended]
+    shown = [at for at in frames if moving[0] <= at <= moving[-1]]
+    gaps = 1000 * np.diff(moving)
+    return {
+        "pictures_per_s": 1000 / float(gaps.mean()),
+        "gap_ms": [float(np.percentile(gaps, share)) for share in (50, 95, 100)],
+        "frames_per_s": len(shown) / (shown[-1] - shown[0]),
+        "rows": sorted({rows for at, rows in pictures if at < ended}),
+        "rest_s": pictures[-1][0] - ended,
+    }
+
+
+def measure(scene: Path, way: str, size: tuple[int, int], seconds: float) -> dict[str, Any]:
+    """One window on a screen of its own."""
+    ready, write_end = os.pipe()
+    screen = f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}x24"
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen, "-nolisten", "tcp"],
+        pass_fds=[write_end],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write_end)
+    with os.fdopen(ready) as pipe:
+        display = f":{pipe.readline().strip()}"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder) / "report.json"
+            environment = dict(
+                os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
+            )
+            environment.pop("WAYLAND_DISPLAY", None)
+            command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
+            command += ["--seconds", str(seconds), "--way", way, "-o", str(report)]
+            subprocess.run(command, env=environment, check=True, timeout=120)
+            return json.loads(report.read_text())
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
+    parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
+    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "turning.json")
+    options = parser.parse_args()
+    width, height = (int(part) for part in options.size.split("x"))
+    if options.way:
+        watch(options.scene, options.way, (width, height), options.seconds, options.output)
+        return
+    rounds: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
+    for _ in range(options.rounds):
+        for way, found in rounds.items():
+            found.append(measure(options.scene, way, (width, height), options.seconds))
+            print(way, found[-1], flush=True)
+    write_results(
+        options.output,
+        {
+            "scene": options.scene.name,
+            "seconds": options.seconds,
+            "rounds": {WAYS[way]: found for way, found in rounds.items()},
+            "table": {
+                "columns": [
+                    "way of drawing",
+                    "pictures a second",
+                    "ms between two: median",
+                    "95 %",
+                    "left out while moving",
+                    "sharp after",
+                ],
+                "rows": [row(WAYS[way], found) for way, found in rounds.items()],
+                "note": f"{options.scene.name} at {width}x{height} in a window that Mesa's llvmpipe draws, "
+                f"dragged for {options.seconds:g} s; medians of {options.rounds} window(s) each, in turn. "
+                f"{options.remark}".strip(),
+            },
+        },
+    )
+
+
+def row(way: str, found: list[dict[str, Any]]) -> list[str]:
+    def median(*path: Any) -> float:
+        values = found
+        for key in path:
+            values = [value[key] for value in values]
+        return float(np.median(np.array(values, float)))
+
+    return [
+        way,
+        f"{median('pictures_per_s'):.0f}",
+        f"{median('gap_ms', 0):.0f}",
+        f"{median('gap_ms', 1):.0f}",
+        found[-1]["note"],
+        f"{median('rest_s'):.2f} s",
+    ]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""Trains in a real window under Xvfb while the view is flown, and says what either costs the other.
+
+    python tools/bench/soak_training.py [CAPTURE] [--minutes 10] [--downscale K] [--max-splats N]
+
+Without a capture it is the demo's. Four kinds of seconds take turns, so that a machine that drifts, and a
+scene that grows, decide nothing: the window stands still (as if there were none), it is left alone, the
+view flies, and the view flies while training pauses. Ends with an error if an update got lost: if steps
+shown ever went back, or if the last picture is not of the last step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatview.cli import train
+from splatview.cli import train as train_window
+from splatview.measure.machine import FOLDER, write_results
+from splatview.viewer.commands import quit_window
+from splatview.viewer.navigation import Transition, orbit
+from splatview.viewer.state import Core, process_memory
+from splatview.viewer.training.live import Training
+
+BLOCK_SECONDS = 4.0
+SETTLING_SECONDS = 2.0
+"""Between blocks: the last one's pictures and shares of cores are out of the way then."""
+
+KINDS = ("no viewer", "left alone", "flown", "flown, training paused")
+TURN = 2.0
+"""Radians that the view is turned by in a block."""
+
+
+class Soak:
+    """The user who watches, and what he notes."""
+
+    def __init__(self, minutes: float):
+        self.seconds = 60 * minutes
+        self.core: Core | None = None
+        self.kind: str | None = None
+        self.frames: dict[str, list[float]] = defaultdict(list)
+        """Seconds between frames, by kind."""
+        self.rates: list[tuple[str, float]] = []
+        """Steps a second of each block, in order."""
+        self.work: dict[str, list[float]] = defaultdict(list)
+        """Processor milliseconds of the whole program a step, by kind: what other programs on the machine
+        take does not count there."""
+        self.memory: list[tuple[float, float, int, float]] = []
+        """(seconds, MiB, splats, MiB of a snapshot) after each round."""
+        self.shown: list[int] = []
+        """Steps of the snapshots shown, in order."""
+        self.problems: list[str] = []
+        self.window: dict[str, Any] = {}
+        self._last_frame: tuple[str, float] | None = None
+
+    def watch(self, training: Training) -> None:
+        """Called for every frame, in place of `Training.advance`."""
+        core, now = training.core, time.perf_counter()
+        if core is not None and self.core is None:
+            self.core = core
+            threading.Thread(target=self.act, args=(core, training), daemon=True).start()
+        if self.kind is not None and self._last_frame is not None and self._last_frame[0] == self.kind:
+            self.frames[self.kind].append(now - self._last_frame[1])
+        self._last_frame = None if self.kind is None else (self.kind, now)
+        if training.shown is not None and training.shown.iteration not in self.shown[-1:]:
+            self.shown.append(training.shown.iteration)
+
+    def act(self, core: Core, training: Training) -> None:
+        try:
+            self.turns(core, training)
+        except BaseException as error:
+            self.problems.append(f"{type(error).__name__}: {error}")
+        finally:
+            core.post(quit_window)
+
+    def turns(self, core: Core, training: Training) -> None:
+        wait(lambda: training.shown is not None and training.status.iteration > 100, 120)
+        until = time.monotonic() + self.seconds
+        direction = 1.0
+        while time.monotonic() < until:
+            for kind in KINDS:
+                self.block(core, training, kind, direction)
+            direction = -direction
+            snapshot = training.shown
+            assert snapshot is not None
+            size = snapshot.gaussians.nbytes / 2**20
+            self.memory.append(
+                (training.status.seconds, process_memory() or 0.0, training.status.gaussians, round(size, 2))
+            )
+        training.thread.pause()
+        wait(lambda: training.status.state == "paused", 60)
+        wait(lambda: training.shown is not None and training.shown.iteration == training.status.iteration, 60)
+        answer = training.thread.post(lambda session: session.trainer.splats.parameters.means.copy())
+        assert training.shown is not None
+        if not np.array_equal(answer.result(60), training.shown.gaussians.means):
+            self.problems.append("the last picture is not of the trainer's scene")
+        assert core.stats is not None and core.picture is not None
+        self.window = {
+            "picture": list(core.picture_size),
+            "renderer": core.picture.name,
+            "gpu": core.gpu_name,
+            "splats": training.status.gaussians,
+            "steps": training.status.iteration,
+            "share": core.preferences.training_share,
+            "snapshots": training.thread.published,
+            "publishing_share": training.thread.publishing_seconds / training.status.seconds,
+        }
+
+    def block(self, core: Core, training: Training, kind: str, direction: float) -> None:
+        if kind == "flown, training paused":
+            training.thread.pause()
+            wait(lambda: training.status.state == "paused", 60)
+        time.sleep(SETTLING_SECONDS)
+        if kind == "no viewer":
+            # Frames stop, and with them all drawing.
+            core.post(lambda core: time.sleep(BLOCK_SECONDS + 0.2))
+            training.thread.share = 1.0
+        elif kind.startswith("flown"):
+            core.post(self.fly, direction)
+        time.sleep(0.1)
+        self.kind = kind
+        begun, step, busy = time.perf_counter(), training.status.iteration, time.process_time()
+        time.sleep(BLOCK_SECONDS)
+        steps = training.status.iteration - step
+        rate = steps / (time.perf_counter() - begun)
+        if steps > 0:
+            self.work[kind].append(1000 * (time.process_time() - busy) / steps)
+        self.kind = None
+        self.rates.append((kind, rate))
+        if kind == "flown, training paused":
+            if rate > 0:
+                self.problems.append("steps were taken in a pause")
+            training.thread.resume()
+
+    @staticmethod
+    def fly(core: Core, direction: float) -> None:
+        end = orbit(core.view, direction * TURN, 0.0)
+        core.transition = Transition(start=core.view, end=end, began=core.now(), duration=BLOCK_SECONDS + 0.5)
+
+
+def wait(condition, seconds: float) -> None:
+    limit = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > limit:
+            raise TimeoutError("waited in vain")
+        time.sleep(0.02)
+
+
+def ratios(rates: list[tuple[str, float]], kind: str) -> list[float]:
+    """Each block's steps a second over those without a viewer just before and after it."""
+    bare = [(place, rate) for place, (name, rate) in enumerate(rates) if name == "no viewer"]
+    found = []
+    for place, (name, rate) in enumerate(rates):
+        before = [value for at, value in bare if at < place][-1:]
+        after = [value for at, value in bare if at > place][:1]
+        if name == kind and before:
+            found.append(rate / statistics.mean(before + after))
+    return found
+
+
+def report(soak: Soak) -> dict[str, Any]:
+    if any(a > b for a, b in zip(soak.shown, soak.shown[1:], strict=False)):
+        soak.problems.append("a later picture was of an earlier step")
+    speed = {kind: ratios(soak.rates, kind) for kind in ("left alone", "flown")}
+    times = {
+        kind: {
+            "frames": len(frames),
+            "median_ms": round(1000 * statistics.median(frames), 1),
+            "p95_ms": round(1000 * float(np.percentile(frames, 95)), 1),
+            "max_ms": round(1000 * max(frames), 1),
+        }
+        for kind, frames in soak.frames.items()
+        if len(frames) > 2 and kind != "no viewer"
+    }
+    bare = [rate for kind, rate in soak.rates if kind == "no viewer"]
+    work = {kind: statistics.median(values) for kind, values in soak.work.items()}
+    rows = [["no viewer", f"{statistics.median(bare):.1f}", "1.00", f"{work['no viewer']:.0f}", "", ""]]
+    for kind in KINDS[1:]:
+        rate = statistics.median(value for name, value in soak.rates if name == kind)
+        share = f"{statistics.median(speed[kind]):.2f}" if speed.get(kind) else ""
+        frame = times.get(kind, {"median_ms": "", "p95_ms": ""})
+        paced = kind == "left alone"
+        rows.append(
+            [
+                kind,
+                f"{rate:.1f}",
+                share,
+                f"{work[kind]:.0f}" if kind in work else "",
+                "as asked for" if paced else str(frame["median_ms"]),
+                "" if paced else str(frame["p95_ms"]),
+            ]
+        )
+    half = len(soak.memory) // 2
+    later = soak.memory[half:] or soak.memory
+    growth = later[-1][1] - later[0][1]
+    note = (
+        f"{soak.seconds / 60:g} minutes, {soak.window.get('splats', 0):,} splats in the end, "
+        f"{len(soak.shown):,} snapshots shown, none lost; snapshots took "
+        f"{100 * soak.window.get('publishing_share', 0):.1f} % of training's time. Memory grew by "
+        f"{growth:.0f} MiB in the second half, a snapshot by {later[-1][3] - later[0][3]:.1f} MiB. Picture "
+        f"{'x'.join(map(str, soak.window.get('picture', [])))} by {soak.window.get('renderer')}, "
+        f"{100 * soak.window.get('share', 0):.0f} % of the cores for training while the view moves."
+    )
+    return {
+        "minutes": soak.seconds / 60,
+        **soak.window,
+        "problems": soak.problems,
+        "speed_beside_no_viewer": speed,
+        "processor_ms_a_step": {kind: round(value, 2) for kind, value in work.items()},
+        "frames": times,
+        "blocks": [{"kind": kind, "steps_a_second": round(rate, 2)} for kind, rate in soak.rates],
+        "memory": [
+            dict(zip(("seconds", "process_mib", "splats", "snapshot_mib"), row, strict=True))
+            for row in soak.memory
+        ],
+        "shown": len(soak.shown),
+        "table": {
+            "columns": [
+                "window",
+                "steps a second",
+                "of those without",
+                "processor ms a step",
+                "frame, median ms",
+                "95 % within ms",
+            ],
+            "rows": rows,
+            "note": note,
+        },
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("capture", nargs="?")
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--downscale", default="1")
+    parser.add_argument("--max-splats", default="50000")
+    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "training_window.json")
+    options = parser.parse_args()
+    soak = Soak(options.minutes)
+    real = Training.advance
+
+    def watched(self: Training, core: Core) -> None:
+        real(self, core)
+        soak.watch(self)
+
+    Training.advance = watched
+    with tempfile.TemporaryDirectory() as folder, screen():
+        os.environ["SPLATVIEW_CONFIG_DIR"] = folder
+        arguments = ["--demo"] if options.capture is None else [options.capture]
+        arguments += ["-o", str(Path(folder) / "soak.ply"), "--minutes", str(options.minutes)]
+        arguments += ["--downscale", options.downscale, "--max-splats", options.max_splats]
+        parsed = train.make_parser().parse(arguments)
+        assert parsed is not None
+        train_window.train_in_window(parsed, time.perf_counter(), lambda run: run.capture.name)
+    results = report(soak)
+    write_results(options.output, results)
+    for row in results["table"]["rows"]:
+        print(*row, sep="  ")
+    print(results["table"]["note"])
+    if soak.problems:
+        raise SystemExit("; ".join(soak.problems))
+
+
+class screen:
+    """A display of one's own while it lasts."""
+
+    def __enter__(self) -> None:
+        program = shutil.which("Xvfb")
+        if program is None:
+            raise SystemExit("Xvfb is not installed (Debian: apt-get install xvfb)")
+        ready, write_end = os.pipe()
+        self._server = subprocess.Popen(
+            [program, "-displayfd", str(write_end), "-screen", "0", "1360x860x24", "-nolisten", "tcp"],
+            pass_fds=[write_end],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write_end)
+        with os.fdopen(ready) as pipe:
+            os.environ["DISPLAY"] = f":{pipe.readline().strip()}"
+        os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"
+        os.environ.pop("WAYLAND_DISPLAY", None)
+
+    def __exit__(self, *_: object) -> None:
+        self._server.terminate()
+        self._server.wait()
+
+
+if __name__ == "__main__":
+    main()

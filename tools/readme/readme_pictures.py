@@ -1,0 +1,145 @@
+"""Makes the README's pictures with the program itself: `make pictures` (needs Xvfb for the window).
+
+python tools/readme/readme_pictures.py [NAME ...]
+
+Names: landscape, modes, window, editing, accuracy, effects, training. None: all.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont, ImageGrab
+
+FOLDER = Path(__file__).parents[2] / "assets" / "readme"
+SPLATVIEW = Path(sys.executable).with_name("splatview")
+WINDOW_SIZE = (1280, 800)
+SECONDS_TO_SETTLE = 25
+"""The demo is made, loaded, and its picture has come to rest; generous for a machine without a GPU."""
+SECONDS_TO_CLOSE = 30
+SECONDS_TO_EDIT = 180
+SECONDS_TO_TRAIN = 75
+"""The photos are made, and there is something to see on the curves."""
+
+
+def render(*options: str | Path) -> None:
+    """Runs the program where it finds no display."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    subprocess.run([SPLATVIEW, *map(str, options)], env=environment, check=True)
+
+
+def landscape(folder: Path) -> None:
+    render("-o", folder / "landscape.png")
+
+
+def modes(folder: Path) -> None:
+    """The demo's four visual modes in one picture, named."""
+    from splatview.scene.demo import demo_camera, demo_scene
+    from splatview.scene.formats import save_camera, save_scene
+
+    tile = (640, 360)
+    sheet = Image.new("RGB", (2 * tile[0], 2 * tile[1]))
+    font = ImageFont.load_default(size=18)
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        save_scene(demo_scene(), work / "demo.ply")
+        save_camera(demo_camera(*tile), work / "camera.json")
+        for i, mode in enumerate(("points", "ellipsoids", "depth", "overdraw")):
+            picture = work / f"{mode}.png"
+            scene = ("render", work / "demo.ply", "--camera", work / "camera.json")
+            render(*scene, "--renderer", "quads", "--mode", mode, "-o", picture)
+            corner = (i % 2 * tile[0], i // 2 * tile[1])
+            sheet.paste(Image.open(picture), corner)
+            ImageDraw.Draw(sheet).text(
+                (corner[0] + 12, corner[1] + 8), mode, "white", font, stroke_width=2, stroke_fill="black"
+            )
+    sheet.save(folder / "modes.png", optimize=True)
+
+
+@contextmanager
+def on_a_display() -> Iterator[dict[str, str]]:
+    """A virtual display: the environment of programs that are to be seen on it."""
+    ready, write_end = os.pipe()
+    screen = "x".join(map(str, (*WINDOW_SIZE, 24)))
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen], pass_fds=[write_end]
+    )
+    os.close(write_end)
+    with os.fdopen(ready) as pipe:
+        display = f":{pipe.readline().strip()}"
+    try:
+        with tempfile.TemporaryDirectory() as settings:
+            yield os.environ | {"DISPLAY": display, "SPLATVIEW_CONFIG_DIR": settings}
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def grab(command: Sequence[str | Path], path: Path, seconds: float, *, until: str | None = None) -> None:
+    """Runs `command` on a display of its own and takes a picture of it after so many seconds, or as soon as
+    it has made the file `until` in its settings."""
+    with on_a_display() as environment, tempfile.TemporaryDirectory() as work:
+        viewer = subprocess.Popen(command, env=environment, cwd=work)
+        limit = time.monotonic() + seconds
+        ready = Path(environment["SPLATVIEW_CONFIG_DIR"], until or "never")
+        while time.monotonic() < limit and not ready.exists():
+            time.sleep(0.2)
+        ImageGrab.grab(xdisplay=environment["DISPLAY"]).save(path, optimize=True)
+        viewer.terminate()
+        try:
+            viewer.wait(SECONDS_TO_CLOSE)
+        except subprocess.TimeoutExpired:
+            viewer.kill()
+            viewer.wait()
+
+
+def window(folder: Path) -> None:
+    """The window on the demo."""
+    grab([SPLATVIEW], folder / "window.png", SECONDS_TO_SETTLE)
+
+
+def editing(folder: Path) -> None:
+    """The window on the demo while it is cleaned up."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "editing"], folder / "editing.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
+def accuracy(folder: Path) -> None:
+    """The window on the demo with prices of shortcuts, and exact beside one."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "accuracy"], folder / "accuracy.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
+def effects(folder: Path) -> None:
+    """The window on the demo with the receipt of its effects, and the evidence of one."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "effects"], folder / "effects.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
+def training(folder: Path) -> None:
+    """The window while the demo's photos are trained on."""
+    command = [SPLATVIEW, "train", "--demo", "-o", "demo.ply", "--minutes", "3"]
+    grab(command, folder / "training.png", SECONDS_TO_TRAIN)
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    makers = {
+        "landscape": landscape,
+        "modes": modes,
+        "window": window,
+        "editing": editing,
+        "accuracy": accuracy,
+        "effects": effects,
+        "training": training,
+    }
+    for chosen in sys.argv[1:] or makers:
+        makers[chosen](FOLDER)
+        print(f"{FOLDER / chosen}.png")

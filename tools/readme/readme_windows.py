@@ -1,0 +1,114 @@
+"""What a user does in the window for a README picture; run by `readme_pictures` where there is a display.
+
+python tools/readme/readme_windows.py editing SCENE    opens, cleans up a little, waits to be stopped
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from imgui_bundle import ImVec2, imgui
+
+from splatview.viewer.app import run_window
+from splatview.viewer.panels import effects as effect_commands
+from splatview.viewer.quality import state as commands
+from splatview.viewer.state import Core
+
+READY = "readme-ready"
+"""File, beside the settings, that says: now is the moment."""
+
+
+def editing(core: Core, ctx: Any) -> None:
+    """A brushed selection, a crop box, and what the detector of floaters would take."""
+
+    def frames(count: int = 5) -> None:
+        ctx.yield_(count)
+
+    def settle() -> None:
+        frames()
+        while core.waiting or core.scene is None or core.transition is not None:
+            ctx.yield_(1)
+        frames(10)
+
+    settle()
+    ctx.window_focus("//History")
+    ctx.window_focus("//Edit")
+    ctx.set_ref("//Edit")
+    frames()
+    for name in ("Select", "Crop", "Move", "Look"):
+        ctx.item_close(name)
+    ctx.item_open("Clean up")
+    frames()
+    view = ctx.window_info("//View").rect_full
+    ctx.key_press(imgui.Key.c)
+    place = ImVec2(
+        view.min.x + 0.30 * (view.max.x - view.min.x), view.min.y + 0.52 * (view.max.y - view.min.y)
+    )
+    ctx.mouse_teleport_to_pos(place)
+    frames()
+    ctx.mouse_drag_with_delta(ImVec2(90, 25), 0)
+    settle()
+    ctx.key_press(imgui.Key.escape)
+    ctx.item_click("Clean up/Look for them")
+    settle()
+    if core.desk is not None and core.desk.forms.clean.count:
+        ctx.item_click("Clean up/What would it cost?")
+        settle()
+    ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
+    settle()
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while not core.quitting:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+def accuracy(core: Core, ctx: Any) -> None:
+    """Prices of shortcuts, one taken, and where an eye would notice it."""
+    while core.waiting or core.scene is None or core.transition is not None:
+        ctx.yield_(1)
+    ctx.window_focus("//Accuracy")
+    core.accuracy.rounds = 5
+    core.post(commands.measure)
+    ctx.yield_(3)
+    while core.accuracy.ladder is None:
+        ctx.yield_(1)
+    core.post(commands.choose, "sh-degree", "0")
+    core.accuracy.comparing.right = "perceptual"
+    ctx.yield_(10)
+    while core.waiting:
+        ctx.yield_(1)
+    ctx.yield_(5)
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while not core.quitting:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+def effects(core: Core, ctx: Any) -> None:
+    """The receipt with its prices, and the mouse on the evidence of one line."""
+    while core.waiting or core.scene is None or core.transition is not None:
+        ctx.yield_(1)
+    ctx.window_focus("//Effects")
+    core.effects.seconds = 20.0
+    core.post(effect_commands.measure)
+    ctx.yield_(3)
+    while not core.effects.prices:
+        ctx.yield_(1)
+    ctx.set_ref("//Effects")
+    ctx.mouse_move("**/##SH band 3")
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while not core.quitting:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+DRIVES = {"editing": editing, "accuracy": accuracy, "effects": effects}
+
+
+if __name__ == "__main__":
+    name, *paths = sys.argv[1:]
+    sys.exit(run_window([Path(path) for path in paths], size=(1280, 800), drive=DRIVES[name]))

@@ -1,0 +1,342 @@
+"""What a user of the soak edits, undoes and writes to files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from checks import Mishap, same_scene
+from user import User
+
+from splatview.edit.detectors import DETECTORS
+from splatview.edit.operations import (
+    AddCrop,
+    ChangeCrop,
+    ColourGrade,
+    EnableCrop,
+    Grow,
+    Merge,
+    Opacity,
+    Operation,
+    RemoveCrop,
+    Select,
+    Shrink,
+    Size,
+    Split,
+    Transform,
+    operation_from_json,
+)
+from splatview.edit.operations.appearance import Grade
+from splatview.edit.selectors import Sphere
+from splatview.scene import InputError
+from splatview.scene.edits import Crop, bake
+from splatview.scene.formats import load_scene
+from splatview.viewer.editing import cleanup as cleaning
+from splatview.viewer.editing import commands, files
+from splatview.viewer.training import live_edits as held
+
+Step = Callable[["Soaked", np.random.Generator], str | None]
+
+MOST_STEPS = 60
+"""Of a history; a user goes on with another scene then."""
+
+
+class Soaked(User):
+    """A `User` who edits."""
+
+    compute = True
+    """Whether OpenGL has compute shaders here."""
+
+    @property
+    def shows_training(self) -> bool:
+        return self.core.training is not None and self.core.training.followed_by(self.core)
+
+    def apply(self, operation: Operation) -> str | None:
+        """As a button does."""
+        if self.core.scene is None or self.core.loading is not None:
+            return None
+        self.post(commands.apply, operation)
+        return operation.op
+
+    def place(self, rng: np.random.Generator) -> tuple[tuple[float, float, float], float]:
+        """Somewhere in the scene, and its size."""
+        scene = self.core.scene
+        assert scene is not None
+        x, y, z = (float(v) for v in scene.centre + rng.uniform(-0.5, 0.5, 3) * scene.radius)
+        return (x, y, z), float(scene.radius)
+
+
+def select(user: Soaked, rng: np.random.Generator) -> str | None:
+    if user.core.scene is None:
+        return None
+    centre, radius = user.place(rng)
+    how = rng.choice(["set", "set", "add", "remove", "intersect"])
+    by = Sphere(centre=centre, radius=radius * float(rng.uniform(0.1, 0.8)))
+    return user.apply(Select(by=by, mode=str(how)))  # pyright: ignore[reportArgumentType]
+
+
+def select_by_mouse(user: Soaked, rng: np.random.Generator) -> str | None:
+    if not user.core.can_edit or user.core.loading is not None:
+        return None
+    key = str(rng.choice(["R", "C"]))
+    user.press(key)
+    x, y = (float(value) for value in rng.uniform(0.2, 0.6, 2))
+    user.drag(float(rng.uniform(20, 120)), float(rng.uniform(20, 90)), over=(x, y))
+    user.calm()
+    if user.core.desk is not None and user.core.desk.tool != "none":
+        user.press("Escape")
+    return key
+
+
+def plain(user: Soaked, rng: np.random.Generator, *, op: str) -> str | None:
+    return user.apply(operation_from_json({"op": op}))
+
+
+def move(user: Soaked, rng: np.random.Generator) -> str | None:
+    if not user.at_rest:
+        return None
+    centre, radius = user.place(rng)
+    w, x, y, z = (float(v) for v in rng.normal(size=4))
+    a, b, c = (float(v) for v in rng.uniform(-0.2, 0.2, 3) * radius)
+    return user.apply(
+        Transform(
+            rotation=(w, x, y, z),
+            translation=(a, b, c),
+            scale=float(rng.uniform(0.8, 1.25)),
+            pivot=centre,
+            scope="scene" if rng.uniform() < 0.3 else "selection",
+        )
+    )
+
+
+def look(user: Soaked, rng: np.random.Generator) -> str | None:
+    if not user.at_rest:
+        return None
+    choice, scope = int(rng.integers(0, 3)), "scene" if rng.uniform() < 0.5 else "selection"
+    if choice == 0:
+        return user.apply(Opacity(value=float(rng.uniform(0.3, 1.5)), scope=scope))
+    if choice == 1:
+        return user.apply(Size(value=float(rng.uniform(0.5, 1.5)), scope=scope))
+    grade = Grade(brightness=float(rng.uniform(-0.2, 0.2)), saturation=float(rng.uniform(0, 2)))
+    return user.apply(ColourGrade(grade=grade, scope=scope))
+
+
+def preview(user: Soaked, rng: np.random.Generator) -> str | None:
+    """A slider that is dragged, and let go or taken back."""
+    desk = user.core.desk
+    if not user.at_rest or desk is None:
+        return None
+    for _ in range(4):
+        operation = Opacity(value=float(rng.uniform(0, 1)), scope="scene")
+        user.post(lambda core, operation=operation: desk.preview("look", operation))
+    kept = rng.uniform() < 0.5
+    user.post(lambda core: desk.commit_preview() if kept else desk.cancel_preview())
+    return "kept" if kept else "cancelled"
+
+
+def crop(user: Soaked, rng: np.random.Generator) -> str | None:
+    if user.core.scene is None:
+        return None
+    centre, radius = user.place(rng)
+    a, b, c = (float(v) * radius for v in rng.uniform(0.4, 1.5, 3))
+    shape, keep = str(rng.choice(["box", "sphere"])), str(rng.choice(["inside", "inside", "outside"]))
+    made: Any = {"shape": shape, "keep": keep, "centre": centre, "half_extents": (a, b, c)}
+    crops = user.core.desk.document.crops if user.core.desk else ()
+    if not crops or rng.uniform() < 0.5:
+        return user.apply(AddCrop(crop=Crop(**made)))
+    index = int(rng.integers(0, len(crops)))
+    choice = int(rng.integers(0, 3))
+    if choice == 0:
+        return user.apply(ChangeCrop(index=index, crop=Crop(**made)))
+    if choice == 1:
+        return user.apply(EnableCrop(index=index, enabled=not crops[index].enabled))
+    return user.apply(RemoveCrop(index=index))
+
+
+def uncrop(user: Soaked, rng: np.random.Generator) -> str | None:
+    count = len(user.core.desk.document.crops) if user.core.desk else 0
+    for index in reversed(range(count)):
+        user.apply(RemoveCrop(index=index))
+    return f"{count} crops" if count else None
+
+
+def slowly(user: Soaked, rng: np.random.Generator) -> str | None:
+    """What runs beside the window: growing, merging, splitting, cleaning up."""
+    desk = user.core.desk
+    if not user.at_rest or desk is None or desk.job is not None:
+        return None
+    choice = str(
+        rng.choice(["grow", "shrink", "merge", "split", "find", "find", "prune", "duplicate", "decimate"])
+    )
+    document = desk.document
+    large = len(document.gaussians) > (3000 if user.small else 40_000)
+    if choice in ("grow", "shrink"):
+        user.post(commands.grow_or_shrink, (Grow if choice == "grow" else Shrink)(neighbours=4))
+    elif choice == "merge" and not large:
+        user.post(lambda core: desk.apply_slowly(Merge(path=str(user.folder / "flat.ply")), "Reading"))
+    elif choice == "split" and 0 < document.counts.selected < document.counts.kept:
+        path = str(user.folder / f"part-{int(rng.integers(0, 4))}.ply")
+        user.post(lambda core: desk.apply_slowly(Split(path=path), "Writing"))
+    elif choice == "find":
+        user.post(cleaning.find, str(rng.choice(list(DETECTORS))))
+    elif choice == "prune" and desk.forms.clean.scores is not None:
+        user.post(cleaning.prune)
+    elif choice == "duplicate" and not large:
+        user.post(commands.EDIT_ACTIONS["duplicate"])
+    elif choice == "decimate" and document.counts.kept > 50:
+        desk.forms.clean.keep = document.counts.kept // 2
+        user.post(cleaning.keep_best)
+    else:
+        return None
+    if rng.uniform() < 0.7:
+        user.calm()
+        return choice
+    return f"{choice}, without waiting"
+
+
+def undo(user: Soaked, rng: np.random.Generator) -> str:
+    keys = [str(rng.choice(["Ctrl+Z", "Ctrl+Z", "Ctrl+Y"])) for _ in range(int(rng.integers(1, 6)))]
+    for key in keys:
+        user.press(key)
+    return " ".join(keys)
+
+
+def jump(user: Soaked, rng: np.random.Generator) -> str | None:
+    desk = user.core.desk
+    if not user.at_rest or desk is None or not desk.document.history.steps:
+        return None
+    position = int(rng.integers(0, len(desk.document.history.steps) + 1))
+    user.post(commands.jump, position)
+    return f"to step {position}"
+
+
+def undo_all(user: Soaked, rng: np.random.Generator) -> str | None:
+    """All the way back, and forth again: each state is compared as it comes by."""
+    desk = user.core.desk
+    if not user.at_rest or desk is None or desk.job is not None:
+        return None
+    position = desk.document.history.position
+    user.post(commands.jump, 0)
+    user.post(commands.jump, position)
+    return f"{position} steps"
+
+
+def export(user: Soaked, rng: np.random.Generator) -> str | None:
+    """The file is the document, baked."""
+    desk = user.core.desk
+    if not user.at_rest or desk is None or desk.job is not None:
+        return None
+    path = user.folder / "exported.ply"
+    path.unlink(missing_ok=True)
+    user.post(files.export_to, path)
+    user.calm()
+    document = desk.document
+    wanted = bake(document.gaussians, document.edits, hidden=True)
+    if not len(wanted):
+        return "nothing was left" if not path.exists() else fail("an empty export")
+    differs = same_scene(load_scene(path), wanted)
+    if differs:
+        fail(f"an export differs from the document: {differs}")
+    if list(user.folder.glob(".*.tmp")):
+        fail("a temporary file was left")
+    user.exports += 1
+    return f"{len(wanted):,} splats"
+
+
+def fail(text: str) -> str:
+    raise Mishap(text)
+
+
+def export_training(user: Soaked, rng: np.random.Generator) -> str | None:
+    training = user.core.training
+    if training is None:
+        return None
+    path = user.folder / "exported-training.ply"
+    path.unlink(missing_ok=True)
+    answer = training.thread.export(path)
+    user.wait(answer.done, "the export")
+    if training.status.gaussians == 0 or not len(load_scene(answer.result())):
+        fail("the training's export is empty")
+    user.exports += 1
+    return ""
+
+
+def recipe(user: Soaked, rng: np.random.Generator) -> str | None:
+    """Written down, taken back, and done again by what was written."""
+    desk = user.core.desk
+    if not user.at_rest or desk is None or desk.job is not None or not desk.document.history.position:
+        return None
+    path = user.folder / "recipe.json"
+    try:
+        user.post(files.save_recipe_to, path)
+    except InputError:
+        return None
+    user.post(commands.jump, 0)
+    user.post(files.replay_file, path)
+    user.calm()
+    return f"{desk.document.history.position} steps"
+
+
+def edit_training(user: Soaked, rng: np.random.Generator) -> str | None:
+    """Some splats of the scene in training go, or the view is let go."""
+    training = user.core.training
+    if training is None or not user.shows_training or training.shown is None or user.core.loading is not None:
+        return None
+    if rng.uniform() < 0.5 and user.core.desk is not None:
+        user.post(held.let_go)
+        return "let go"
+    centre, radius = user.place(rng)
+    user.apply(Select(by=Sphere(centre=centre, radius=0.15 * radius)))
+    desk = user.core.desk
+    if desk is None or not 0 < desk.document.counts.selected < desk.document.counts.kept // 2:
+        return None
+    user.press("Delete")
+    return "deleted"
+
+
+def start_anew(user: Soaked, rng: np.random.Generator) -> str | None:
+    """A long history is left behind."""
+    desk = user.core.desk
+    if desk is None or len(desk.document.history.steps) < MOST_STEPS:
+        return None
+    user.drop(str(user.folder / "ball.ply"))
+    core = user.core
+    user.wait(lambda: core.loading is None and core.scene is not None and core.scene.name == "ball.ply", "it")
+    return ""
+
+
+EDITING: dict[str, tuple[float, Step]] = {
+    "select": (5, select),
+    "select_by_mouse": (2, select_by_mouse),
+    **{
+        op: (weight, partial(plain, op=op))
+        for op, weight in {
+            "select_all": 1,
+            "select_none": 0.5,
+            "select_inverse": 1,
+            "delete": 2,
+            "hide": 1,
+            "show": 1,
+            "lock": 0.7,
+            "unlock": 0.7,
+            "isolate": 0.3,
+            "delete_cropped": 0.5,
+        }.items()
+    },
+    "move": (2, move),
+    "look": (2, look),
+    "preview": (1, preview),
+    "crop": (2, crop),
+    "uncrop": (1, uncrop),
+    "slowly": (3, slowly),
+    "undo": (4, undo),
+    "jump": (1, jump),
+    "undo_all": (1, undo_all),
+    "export": (2, export),
+    "export_training": (0.7, export_training),
+    "recipe": (0.7, recipe),
+    "edit_training": (2, edit_training),
+    "start_anew": (1, start_anew),
+}

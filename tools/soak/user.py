@@ -1,0 +1,178 @@
+"""A user at the window who keeps an eye on everything."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+from checks import Mishap, Pictures, Undone, wait_for_threads
+from drives import Hand
+
+from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
+from splatview.viewer.state import Core
+
+EXPECTED = (
+    r"^broken\.ply|/broken\.ply",
+    r"still under way; wait for it or cancel it$",
+    r"everything is deleted or cropped away; there is nothing to export$",
+    r"no crop is in force that could be made permanent$",
+    r"crops already; remove one first$",
+    r"the scene was edited in the meantime; do it again$",
+    r"are hidden, locked or cropped away and cannot be deleted$",
+)
+"""What the program may refuse, in its own words; any other dialog is a mishap."""
+
+INSIDE = "inside the program"
+"""In every message about a defect of ours."""
+
+SETTLE_SECONDS = 120.0
+
+
+class User(Hand):
+    """Hands, eyes, and what was seen so far."""
+
+    def __init__(self, core: Core, ctx: Any, folder: Path, *, small: bool):
+        super().__init__(core, ctx)
+        self.folder, self.small = folder, small
+        self.pictures = Pictures(folder)
+        self.undone = Undone()
+        self.exports = 0
+        self._told = 0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether every edit can be made."""
+        return self.core.at_rest and self.core.loading is None
+
+    def post(self, command: Any, *args: Any) -> None:
+        """As a menu entry does; returns when it has run."""
+        done: list[bool] = []
+        self.core.post(command, *args)
+        self.core.post(lambda core: done.append(True))
+        self.wait(lambda: bool(done), "the frame loop")
+        self.frames(1)
+
+    def calm(self) -> None:
+        """Until nothing is under way any more."""
+        self.frames(2)
+        try:
+            self.wait(lambda: not self._under_way(), "the window to come to rest", SETTLE_SECONDS)
+        except AssertionError as error:
+            raise Mishap(f"never at rest: {', '.join(self._under_way())}") from error
+        self.frames(2)
+
+    def _under_way(self) -> list[str]:
+        core, desk = self.core, self.core.desk
+        waits = {
+            "loading": core.loading is not None,
+            "a turn of the view": core.transition is not None,
+            "looking at the splats": not core.examined or core.examining is not None,
+            "an edit": desk is not None and desk.job is not None,
+            "a changed scene": desk is not None and desk.loading is not None,
+            "a picture": core.picture is not None and core.picture.busy and not self._trains,
+            "measuring": core.accuracy.measurement is not None,
+        }
+        return [name for name, under_way in waits.items() if under_way]
+
+    @property
+    def _trains(self) -> bool:
+        """New pictures come all the time."""
+        training = self.core.training
+        return (
+            training is not None and training.followed_by(self.core) and training.status.state == "training"
+        )
+
+    # ---- looking
+
+    def look_for_harm(self) -> None:
+        """After every action. Raises Mishap."""
+        core = self.core
+        self.frames(1)
+        self.undone.follow(core.desk.document if core.at_rest and core.desk else None)
+        if self.undone.wrong:
+            raise Mishap(self.undone.wrong)
+        problem, core.problem = core.problem, None
+        if problem is not None and not any(re.search(pattern, problem) for pattern in EXPECTED):
+            raise Mishap(f"a dialog: {problem}")
+        new, self._told = list(core.messages)[-20:], len(core.messages)
+        for message in new:
+            if INSIDE in message.text:
+                raise Mishap(message.text)
+        error = self.on_gl_thread(lambda: moderngl.get_context().error)
+        if error != "GL_NO_ERROR":
+            raise Mishap(f"OpenGL says {error}")
+        training = core.training
+        if training is not None and training.status.state == "failed":
+            raise Mishap(f"training failed: {training.status.failure}")
+
+    def look_at_everything(self) -> None:
+        """Now and then: pictures and threads. Raises Mishap."""
+        core = self.core
+        resumed = False
+        if core.training is not None and core.training.status.state == "training":
+            core.training.thread.pause()
+            resumed = True
+            self.wait(
+                lambda: core.training is not None and core.training.status.state == "paused", "the pause"
+            )
+        if core.desk is not None and core.desk.job is not None:
+            core.desk.job.cancel()
+        if core.accuracy.measurement is not None:
+            core.accuracy.cancel()
+        self.calm()
+        self.look_for_harm()
+        if (
+            core.scene is not None
+            and core.desk is not None
+            and core.desk.gaussians is not core.scene.gaussians
+        ):
+            raise Mishap("the panels look at other splats than the edits")
+        self.look_at_the_picture()
+        wait_for_threads(lambda: self.frames(1))
+        if resumed and core.training is not None:
+            core.training.thread.resume()
+            self.wait(
+                lambda: core.training is not None and core.training.status.state != "paused", "training"
+            )
+
+    def look_at_the_picture(self) -> None:
+        """What is shown, and what would be saved, are what the CPU draws of the baked scene."""
+        core = self.core
+        picture, scene = core.picture, core.scene
+        if picture is None or scene is None:
+            return
+        gaussians = core.desk.document.gaussians if core.desk else scene.gaussians
+        edits, camera, settings = core.edits, core.camera, core.settings
+        if core.mode == "splats":
+            saved = self.on_gl_thread(lambda: picture.read(camera, settings, "splats", edits=edits))
+            self.pictures.compare("a saved picture", saved, gaussians, camera, settings, edits)
+        else:
+            saved = self.on_gl_thread(lambda: picture.read(camera, settings, core.mode, edits=edits))
+            if not np.isfinite(saved).all():
+                raise Mishap(f"{core.mode}: numbers that are not finite")
+        self.calm()
+        lit = edits is not None and edits.flags & (SELECTED | LOCKED | PREVIEW)
+        exact = not core.accuracy.choices and core.accuracy.budget_ms is None
+        if core.mode == "splats" and exact and not lit and core.preferences.resolution_scale == 1:
+            texture = picture.texture
+            if texture.size != (camera.width, camera.height):
+                raise Mishap(
+                    f"what is shown at rest has {texture.size} px of {(camera.width, camera.height)}"
+                )
+            shown = self.on_gl_thread(lambda: read_texture(texture))
+            self.pictures.compare("what is shown", shown, gaussians, camera, settings, edits)
+
+    @property
+    def renderer(self) -> str:
+        picture = self.core.picture
+        return "" if picture is None else picture.name.split()[0]
+
+
+def read_texture(texture: moderngl.Texture) -> np.ndarray:
+    """(H, W, 4) float32."""
+    dtype = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}[texture.dtype]
+    values = np.frombuffer(texture.read(), dtype).reshape(texture.height, texture.width, 4)
+    return values.astype(np.float32) / (255 if dtype is np.uint8 else 1)

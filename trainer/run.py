@@ -1,0 +1,334 @@
+"""A whole run, whoever drives it: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end.
+
+Without a window `run` does it all; with one, `thread.TrainingThread` calls the parts between which a user
+may pause.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import secrets
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
+
+import numpy as np
+
+from splatview.scene import Gaussians, InputError
+from splatview.scene.effects import Effect
+from splatview.scene.formats import save_scene
+from splatview.scene.gaussians import SH_COEFFICIENTS
+from splatview.trainer.checkpoint import save_checkpoint
+from splatview.trainer.distributed import PeerLost
+from splatview.trainer.effects import EXPOSURE, with_exposure
+from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
+from splatview.trainer.trainer import StepReport, Trainer
+from splatview.trainer.views import Shot
+
+CHECKPOINT_SECONDS = 60.0
+"""A kill costs at most about so much of the work."""
+
+METRICS_STEPS = 50
+"""Steps between lines of metrics, besides those of evaluations."""
+
+EVALUATION_SHARE = 0.05
+"""Of the time, that evaluations by the clock may take."""
+
+MOST_PICTURES = 8
+"""Side-by-side pictures that are written."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Where a run writes."""
+
+    scene: Path
+    checkpoint: Path
+    metrics: Path | None
+    pictures: Path
+    """Folder of the side-by-side pictures, made when there are any."""
+
+    def check(self) -> None:
+        """Tries every place before any work is done.
+
+        Raises:
+            InputError: one cannot be written to.
+        """
+        if self.scene.suffix.lower() != ".ply":
+            raise InputError(f"{self.scene}: scenes are saved as .ply; give it that suffix")
+        for path in (self.scene, self.checkpoint, self.metrics):
+            if path is not None:
+                check_writable(path)
+        if self.pictures.exists() and not self.pictures.is_dir():
+            raise InputError(f"{self.pictures}: is in the way of the folder for pictures; move it")
+
+
+class Progress(NamedTuple):
+    """What a progress bar shows."""
+
+    step: StepReport
+    seconds: float
+    evaluation: Evaluation | None
+    """Of this step, if it was evaluated."""
+
+
+def check_writable(path: Path) -> None:
+    """Makes a file beside `path` and removes it. Raises InputError where the system refuses."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file in it")
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.resolve().parent, prefix=".splatview-") as file:
+            file.write(bytes(4096))
+            file.flush()
+        if path.exists():
+            with open(path, "ab"):
+                pass
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+class Stopwatch:
+    """Seconds of a run, pauses left out. Only one thread may use it."""
+
+    def __init__(self, started: float) -> None:
+        """`started`: time.perf_counter() of its zero."""
+        self._started = started
+        self._paused: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        return (time.perf_counter() if self._paused is None else self._paused) - self._started
+
+    def pause(self) -> None:
+        if self._paused is None:
+            self._paused = time.perf_counter()
+
+    def resume(self) -> None:
+        if self._paused is not None:
+            self._started += time.perf_counter() - self._paused
+            self._paused = None
+
+
+class Session:
+    """Takes a trainer through its run and keeps what it learns safe on the way."""
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        held_out: Sequence[Shot],
+        outputs: Outputs,
+        *,
+        started: float,
+        eval_every: int,
+        eval_seconds: float | None = None,
+        notes: dict[str, Any] | None = None,
+        effects: tuple[Effect, ...] = (),
+        on_progress: Callable[[Progress], None] = lambda progress: None,
+        on_note: Callable[[str], None] = lambda note: None,
+    ) -> None:
+        """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
+        between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints; `effects`
+        of the run are told in the metrics;
+        `on_progress` is called after every step, `on_note` with a line for the user."""
+        self.trainer, self.held_out, self.outputs = trainer, list(held_out), outputs
+        self.eval_every, self.eval_seconds, self.notes = eval_every, eval_seconds, notes or {}
+        self.on_progress, self.on_note = on_progress, on_note
+        self.effects = effects
+        """What the run computes and why; replaced once exposures are decided."""
+        self._effects_told: tuple[Effect, ...] = ()
+        self.evaluation: Evaluation | None = None
+        """The last one."""
+        self.evaluated_at = 0
+        """Step of the last one."""
+        self.stopwatch = Stopwatch(started - trainer.counters.seconds)
+        # The first is due at once: a run killed in its first minute can be resumed too.
+        self._checkpointed = -math.inf
+        self._evaluated = time.perf_counter()
+        self._evaluation_cost = 0.0
+        self._metrics: TextIO | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time of the run, earlier parts included, pauses not."""
+        return self.stopwatch.seconds
+
+    def run(self) -> bool:
+        """Trains to the end, saves the scene, and returns true; false after Ctrl-C.
+
+        A checkpoint is written every CHECKPOINT_SECONDS, and at the end. One that cannot be written is
+        told and tried again: the disk may have room by then.
+
+        Raises:
+            PeerLost: another process of the run has ended; what there is has been saved.
+            InputError: the scene could not be saved where it should; the message says where it is.
+        """
+        completed = True
+        try:
+            while not self.trainer.done:
+                self.step()
+        except KeyboardInterrupt:
+            completed = False
+        except PeerLost:
+            self.keep()
+            raise
+        finally:
+            self.close()
+        self.keep()
+        return completed
+
+    def step(self) -> Progress:
+        """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
+        exposures = self.trainer.exposures
+        undecided = not exposures.is_decided
+        report = self.trainer.step(self.seconds)
+        if undecided and exposures.is_decided:
+            self.effects = with_exposure(self.effects, exposures)
+            if exposures.evidence:
+                line = next((effect.why for effect in self.effects if effect.name == EXPOSURE), "")
+                self.on_note(f"{EXPOSURE} {'on' if exposures.is_on else 'off'}: {line}")
+        evaluation = None
+        if self.held_out and self._evaluation_is_due(report.iteration):
+            evaluation = self.evaluate()
+        if evaluation or report.iteration % METRICS_STEPS == 0 or self.trainer.done:
+            self._write_metrics(report, evaluation)
+        if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
+            self.checkpoint()
+        progress = Progress(report, self.seconds, evaluation)
+        self.on_progress(progress)
+        return progress
+
+    def evaluate(self, on_picture: Callable[[Shot, np.ndarray], None] | None = None) -> Evaluation:
+        """Measures the scene as it is on the held-out photos, of which there must be some."""
+        trainer, begun = self.trainer, time.perf_counter()
+        self.evaluation = evaluate(
+            trainer.splats.parameters,
+            self.held_out,
+            trainer.render_settings,
+            threads=trainer.threads,
+            exposures_differ=trainer.exposures.is_on,
+            on_picture=on_picture,
+        )
+        self.evaluated_at = trainer.counters.iteration
+        self._evaluated = time.perf_counter()
+        self._evaluation_cost = self._evaluated - begun
+        return self.evaluation
+
+    def checkpoint(self) -> bool:
+        """Writes the checkpoint; false, and a note, where it cannot be written."""
+        self._checkpointed = time.perf_counter()
+        try:
+            save_checkpoint(self.trainer, self.outputs.checkpoint, self.notes)
+        except InputError as error:
+            self.on_note(f"no checkpoint written: {error}")
+            return False
+        return True
+
+    def keep(self) -> None:
+        """Writes checkpoint and scene as they stand.
+
+        Raises:
+            InputError: the scene could not be saved where it should; the message says where it is.
+        """
+        self.trainer.counters.seconds = self.seconds
+        self.checkpoint()
+        self.save_scene()
+
+    def close(self) -> None:
+        """Closes the file of metrics; a later step opens it again."""
+        if self._metrics is not None:
+            # What a full disk has not taken is tried again here, and has been told before.
+            with contextlib.suppress(OSError):
+                self._metrics.close()
+            self._metrics = None
+
+    def final_evaluation(self) -> Evaluation | None:
+        """Measures the scene as it is and writes side-by-side pictures; None without held-out photos.
+
+        Raises:
+            InputError: a picture cannot be written.
+        """
+        if not self.held_out:
+            return None
+        folder = self.outputs.pictures
+        wanted = {shot.camera.name for shot in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
+
+        def write(shot: Shot, picture: np.ndarray) -> None:
+            if shot.camera.name in wanted:
+                name = Path(shot.camera.name.replace("/", "_").replace("\\", "_")).stem
+                side_by_side(shot, picture).save(folder / f"{name}.png")
+
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return self.evaluate(write)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+    def _evaluation_is_due(self, iteration: int) -> bool:
+        if iteration % self.eval_every == 0 or self.trainer.done:
+            return True
+        if self.eval_seconds is None:
+            return False
+        pause = max(self.eval_seconds, self._evaluation_cost / EVALUATION_SHARE)
+        return time.perf_counter() - self._evaluated >= pause
+
+    def _write_metrics(self, report: StepReport, evaluation: Evaluation | None) -> None:
+        if self.outputs.metrics is None:
+            return
+        line: dict[str, Any] = {
+            "iteration": report.iteration,
+            "seconds": round(self.trainer.counters.seconds, 3),
+            "loss": report.loss,
+            "gaussians": report.gaussians,
+        }
+        if self.effects != self._effects_told:
+            named = [{"name": one.name, "on": one.in_force, "why": one.why} for one in self.effects]
+            line["effects"], self._effects_told = named, self.effects
+        if evaluation:
+            line |= {"psnr": evaluation.psnr, "ssim": evaluation.ssim}
+        if self.trainer.done:
+            stages = self.trainer.clock.milliseconds
+            line["stages"] = {name: round(spent, 1) for name, spent in stages.items()}
+        try:
+            if self._metrics is None:
+                # Lines are added, so that a resumed run goes on.
+                self._metrics = open(self.outputs.metrics, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+            self._metrics.write(json.dumps(line) + "\n")
+        except OSError as error:
+            # The scene is worth more than the curve of how it came about.
+            self.on_note(f"{self.outputs.metrics}: a line could not be written: {error.strerror or error}")
+
+    def save_scene(self) -> None:
+        """Writes the scene, beside the system's temporary files if need be.
+
+        Raises:
+            InputError: it could not be saved where it should; the message says where it is.
+        """
+        scene = _with_all_bands(self.trainer.snapshot(), self.trainer.settings.sh_degree)
+        try:
+            save_scene(scene, self.outputs.scene)
+        except InputError as error:
+            refuge = _saved_elsewhere(scene)
+            where = "nor elsewhere" if refuge is None else f"the trained scene is saved as {refuge}"
+            raise InputError(f"{error}; {where}") from None
+
+
+def _with_all_bands(scene: Gaussians, degree: int) -> Gaussians:
+    """The same with coefficients up to `degree`, also of bands not unlocked yet: the viewers that came with
+    the first trainer read files of a fixed layout."""
+    missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
+    return replace(scene, sh=np.pad(scene.sh, ((0, 0), (0, max(missing, 0)), (0, 0))))
+
+
+def _saved_elsewhere(scene: Gaussians) -> Path | None:
+    """The file in the first place that takes it; None where none does."""
+    for folder in (Path(tempfile.gettempdir()), Path.home(), Path.cwd()):
+        path = folder / f"splatview-{secrets.token_hex(4)}.ply"
+        with contextlib.suppress(InputError):
+            save_scene(scene, path)
+            return path
+    return None

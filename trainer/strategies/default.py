@@ -1,0 +1,191 @@
+"""Classic density control: clone the small, split the large, prune the faint, dim all now and then.
+
+Source: Kerbl et al. 2023, section 5.2, and the constants of its code; gradients added up by absolute
+value after Ye et al. 2024 (AbsGS).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatview.raster import Frame, Gradients, Parameters
+from splatview.raster.compiling import kernel
+from splatview.scene.projection import rotation_matrices
+from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
+from splatview.trainer.splats import Splats
+from splatview.trainer.strategies.ops import ill_splats, inside_any
+
+KEEP, CLONE, SPLIT, PRUNE = range(4)
+
+SPLIT_SHRINK = 1.6
+"""The two halves of a split splat are smaller by this."""
+
+RESET_OPACITY = 0.01
+"""What a reset leaves of an opacity at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where a splat is split, cloned or pruned."""
+
+    gradient: float = 2e-4
+    """Mean norm of dL/d(mean in the image), the image being 2 wide and 2 high."""
+    absolute_gradient: float = 4e-4
+    """The same where gradients are added up over pixels by absolute value (Ye et al. 2024)."""
+    scale: float = 0.01
+    """Times the extent: splats larger than this are split, others cloned."""
+    opacity: float = 0.005
+    """Splats fainter than this are pruned."""
+    largest_scale: float = 0.1
+    """Times the extent: after the first reset, splats larger than this are pruned."""
+    reset_every: float = 3000 / PAPER_ITERATIONS
+    """Share of the run."""
+
+
+def decide(
+    gradients: np.ndarray,
+    scales: np.ndarray,
+    opacities: np.ndarray,
+    *,
+    gradient_threshold: float,
+    scale_threshold: float,
+    opacity_threshold: float,
+) -> np.ndarray:
+    """KEEP, CLONE, SPLIT or PRUNE for each splat, (N,) int8.
+
+    gradients (N,): mean norms; scales (N,): largest standard deviations, world units; opacities (N,).
+    A splat with a value that is NaN is pruned.
+    """
+    actions = np.full(len(gradients), KEEP, np.int8)
+    pulled = gradients > gradient_threshold
+    actions[pulled] = np.where(scales[pulled] > scale_threshold, SPLIT, CLONE)
+    healthy = (opacities >= opacity_threshold) & (scales < np.inf) & (gradients < np.inf)
+    actions[~healthy] = PRUNE
+    return actions
+
+
+@dataclass(eq=False)
+class ClassicControl:
+    """Adds up what steps show of each splat, and refines the scene by it."""
+
+    settings: TrainSettings
+    extent: float
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    pulled: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """(N,) float64, sum of the norms since the last refinement, and..."""
+    seen: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """(N,) int64, ... of how many photos."""
+    resets: int = 0
+
+    def begin(self, count: int) -> None:
+        """Forgets what was seen; there are `count` splats now."""
+        self.pulled, self.seen = np.zeros(count), np.zeros(count, np.int64)
+
+    def keep(self, kept: np.ndarray) -> None:
+        """Only the splats that the mask (N,) names are left."""
+        self.pulled, self.seen = self.pulled[kept], self.seen[kept]
+
+    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
+        """Takes note of one step."""
+        source = gradients.abs_means2d if self.settings.absolute_gradient else gradients.means2d
+        for indices in seen:
+            add_norms(indices, source, frame.view.width / 2, frame.view.height / 2, self.pulled, self.seen)
+
+    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
+        """Clones, splits and prunes; forgets what was seen."""
+        limits, parameters = self.thresholds, splats.parameters
+        with np.errstate(over="ignore"):
+            scales = np.exp(parameters.log_scales.max(axis=1))
+        actions = decide(
+            self.pulled / np.maximum(self.seen, 1),
+            scales,
+            sigmoid(parameters.opacity_logits),
+            gradient_threshold=limits.absolute_gradient
+            if self.settings.absolute_gradient
+            else limits.gradient,
+            scale_threshold=limits.scale * self.extent,
+            opacity_threshold=limits.opacity,
+        )
+        if self.resets > 0:
+            actions[~(scales <= limits.largest_scale * self.extent)] = PRUNE
+        growing = (actions == CLONE) | (actions == SPLIT)
+        actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
+        actions[ill_splats(parameters)] = PRUNE
+        if (actions == PRUNE).all():
+            actions[:] = KEEP  # there would be nothing left to train
+        self._respect_limit(actions)
+        cloned = Parameters(*(array[actions == CLONE] for array in parameters))
+        halves = split(Parameters(*(array[actions == SPLIT] for array in parameters)), rng)
+        kept = splats.take((actions == KEEP) | (actions == CLONE))
+        added = Parameters(*(np.concatenate(pair) for pair in zip(cloned, halves, strict=True)))
+        splats = kept.joined(added)
+        if progress >= (self.resets + 1) * limits.reset_every and progress < self.settings.refine_until:
+            self.resets = int(progress / limits.reset_every)
+            dim(splats)
+        self.begin(len(splats))
+        return splats
+
+    def after_step(
+        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
+    ) -> None:
+        """Nothing: the classic strategy moves no splat by itself."""
+
+    def totals(self) -> list[np.ndarray]:
+        """What `observe` adds to, in place."""
+        return [self.pulled, self.seen]
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        return {"pulled": self.pulled, "seen": self.seen, "resets": np.array([self.resets])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken."""
+        self.pulled, self.seen = state["pulled"].copy(), state["seen"].copy()
+        self.resets = int(state["resets"][0])
+
+    def _respect_limit(self, actions: np.ndarray) -> None:
+        """Turns clones and splits beyond the room for new splats into keeps, the least pulled first."""
+        growing = np.flatnonzero((actions == CLONE) | (actions == SPLIT))
+        room = self.settings.max_splats - int((actions != PRUNE).sum())
+        if len(growing) > room:
+            by_pull = np.argsort(-(self.pulled / np.maximum(self.seen, 1))[growing], kind="stable")
+            actions[growing[by_pull[max(room, 0) :]]] = KEEP
+
+
+def split(parameters: Parameters, rng: np.random.Generator) -> Parameters:
+    """Two splats for each, drawn from it as from a probability density, smaller by SPLIT_SHRINK."""
+    twice = Parameters(*(np.concatenate([array, array]) for array in parameters))
+    offsets = rng.standard_normal((len(twice.means), 3)) * np.exp(twice.log_scales.astype(np.float64))
+    moved = twice.means + np.einsum("nij,nj->ni", rotation_matrices(twice.quats), offsets)
+    return twice._replace(
+        means=moved.astype(np.float32), log_scales=twice.log_scales - np.float32(math.log(SPLIT_SHRINK))
+    )
+
+
+def dim(splats: Splats) -> None:
+    """Caps every opacity at RESET_OPACITY, in place, and forgets the averages of opacities."""
+    logits = splats.parameters.opacity_logits
+    np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1 - RESET_OPACITY))), out=logits)
+    splats.first.opacity_logits[:] = 0
+    splats.second.opacity_logits[:] = 0
+
+
+def sigmoid(logits: np.ndarray) -> np.ndarray:
+    """float64, without overflow."""
+    with np.errstate(invalid="ignore"):  # NaN may be signalling
+        decay = np.exp(-np.abs(logits.astype(np.float64)))
+    return np.where(logits >= 0, 1.0, decay) / (1 + decay)
+
+
+@kernel
+def add_norms(indices, gradients, half_width, half_height, pulled, seen):
+    """pulled[i] += the norm of gradients[i] in half images, seen[i] += 1, for the splats at `indices`."""
+    for i in indices:
+        x, y = gradients[i, 0] * half_width, gradients[i, 1] * half_height
+        norm = np.sqrt(x * x + y * y)
+        if norm <= 1e18:
+            pulled[i] += norm
+        seen[i] += 1

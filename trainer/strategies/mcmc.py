@@ -1,0 +1,212 @@
+"""Density control as sampling: dead splats move to where the scene is, and faint ones wander.
+
+Source: Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo, and the constants of
+its code. Opacity and scale are pulled towards 0 by losses that `adam` adds, so that what does not help
+dies; a dead splat is put on a living one, both changed so that the picture stays; the number grows
+towards a limit; and noise explores where splats are nearly transparent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatview.raster import Frame, Gradients, Parameters
+from splatview.raster.compiling import inline, kernel, run
+from splatview.raster.project import rotation_matrix, sigmoid
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import Splats
+from splatview.trainer.strategies.default import sigmoid as sigmoids
+from splatview.trainer.strategies.ops import ill_splats, inside_any
+
+DEAD = 0.005
+"""Splats no more opaque than this are moved."""
+
+MOST_COPIES = 51
+"""A splat is shared among at most so many."""
+
+MOST_GROWTH = 2
+"""The number of splats grows at most by this factor at once: in runs of a hundred steps, with one or two
+refinements, many faint copies of each splat have no time left to become different."""
+
+NOISE_SHARPNESS = 100.0
+NOISE_MIDDLE = 0.995
+"""Noise fades with opacity o as 1 / (1 + exp(-sharpness·(1 - o - middle)))."""
+
+LEAST_NOISE = 1e-4
+"""Below this share of its full size noise is left out: that is beyond an opacity of 0.1."""
+
+
+@dataclass(eq=False)
+class SampledControl:
+    """The strategy; it keeps nothing from step to step."""
+
+    settings: TrainSettings
+    extent: float
+    initial_count: int
+    """Splats at the start of the run, from which the number grows."""
+
+    def begin(self, count: int) -> None:
+        """Nothing to forget."""
+
+    def keep(self, kept: np.ndarray) -> None:
+        """Nothing is kept of single splats."""
+
+    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
+        """Nothing to note."""
+
+    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
+        """Moves the dead, and adds splats up to the number due at this share of the run."""
+        opacities = sigmoids(splats.parameters.opacity_logits)
+        living = (opacities > DEAD) & ~ill_splats(splats.parameters)
+        dead = np.flatnonzero(~living)
+        # In regions without growth splats may die and move away, but nothing comes.
+        growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
+        alive = np.flatnonzero(living & growing)
+        if len(alive) == 0:
+            return splats
+        if len(dead):
+            sources, copies = self._draw(splats.parameters, opacities, alive, len(dead), rng)
+            for array, values in zip(splats.parameters, copies, strict=True):
+                array[sources] = values
+                array[dead] = values
+            splats.renumber(dead)
+            for group in (splats.first, splats.second):
+                for array in group:
+                    array[sources] = 0
+                    array[dead] = 0
+        missing = min(self.count_at(progress), MOST_GROWTH * len(splats)) - len(splats)
+        if missing > 0:
+            opacities = sigmoids(splats.parameters.opacity_logits)
+            growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
+            sources, copies = self._draw(splats.parameters, opacities, np.flatnonzero(growing), missing, rng)
+            for array, values in zip(splats.parameters, copies, strict=True):
+                array[sources] = values
+            splats = splats.joined(copies)
+        return splats
+
+    def after_step(
+        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
+    ) -> None:
+        """Adds noise to the positions of splats just moved; `rate` is that of the means."""
+        means, quats, log_scales, opacity_logits, _ = splats.parameters
+        seed = np.uint64(mixed(self.settings.seed * 0x9E3779B97F4A7C15 + iteration))
+        run(
+            shake,
+            [(indices,) for indices in seen if len(indices)],
+            (means, quats, log_scales, opacity_logits, self.settings.noise * rate, seed),
+            threads,
+        )
+
+    def totals(self) -> list[np.ndarray]:
+        """Nothing is added up."""
+        return []
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        return {"initial_count": np.array([self.initial_count])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken."""
+        self.initial_count = int(state["initial_count"][0])
+
+    def count_at(self, progress: float) -> int:
+        """Splats due at a share of the run: even growth by factors, to the limit when growth ends."""
+        settings = self.settings
+        begin, end = settings.refine_from, settings.refine_from + settings.grow_for
+        share = min(max((progress - begin) / max(end - begin, 1e-9), 0.0), 1.0)
+        limit = max(settings.max_splats, self.initial_count)
+        return round(self.initial_count * (limit / self.initial_count) ** share)
+
+    def _draw(
+        self,
+        parameters: Parameters,
+        opacities: np.ndarray,
+        candidates: np.ndarray,
+        count: int,
+        rng: np.random.Generator,
+    ) -> tuple[np.ndarray, Parameters]:
+        """Draws `count` candidates by opacity: indices (count,), and what each and its copies become."""
+        weights = opacities[candidates]
+        drawn = candidates[rng.choice(len(candidates), size=count, p=weights / weights.sum())]
+        copies = np.minimum(np.bincount(drawn, minlength=len(opacities))[drawn] + 1, MOST_COPIES)
+        opacity, shrink = shared(opacities[drawn], copies)
+        opacity = np.clip(opacity, DEAD, 1 - 1e-6)
+        return drawn, Parameters(
+            means=parameters.means[drawn],
+            quats=parameters.quats[drawn],
+            log_scales=parameters.log_scales[drawn] + np.log(shrink).astype(np.float32)[:, None],
+            opacity_logits=np.log(opacity / (1 - opacity)).astype(np.float32),
+            sh=parameters.sh[drawn],
+        )
+
+
+def shared(opacities: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What becomes of a splat as `copies` of it lie on one another and look as it did before.
+
+    Returns the opacity of each copy and the factor of its scale (eq. 9): 1 - (1 - o')^n = o, and the
+    line integrals through the middle agree. Both (N,) float64.
+    """
+    opacities = opacities.astype(np.float64)
+    opacity = 1 - (1 - opacities) ** (1 / copies)
+    total = np.zeros_like(opacity)
+    for i in range(1, int(copies.max(initial=0)) + 1):
+        term = np.zeros_like(opacity)
+        for k in range(i):
+            term += math.comb(i - 1, k) * (-1) ** k / math.sqrt(k + 1) * opacity ** (k + 1)
+        total += np.where(i <= copies, term, 0)
+    return opacity, opacities / total
+
+
+def mixed(value: int) -> int:
+    """A well mixed 64-bit number (the finaliser of SplitMix64, Steele et al. 2014)."""
+    value = (value + 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
+    value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & 0xFFFFFFFFFFFFFFFF
+    value = ((value ^ (value >> 27)) * 0x94D049BB133111EB) & 0xFFFFFFFFFFFFFFFF
+    return value ^ (value >> 31)
+
+
+@inline
+def random_pair(seed, counter):
+    """Two normal numbers that depend on nothing but the arguments: the same on any number of threads."""
+    value = seed + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    value = value ^ (value >> np.uint64(31))
+    high = (np.float64(value >> np.uint64(32)) + 0.5) / 4294967296.0
+    low = np.float64(value & np.uint64(0xFFFFFFFF)) / 4294967296.0
+    radius, angle = np.sqrt(-2 * np.log(high)), 2 * np.pi * low
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+@kernel
+def shake(indices, means, quats, log_scales, opacity_logits, amount, seed):
+    """Moves the means at `indices` by amount·fade(opacity)·S·noise, S being the covariance."""
+    for i in indices:
+        opacity = sigmoid(np.float64(opacity_logits[i]))
+        fade = 1 / (1 + np.exp(-NOISE_SHARPNESS * (1 - opacity - NOISE_MIDDLE)))
+        if not fade >= LEAST_NOISE:
+            continue
+        w, x, y, z = (
+            np.float64(quats[i, 0]),
+            np.float64(quats[i, 1]),
+            np.float64(quats[i, 2]),
+            np.float64(quats[i, 3]),
+        )
+        shrink = 1 / np.sqrt(w * w + x * x + y * y + z * z)
+        r = rotation_matrix(w * shrink, x * shrink, y * shrink, z * shrink)
+        n0, n1 = random_pair(seed, 2 * i)
+        n2, _ = random_pair(seed, 2 * i + 1)
+        # S·n = R·diag(s²)·Rᵀ·n
+        a = (r[0] * n0 + r[3] * n1 + r[6] * n2) * np.exp(2 * np.float64(log_scales[i, 0]))
+        b = (r[1] * n0 + r[4] * n1 + r[7] * n2) * np.exp(2 * np.float64(log_scales[i, 1]))
+        c = (r[2] * n0 + r[5] * n1 + r[8] * n2) * np.exp(2 * np.float64(log_scales[i, 2]))
+        dx = amount * fade * (r[0] * a + r[1] * b + r[2] * c)
+        dy = amount * fade * (r[3] * a + r[4] * b + r[5] * c)
+        dz = amount * fade * (r[6] * a + r[7] * b + r[8] * c)
+        if abs(dx) + abs(dy) + abs(dz) < np.inf:
+            means[i, 0] += dx
+            means[i, 1] += dy
+            means[i, 2] += dz

@@ -1,0 +1,329 @@
+"""The training loop, one step at a time: draw a photo's view, compare, differentiate, move, refine.
+
+Everything is numpy and the rasteriser's own backward pass; torch has no part in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from splatview.raster import (
+    Frame,
+    Gradients,
+    Parameters,
+    Workspace,
+    available_threads,
+    differentiate,
+    draw_frame,
+)
+from splatview.raster.frame import StageClock
+from splatview.scene import Gaussians, InputError, RenderSettings
+from splatview.scene.edits import Crop, cropped_in
+from splatview.trainer.adam import adam_step
+from splatview.trainer.distributed import Alone, BatchSum, Group
+from splatview.trainer.exposure import Exposures
+from splatview.trainer.loss import photo_loss
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.splats import Splats, comments_for, fresh
+from splatview.trainer.strategies.default import ClassicControl
+from splatview.trainer.strategies.mcmc import SampledControl
+from splatview.trainer.strategies.ops import some_dropped
+from splatview.trainer.views import Shot, Shots
+
+KEPT = ("seed", "strategy", "background", "model", "exposure")
+"""Settings that a run keeps from its first step to its last."""
+
+CUT_STEPS = 10
+"""Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
+
+
+class DensityControl(Protocol):
+    """What decides where splats are born and die."""
+
+    settings: TrainSettings
+
+    def begin(self, count: int) -> None: ...
+    def keep(self, kept: np.ndarray) -> None: ...
+    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
+    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats: ...
+    def after_step(
+        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
+    ) -> None: ...
+    def totals(self) -> list[np.ndarray]: ...
+    def state(self) -> dict[str, np.ndarray]: ...
+    def restore(self, state: dict[str, np.ndarray]) -> None: ...
+
+
+class StepReport(NamedTuple):
+    """One step, as plots and progress bars want it."""
+
+    iteration: int
+    """Steps done, this one included."""
+    loss: float
+    gaussians: int
+    progress: float
+    """Share of the run that is over, 0 to 1."""
+
+
+@dataclass
+class Counters:
+    """Where a run stands."""
+
+    iteration: int = 0
+    seconds: float = 0.0
+    """Wall-clock time since the run began, pauses between resumed parts left out."""
+    refined_at: int = 0
+    """Step of the last refinement, and..."""
+    refined_progress: float = 0.0
+    """... its share of the run."""
+
+
+class Trainer:
+    """Trains splats on photos. `step` does all the work; the caller decides when, and in which thread.
+
+    `threads` may be changed between steps.
+    """
+
+    def __init__(
+        self,
+        shots: Shots,
+        parameters: Parameters,
+        extent: float,
+        settings: TrainSettings,
+        *,
+        threads: int | None = None,
+        group: Group | None = None,
+    ) -> None:
+        """`group`: the processes that share each batch; every one of them has a trainer made alike."""
+        if not 0 < extent < np.inf:
+            raise ValueError(f"extent must be positive and finite, got {extent}")
+        self.settings = settings
+        self.shots = shots
+        self.extent = float(extent)
+        self.threads = threads or available_threads()
+        self.group: Group = group or Alone()
+        self.splats: Splats = fresh(parameters)
+        self.counters = Counters()
+        self.clock = StageClock()
+        """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
+        self.control: DensityControl
+        if settings.strategy == "mcmc":
+            self.control = SampledControl(settings, self.extent, len(parameters.means))
+        else:
+            self.control = ClassicControl(settings, self.extent)
+        self.control.begin(len(self.splats))
+        self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
+        self._workspace = Workspace()
+        self.picture_dtype: type[np.floating] = np.float32
+        """Of pictures and of what is differentiated through them; the scene itself is float32."""
+        self.render_settings = RenderSettings(
+            model=settings.model, background=settings.background, blend="float32"
+        )
+
+    @property
+    def progress(self) -> float:
+        """The share of the run that is over, 0 to 1."""
+        return self.settings.progress(self.counters.iteration, self.counters.seconds)
+
+    @property
+    def done(self) -> bool:
+        """Whether the run is over."""
+        return self.progress >= 1
+
+    def change(self, **settings: Any) -> None:
+        """Changes fields of the recipe, between two steps.
+
+        Raises:
+            ValueError: a value makes no sense, or is one that a run keeps; nothing is changed.
+        """
+        for name in KEPT:
+            if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
+                raise ValueError(f"{name} cannot be changed in a run")
+        self.settings = self.control.settings = replace(self.settings, **settings)
+
+    def delete(self, ids: np.ndarray) -> int:
+        """Takes out the splats of these numbers, see `Splats.ids`; those that are gone already do not matter.
+
+        Returns how many were taken out. Density control may fill the place again, and the number of splats
+        up to its plan: see `add_region`. Of several processes each must be told the same.
+
+        Raises:
+            InputError: none would be left; nothing is changed.
+        """
+        return self._keep(~np.isin(self.splats.ids, ids))
+
+    def crop(self, crops: Sequence[Crop]) -> int:
+        """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
+        return self._keep(cropped_in(tuple(crops), self.splats.parameters.means))
+
+    def add_cut(self, crops: Sequence[Crop]) -> int:
+        """As `crop`, and from now on what comes to where they cut is soon taken out too.
+
+        The recipe's `cut` holds these rules, and `change` takes one out. They never take the last splats.
+        """
+        gone = self.crop(crops)
+        self.change(cut=(*self.settings.cut, tuple(crops)))
+        return gone
+
+    def add_region(self, region: Crop) -> None:
+        """From now on nothing grows inside the region; what is there is trained on, and may die or move away.
+
+        The recipe's `no_growth` holds the regions, and `change` takes one out.
+        """
+        self.change(no_growth=(*self.settings.no_growth, region))
+
+    def _keep(self, kept: np.ndarray) -> int:
+        if not kept.any():
+            raise InputError("no splat would be left to train; choose fewer")
+        if not kept.all():
+            self.splats = self.splats.take(kept)
+            self.control.keep(kept)
+        return int(len(kept) - kept.sum())
+
+    def snapshot(self) -> Gaussians:
+        """A copy of the scene as it stands, which later steps leave alone."""
+        return self.splats.snapshot(comments=("Trained by splatview", *comments_for(self.settings.model)))
+
+    def step(self, seconds: float | None = None) -> StepReport:
+        """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time.
+
+        Raises:
+            KeyboardInterrupt, PeerLost: see `Group.agreed`; the scene is as the last step left it.
+        """
+        begun = time.perf_counter()
+        counters, settings = self.counters, self.settings
+        counters.seconds = self.group.agreed(counters.seconds if seconds is None else seconds)
+        progress = self.progress
+        self.splats = self.splats.with_sh_degree(max(settings.sh_degree_at(progress), self.splats.sh_degree))
+        splats = self.splats
+        if self.exposures.is_due(progress):
+            self.exposures.decide(
+                splats.parameters,
+                self.shots.sized(settings.shrink_at(progress)),
+                self.render_settings,
+                self._workspace,
+                self.threads,
+            )
+        gradients, seen, loss = self._look(progress)
+
+        counters.iteration += 1
+        rates = settings.rates(progress, self.extent)
+        with self.clock.stage("adam"):
+            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
+            pull = settings.pull_at(progress, self.extent, self.shots.focal)
+            adam_step(
+                splats,
+                gradients,
+                moved,
+                rates,
+                counters.iteration,
+                pull=pull,
+                elongation=settings.elongation,
+                threads=self.threads,
+            )
+        if self.exposures.is_on:
+            with self.clock.stage("exposure"):
+                self.exposures.step(progress, settings.batch)
+        with self.clock.stage("density"):
+            self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
+            if progress < settings.refine_until and self._refinement_is_due(progress):
+                rng = np.random.default_rng([settings.seed, counters.iteration, 1])
+                self.splats = self.control.refine(splats, progress, rng)
+                counters.refined_at, counters.refined_progress = counters.iteration, progress
+            if counters.iteration % CUT_STEPS == 0 or counters.refined_at == counters.iteration:
+                for crops in settings.cut:
+                    # A run is not ended by the last splats' moving out: they stay until others are inside.
+                    with contextlib.suppress(InputError):
+                        self.crop(crops)
+        if seconds is None:
+            counters.seconds += time.perf_counter() - begun
+        return StepReport(counters.iteration, loss, len(self.splats), self.progress)
+
+    def _look(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
+        """Mean gradients over the step's photos, who was seen in them, and the mean loss."""
+        settings, group = self.settings, self.group
+        first, shrink = self.counters.iteration * settings.batch, settings.shrink_at(progress)
+        mine = range(first + group.rank, first + settings.batch, group.size)
+        observing = progress < settings.refine_until
+        if settings.batch == 1:
+            return self._look_at(self.shots.at(first, shrink), observing, first)
+        totals = self.control.totals() if observing and group.size > 1 else []
+        before = [total.copy() for total in totals]
+        batch = BatchSum(self.splats.parameters)
+        for place in mine:
+            looked = self._look_at(self.shots.at(place, shrink), observing, place)
+            with self.clock.stage("batch"):
+                batch.add(*looked)
+        with self.clock.stage("batch"):
+            noted = [total - old for total, old in zip(totals, before, strict=True)]
+            for total, old in zip(totals, before, strict=True):
+                total[:] = old  # should another process be gone, this step has not happened
+            group.add_up(noted)
+            if self.exposures.is_on:
+                group.add_up([self.exposures.gradients])
+            result = batch.means(settings.batch, group, self.threads)
+            for total, new in zip(totals, noted, strict=True):
+                total += new
+        return result
+
+    def _look_at(
+        self, shot: Shot, observing: bool, place: int = 0
+    ) -> tuple[Parameters, list[np.ndarray], float]:
+        """The gradients by one photo, the splats that reach into it, and its loss. `place`: how many photos
+        have been looked at before."""
+        parameters, share = self.splats.parameters, self.settings.drop * self.progress
+        if share > 0:
+            with self.clock.stage("drop"):
+                rng = np.random.default_rng([self.settings.seed, place, 2])
+                parameters = some_dropped(parameters, share, rng)
+        frame = draw_frame(
+            parameters,
+            shot.camera,
+            self.render_settings,
+            self._workspace,
+            dtype=self.picture_dtype,
+            threads=self.threads,
+        )
+        image, exposures = frame.image, self.exposures
+        with self.clock.stage("loss"):
+            if exposures.is_on:
+                image = exposures.applied(image, shot, self._workspace)
+            compared = photo_loss(
+                image,
+                shot.pixels,
+                self._workspace,
+                mask=shot.mask,
+                ssim_weight=self.settings.ssim_weight,
+                threads=self.threads,
+            )
+            if exposures.is_on:
+                exposures.differentiate(frame.image, compared.d_image, shot)
+        gradients = differentiate(parameters, frame, compared.d_image)
+        for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
+            self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
+        seen = [frame.visible[start:stop] for start, stop in frame.runs]
+        if observing:
+            with self.clock.stage("density"):
+                self.control.observe(frame, gradients, seen)
+        found = gradients.parameters
+        if self.picture_dtype is not np.float32:
+            found = Parameters(*(array.astype(np.float32, copy=False) for array in found))
+        return found, seen, compared.loss
+
+    def _refinement_is_due(self, progress: float) -> bool:
+        settings, counters = self.settings, self.counters
+        return (
+            progress >= settings.refine_from
+            and progress - counters.refined_progress >= settings.refine_every
+            and counters.iteration - counters.refined_at >= settings.least_refine_steps
+        )
+
+
+def _everything(count: int, pieces: int) -> list[np.ndarray]:
+    return np.array_split(np.arange(count, dtype=np.int32), max(pieces, 1))

@@ -1,0 +1,104 @@
+"""Photos as the trainer takes them: in memory, in every size that the run calls for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splatview.measure.metrics import SSIM_WINDOW
+from splatview.scene import Camera, InputError
+from splatview.scene.captures import Photo
+from splatview.scene.captures.photos import area_averaged, wholly_valid
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A photo and the camera that took it."""
+
+    camera: Camera
+    pixels: np.ndarray
+    """(H, W, 3) uint8"""
+    mask: np.ndarray | None = None
+    """(H, W) bool, false where the photo is not to be trained; None: trained everywhere."""
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        if self.pixels.shape != (*size, 3) or self.pixels.dtype != np.uint8:
+            raise ValueError(
+                f"pixels must be uint8 {(*size, 3)}, got {self.pixels.dtype} {self.pixels.shape}"
+            )
+        if self.mask is not None and (self.mask.shape != size or self.mask.dtype != np.bool_):
+            raise ValueError(f"mask must be bool {size}, got {self.mask.dtype} {self.mask.shape}")
+        if min(size) < SSIM_WINDOW:
+            raise InputError(
+                f"photo {self.camera.name}: {size[1]}x{size[0]} is too small to train; at least"
+                f" {SSIM_WINDOW}x{SSIM_WINDOW} is needed: use a smaller --downscale"
+            )
+
+    def smaller(self, factor: int) -> Shot:
+        """The same by area averaging, floor(W/factor) x floor(H/factor), but not below what SSIM needs."""
+        width = max(self.camera.width // factor, SSIM_WINDOW)
+        height = max(self.camera.height // factor, SSIM_WINDOW)
+        if (width, height) == (self.camera.width, self.camera.height):
+            return self
+        pixels = area_averaged(self.pixels, width, height)
+        mask = None if self.mask is None else wholly_valid(self.mask, width, height)
+        return Shot(self.camera.resized(width, height), pixels, mask)
+
+
+def shots_of(photos: Sequence[Photo]) -> list[Shot]:
+    """The photos of a capture, decoded. Raises InputError: one is too small, or cannot be read again."""
+    shots = []
+    for photo in photos:
+        pixels = photo.pixels()
+        shots.append(Shot(photo.camera, pixels.image, pixels.mask))
+    return shots
+
+
+class Shots:
+    """The photos of a run and their smaller versions, and in which order steps take them."""
+
+    def __init__(self, shots: Sequence[Shot], seed: int) -> None:
+        if not shots:
+            raise InputError("the capture has no photo to train on")
+        self.focal = float(np.median([shot.camera.fx for shot in shots]))
+        """Median focal length in full size, px."""
+        self._sizes: dict[int, list[Shot]] = {1: list(shots)}
+        self._seed = seed
+        self._epoch = -1
+        self._order = np.empty(0, np.int64)
+
+    def __len__(self) -> int:
+        return len(self._sizes[1])
+
+    @property
+    def all(self) -> list[Shot]:
+        """In full size, by name."""
+        return self._sizes[1]
+
+    @property
+    def pixel_count(self) -> int:
+        """Of all photos together."""
+        return sum(shot.camera.width * shot.camera.height for shot in self._sizes[1])
+
+    def names(self) -> list[list[Any]]:
+        """[name, width, height] of every photo."""
+        return [[shot.camera.name, shot.camera.width, shot.camera.height] for shot in self._sizes[1]]
+
+    def sized(self, factor: int) -> list[Shot]:
+        """All photos, smaller by a factor."""
+        if factor not in self._sizes:
+            self._sizes = {1: self._sizes[1], factor: [shot.smaller(factor) for shot in self._sizes[1]]}
+        return self._sizes[factor]
+
+    def at(self, iteration: int, factor: int = 1) -> Shot:
+        """The photo of a step: every photo once, in an order drawn anew, then every photo once more."""
+        epoch, place = divmod(iteration, len(self))
+        if epoch != self._epoch:
+            # From seed and epoch alone, so that a resumed run goes on with the same photos.
+            self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
+            self._epoch = epoch
+        return self.sized(factor)[self._order[place]]

@@ -1,0 +1,372 @@
+"""The window itself: hello_imgui's runner around a `Core`, a picture and the panels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from imgui_bundle.glfw_utils import glfw_window_hello_imgui  # isort: skip  (sets which libglfw is used)
+import sys
+from collections.abc import Callable
+from functools import partial
+
+import glfw
+import moderngl
+from imgui_bundle import (
+    hello_imgui,  # before glfw: it says which library that is
+    imgui,  # before glfw: it says which library that is
+    implot,  # before glfw: it says which library that is
+)
+
+from splatview.renderers.gl.context import describe
+from splatview.renderers.precompile import Rehearsals
+from splatview.scene.user_dirs import cache_folder, config_folder
+from splatview.viewer import commands as keys
+from splatview.viewer import layout, theme
+from splatview.viewer import open as opening
+from splatview.viewer.dialogs import FileDialogs
+from splatview.viewer.editing.files import continue_restoring, look_for_abandoned
+from splatview.viewer.editing.session import continue_editing, put_away
+from splatview.viewer.open import open_paths
+from splatview.viewer.picture import GpuPicture, Picture, choose_picture
+from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
+from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
+from splatview.viewer.state import Core
+from splatview.viewer.training.live import Training
+
+# ---- Files dropped on the window: ImGui does not hand them on, so GLFW is asked directly.
+
+
+def install_drop_handler(core: Core) -> None:
+    """Opens what is dropped. To be called once hello_imgui has its window.
+
+    Neither hello_imgui nor ImGui's GLFW backend has a drop callback of its own that would have to be
+    called as well.
+    """
+
+    def dropped(_window: Any, names: Sequence[str]) -> None:
+        core.post(open_paths, [Path(name) for name in names])
+
+    # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
+    glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]
+
+
+IDLE_FPS = 2.0
+"""Frames a second when nothing happens; any event wakes the window at once."""
+
+WAITING_FPS = 12.0
+"""Frames a second while something is on its way: enough for a progress bar, and it gets the cores."""
+
+MAX_FPS = 60.0
+"""Where nothing else limits the rate: without a monitor to wait for a drag would take a whole core."""
+
+SAVE_SECONDS = 5.0
+"""Between two looks at whether preferences have changed: a crash loses no more than that."""
+
+SOFTWARE_FPS = 30.0
+"""The same where OpenGL is software and no picture is on its way: frames take whole cores there."""
+
+PICTURE_SECONDS = 0.1
+"""For so long a frame waits there for a picture that is being drawn: shown without it, it would only have
+slowed it down. Longer, and the window would no longer answer at once while a sharp picture is made."""
+
+ACTIVE_SECONDS = 0.5
+"""How long after the last event the window keeps its full rate: long enough for tooltips to appear."""
+
+ATTENDED_SECONDS = 1.5
+"""After the last touch of mouse or keys; from then on a window beside a training is drawn only as often as
+`Training.idle_fps` says and when a new picture has come, and takes no frames to be smooth."""
+
+DRIVEN_AT_MOST = 24 * 3600.0
+"""Seconds, of a window that a program drives: whoever starts it says how long, so ImGui must not end it."""
+
+
+class Window:
+    """Ties the frame loop's callbacks to one `Core`."""
+
+    def __init__(self, paths: Sequence[Path], *, renderer: str = "auto", training: Training | None = None):
+        preferences, complaint = load_preferences()
+        self.core = Core(preferences=preferences, training=training)
+        self.core.prefer(background=preferences.background, blend=preferences.blend)
+        self.core.prefer(fov_y=preferences.fov_y)
+        self.dialogs = FileDialogs()
+        self.core.choose_files = self.dialogs.ask
+        self.failure: Exception | None = None
+        self._title = ""
+        self._is_software = False
+        self._ctx: moderngl.Context | None = None
+        self._paths = [Path(path) for path in paths]
+        self._renderer = renderer
+        self._rehearsals: Rehearsals | None = None
+        self._saved: Preferences = preferences
+        self._save_due = 0.0
+        self._touched = 0.0
+        self._last_view: object = None
+        if complaint:
+            self.core.tell(complaint)
+
+    # ---- hello_imgui's callbacks, in the order in which they are called
+
+    def start(self) -> None:
+        """The GL context is there: make the picture and begin to load."""
+        try:
+            self._ctx = moderngl.create_context()
+            version = self._ctx.version_code
+            self._rehearsals = Rehearsals(
+                memory=cache_folder() / "compiled.txt",
+                gl_version=(version // 100, version // 10 % 10),
+                on_change=glfw.post_empty_event,
+            )
+            self.core.picture = self._picture(self._ctx)
+        except Exception as error:
+            # An exception that leaves this callback would take the process down without a word.
+            self.failure = error
+            return
+        info = describe(self._ctx)
+        self.core.gpu_name = info.renderer
+        self.core.accuracy.wake = self.core.effects.wake = glfw.post_empty_event
+        self._is_software = info.is_software
+        install_drop_handler(self.core)
+        self.core.clipboard_read = imgui.get_clipboard_text
+        if self.core.training is not None:
+            self.core.training.start(self.core, on_change=glfw.post_empty_event)
+        elif self._paths:
+            opening.open_paths(self.core, self._paths)
+        else:
+            opening.begin_demo(self.core)
+        if self.core.training is None:
+            look_for_abandoned(self.core)
+
+    def _picture(self, ctx: moderngl.Context) -> Picture:
+        """What draws; says so where that is not what one would expect."""
+        try:
+            picture = choose_picture(
+                ctx, self._renderer, on_ready=glfw.post_empty_event, rehearsals=self._rehearsals
+            )
+        except Exception as error:
+            if self._renderer != "auto":
+                raise
+            why = " ".join(str(error).split())
+            self.core.complain(
+                f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
+            )
+            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, rehearsals=self._rehearsals)
+        if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
+            self.core.tell(
+                "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
+                " order a moment late while the view moves"
+            )
+        return picture
+
+    def before_frame(self) -> None:
+        """Everything that changes the state happens here, between two frames."""
+        core = self.core
+        params = hello_imgui.get_runner_params()
+        if core.picture is None:
+            params.app_shall_exit = True
+            return
+        unattended = self._unattended()
+        if self._is_software and core.loading is None and not unattended:
+            core.picture.wait(PICTURE_SECONDS)
+            glfw.poll_events()  # what the mouse did meanwhile
+        core.attempt(opening.continue_loading, core)
+        core.attempt(opening.report_examination, core)
+        core.run_posted()
+        if core.training is not None:
+            window = glfw_window_hello_imgui()
+            core.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
+            core.attempt(core.training.advance, core)
+        core.attempt(continue_editing, core)
+        core.attempt(continue_restoring, core)
+        core.attempt(core.advance)
+        core.attempt(core.note_statistics)
+        core.attempt(core.accuracy.advance, core)
+        core.attempt(core.effects.advance, core)
+        if core.clipboard_write is not None:
+            imgui.set_clipboard_text(core.clipboard_write)
+            core.clipboard_write = None
+        if core.scene_path is not None and self.dialogs.folder is None:
+            self.dialogs.folder = core.scene_path.parent
+        self._show_title(layout.title(core))
+        layout.hide_or_show_panels(core)
+        flying = keys.held_step() is not None
+        # There the pictures pace the frames, not a clock: see above.
+        turning = self._is_software and core.loading is None and core.picture.busy and not unattended
+        if self._is_software:
+            params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
+        params.fps_idling.enable_idling = not (core.transition or flying or turning)
+        idle = IDLE_FPS if core.training is None else core.training.idle_fps(core)
+        params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else idle
+        params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS
+        if core.now() >= self._save_due:
+            self._save_due = core.now() + SAVE_SECONDS
+            if problem := self._save_preferences():
+                core.tell(problem)
+        if core.quitting:
+            params.app_shall_exit = True
+
+    def _unattended(self) -> bool:
+        """Whether a training runs, its cores draw the window too, and nobody has touched that for a while."""
+        core, io = self.core, imgui.get_io()
+        mouse = io.mouse_delta.x != 0 or io.mouse_delta.y != 0 or io.mouse_wheel != 0 or any(io.mouse_down)
+        if mouse or imgui.is_any_item_active() or core.view is not self._last_view:
+            self._touched, self._last_view = core.now(), core.view
+        if not self._is_software or core.training is None or core.training.status.state != "training":
+            return False
+        if core.waiting or self.dialogs.open or core.loading is not None or core.transition is not None:
+            return False
+        return core.now() - self._touched > ATTENDED_SECONDS
+
+    def _show_title(self, title: str) -> None:
+        if title != self._title:
+            self._title = title
+            glfw.set_window_title(glfw_window_hello_imgui(), title)
+
+    def frame(self) -> None:
+        """Drawn over the docks: dialogs, and the keys that work everywhere."""
+        keys.post_pressed(self.core)
+        layout.show_floating(self.core, self.dialogs)
+        if self._ctx is not None:
+            # ImGui draws next, into whatever is bound.
+            self._ctx.screen.use()
+
+    def stop(self) -> None:
+        """The context still exists: end what runs, keep what is to be kept."""
+        core = self.core
+        core.attempt(opening.cancel_loading, core, quiet=True)
+        # What is to be kept comes first: what is released may fail, and nobody would miss it.
+        core.attempt(lambda: core.prefer(closed_panels=layout.closed_panels(core)))
+        self.keep()
+        core.attempt(self.dialogs.close)
+        if core.training is not None:
+            core.attempt(core.training.stop)
+        core.attempt(core.accuracy.end)
+        core.attempt(core.effects.end)
+        core.attempt(self.end_rehearsals)
+        if core.picture is not None:
+            core.attempt(core.picture.release)
+            core.picture = None
+
+    def end_rehearsals(self) -> None:
+        """Shaders that are being compiled beside the window are not waited for."""
+        if self._rehearsals is not None:
+            self._rehearsals.release()
+
+    def keep(self) -> None:
+        """Puts edits and preferences away, saying on standard error what the window can no longer show."""
+        for said in (put_away(self.core), self._save_preferences()):
+            if said:
+                print(f"splatview: {said}", file=sys.stderr)
+
+    def _save_preferences(self) -> str | None:
+        """Saves them if they have changed; one line where that fails."""
+        if self.core.preferences == self._saved:
+            return None
+        self._saved = self.core.preferences
+        try:
+            save_preferences(self._saved)
+        except OSError as error:
+            return f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+        return None
+
+
+def run_window(
+    paths: Sequence[Path],
+    *,
+    size: tuple[int, int] = (1280, 800),
+    renderer: str = "auto",
+    training: Training | None = None,
+    drive: Callable[[Core, Any], None] | None = None,
+    rescue: Callable[[], None] = lambda: None,
+) -> int:
+    """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
+
+    With a `training` it shows that one instead, and begins it; ending it is left to the caller.
+
+    `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
+    `renderer`: one of `picture.RENDERERS`. `drive(core, ctx)` is for tests: it runs beside the frame loop
+    with ImGui's test-engine context, and the window closes when it returns. `rescue` saves what the caller
+    answers for where the display ends: then the process ends with it, and this does not return.
+
+    Returns:
+        0, or 1 where `drive` failed.
+
+    Raises:
+        InputError: no display can be opened, or no renderer works on it.
+    """
+    major, minor = best_gl_version()
+    window = Window(paths, renderer=renderer, training=training)
+    params = layout.runner_params(window.core, size)
+    options = params.renderer_backend_options.open_gl_options
+    options.major_version, options.minor_version = major, minor
+    options.use_core_profile = options.use_forward_compat = True
+    # ImGui smooths its own edges; multisampling only costs.
+    options.anti_aliasing_samples = 0
+    params.fps_idling.fps_max = MAX_FPS
+    params.fps_idling.time_active_after_last_event = ACTIVE_SECONDS
+    callbacks = params.callbacks
+    callbacks.load_additional_fonts = theme.load_fonts
+    callbacks.setup_imgui_style = theme.apply
+    callbacks.setup_imgui_config = configure_imgui
+    callbacks.post_init = window.start
+    callbacks.pre_new_frame = partial(window.core.attempt, window.before_frame)
+    callbacks.post_render_dockable_windows = guarded(window.core, window.frame)
+    callbacks.before_exit = window.stop
+    run = _Driven(params, window.core, drive) if drive else None
+    implot.create_context()
+
+    def rescue_all() -> None:
+        window.keep()
+        rescue()
+        window.end_rehearsals()
+
+    try:
+        with closing_on_signals(window.core), rescued_from_display(rescue_all):
+            hello_imgui.run(params)
+    finally:
+        implot.destroy_context()
+    if window.failure:
+        raise window.failure
+    return 0 if run is None or run.succeeded else 1
+
+
+def configure_imgui() -> None:
+    """hello_imgui's settings, but the arrow keys fly rather than walk through the panels' controls."""
+    hello_imgui.imgui_default_settings.setup_default_imgui_config()
+    io = imgui.get_io()
+    io.config_flags &= ~int(imgui.ConfigFlags_.nav_enable_keyboard)
+
+
+class _Driven:
+    """Runs a test against the window with ImGui's test engine, then closes it."""
+
+    def __init__(self, params: hello_imgui.RunnerParams, core: Core, drive: Callable[[Core, Any], None]):
+        self.succeeded = False
+        self._core, self._drive, self._params = core, drive, params
+        params.use_imgui_test_engine = True
+        params.callbacks.register_tests = self._register
+
+    def _register(self) -> None:
+        engine = hello_imgui.get_imgui_test_engine()
+        test = imgui.test_engine.register_test(engine, "window", "drive")
+        test.test_func = self._run
+        io = imgui.test_engine.get_io(engine)
+        io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
+        io.config_watchdog_warning = io.config_watchdog_kill_test = DRIVEN_AT_MOST
+        # Only what goes wrong, with the steps that led to it.
+        io.config_log_to_tty = True
+        io.config_verbose_level = imgui.test_engine.TestVerboseLevel.error
+        io.config_verbose_level_on_error = imgui.test_engine.TestVerboseLevel.info
+        imgui.test_engine.queue_test(engine, test)
+
+    def _run(self, ctx: Any) -> None:
+        try:
+            self._drive(self._core, ctx)
+            self.succeeded = not ctx.is_error()
+        except BaseException:
+            import traceback
+
+            traceback.print_exc()
+        finally:
+            self._core.quitting = True

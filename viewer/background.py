@@ -1,0 +1,83 @@
+"""What is behind the scene in the window: a colour, a gradient or a picture, upright as the view is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatview.scene import InputError
+from splatview.scene.background import Background, Gradient, Panorama
+from splatview.scene.formats.panorama import load_panorama
+
+if TYPE_CHECKING:
+    from splatview.viewer.state import Core
+
+
+class Backdrop:
+    """Keeps the picture, which is read once."""
+
+    def __init__(self) -> None:
+        self._panorama: Panorama | None = None
+        self._failed = ""
+
+    def follow(self, core: Core) -> None:
+        """Brings the settings' background up to date with preferences and the up axis; costs nothing where
+        they have not changed. A picture that cannot be read is told of once, and a colour takes its place."""
+        if core.preferences.background_kind == "colour" and isinstance(core.settings.background, tuple):
+            return  # which a training may have chosen
+        wanted = self._wanted(core)
+        if wanted != core.settings.background:
+            core.settings = replace(core.settings, background=wanted)
+
+    def _wanted(self, core: Core) -> Background:
+        preferences = core.preferences
+        x, y, z = (float(part) for part in np.round(core.view.up, 6))
+        if preferences.background_kind == "gradient":
+            return Gradient(top=preferences.sky, bottom=preferences.ground, up=(x, y, z))
+        if preferences.background_kind == "panorama":
+            panorama = self._loaded(core, preferences.panorama)
+            if panorama is not None:
+                if panorama.up != (x, y, z):
+                    self._panorama = panorama = replace(panorama, up=(x, y, z))
+                return panorama
+        return preferences.background
+
+    def _loaded(self, core: Core, path: str) -> Panorama | None:
+        if self._panorama is not None and self._panorama.name == path:
+            return self._panorama
+        if not path or path == self._failed:
+            return None
+        try:
+            self._panorama = load_panorama(Path(path))
+        except InputError as error:
+            self._failed = path
+            core.complain(str(error))
+            return None
+        return self._panorama
+
+    def choose(self, core: Core, path: Path) -> None:
+        """Takes the picture at `path`, read anew; where it cannot be read, all stays as it is."""
+        try:
+            self._panorama = load_panorama(path.absolute())
+        except InputError as error:
+            core.complain(str(error))
+            return
+        self._failed = ""
+        core.prefer(background_kind="panorama", panorama=str(path.absolute()))
+        height, width = self._panorama.pixels.shape[:2]
+        core.tell(f"Background: {path} ({width}x{height})")
+
+
+def take_picture(core: Core, path: Path) -> None:
+    core.backdrop.choose(core, path)
+
+
+def ask_for_picture(core: Core) -> None:
+    core.choose_files(
+        "Open an equirectangular picture",
+        lambda paths: core.post(take_picture, paths[0]),
+        kind="picture",
+    )

@@ -1,0 +1,152 @@
+"""Depth of field in the window: while the view rests, pictures from all over the lens are averaged.
+
+While anything moves, and wherever it is off, the picture is that of one pinhole and costs what it always did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import moderngl
+
+from splatview.renderers.edit_snapshot import ShownEdits, shown_edits
+from splatview.renderers.gl.resolve import PictureMean
+from splatview.scene import Camera, InputError, RenderSettings
+from splatview.scene.depth_of_field import Aperture, camera_at, check_camera
+from splatview.viewer.navigation import pick
+
+if TYPE_CHECKING:
+    from splatview.viewer.state import Core
+
+
+SAMPLES = 256
+"""Pictures that are averaged: some 67 dB, see `scene.aperture`."""
+
+SAVED_SAMPLES = 64
+"""Pictures that a saved one is the mean of, while the user waits: some 53 dB."""
+
+REST_SECONDS = 0.2
+"""For so long nothing must have changed before the lens opens."""
+
+USUAL_APERTURE = 0.05
+"""Of the distance in focus: what is twice as far is blurred by a fortieth of the focal length."""
+
+
+@dataclass(eq=False)
+class DepthOfField:
+    """The window's lens."""
+
+    on: bool = False
+    share: float = USUAL_APERTURE
+    """The lens's diameter over the distance to the point that the view turns about."""
+    focus: float | None = None
+    """Depth of the plane that is sharp, world units; None: that of the point that the view turns about."""
+    picking: bool = False
+    """The next click on the picture chooses what is in focus."""
+    samples: int = 0
+    """Pictures in the mean that is shown; 0: it is that of a pinhole."""
+
+    def __post_init__(self) -> None:
+        self._mean: PictureMean | None = None
+        self._key: tuple | None = None
+        self._edits: ShownEdits | None = None
+        self._since = 0.0
+        self._open = False
+
+    def aperture(self, core: Core) -> Aperture | None:
+        """The lens in force; None: a pinhole."""
+        if not self.on or core.mode != "splats" or core.scene is None:
+            return None
+        return Aperture(diameter=self.share * core.view.distance, focus=self.focus or core.view.distance)
+
+    def next_camera(self, core: Core, camera: Camera, settings: RenderSettings) -> Camera:
+        """By what the frame that comes is drawn instead of by `camera`."""
+        aperture = self.aperture(core)
+        if aperture is None or core.picture is None or not is_pinhole(camera):
+            self.close(core)
+            return camera
+        self._edits = shown_edits(core.edits, core.overlay, self._edits)
+        gaussians = core.scene.gaussians if core.scene else None
+        kept = self._key
+        same = kept is not None and camera.same_view(kept[0])
+        key = (kept[0] if same and kept else camera, settings, aperture, gaussians, self._edits)
+        if kept is None or not _equal(key, kept):
+            self._key, self._since, self.samples = key, core.now(), 0
+        # A picture of the pinhole is there first; it is also the lens's middle.
+        self._open = core.now() - self._since >= REST_SECONDS and (self.samples > 0 or not core.picture.busy)
+        core.picture.sharp = self._open
+        return camera_at(camera, aperture, min(self.samples, SAMPLES - 1)) if self._open else camera
+
+    def shown(self, core: Core) -> moderngl.Texture | None:
+        """The mean with the picture just drawn in it, if that is finished; None: show the picture itself."""
+        if not self._open or core.picture is None:
+            return None
+        if self.samples < SAMPLES and not core.picture.busy:
+            if self._mean is None:
+                self._mean = PictureMean(core.picture.texture.ctx)
+            if self.samples == 0:
+                self._mean.start()
+            self._mean.add(core.picture.texture)
+            self.samples = self._mean.count
+        return self._mean.texture if self._mean is not None and self.samples else None
+
+    def waiting(self, core: Core) -> bool:
+        """Whether the next frames will show a better picture."""
+        return self._key is not None and self.aperture(core) is not None and self.samples < SAMPLES
+
+    @property
+    def badge(self) -> str:
+        """How far the picture has come, or ""."""
+        return f"lens: {self.samples} of {SAMPLES} pictures" if 0 < self.samples < SAMPLES else ""
+
+    def close(self, core: Core) -> None:
+        """Gives back what the mean takes; pictures of a camera that moves may be coarse again."""
+        if self._open and core.picture is not None:
+            core.picture.sharp = False
+        self._key, self._edits, self.samples, self._open = None, None, 0, False
+        if self._mean is not None:
+            self._mean.release()
+            self._mean = None
+
+
+def _equal(one: tuple, other: tuple) -> bool:
+    return (
+        one[1:3] == other[1:3]
+        and all(a is b for a, b in zip(one[3:], other[3:], strict=True))
+        and (one[0] is other[0])
+    )
+
+
+def is_pinhole(camera: Camera) -> bool:
+    """Whether a lens can be put before it."""
+    try:
+        check_camera(camera)
+    except InputError:
+        return False
+    return True
+
+
+def focus_on(core: Core, x: float, y: float) -> None:
+    """Makes the surface at (x, y) px of the visible area sharp."""
+    core.depth_of_field.picking = False
+    if not core.scene:
+        return
+    found = pick(core.scene.gaussians, core.camera, core.settings, x, y, edits=core.edits)
+    if found is None:
+        core.tell("Nothing to focus on there: the pixel shows the background")
+        return
+    core.depth_of_field.focus = found.depth
+    core.depth_of_field.on = True
+    core.tell(f"In focus: splat {found.index:,}, {found.depth:.4g} units ahead")
+
+
+def switch(core: Core) -> None:
+    core.depth_of_field.on = not core.depth_of_field.on
+    core.tell(f"Depth of field {'on' if core.depth_of_field.on else 'off'}")
+
+
+def focus_by_click(core: Core) -> None:
+    """Waits for the click."""
+    core.depth_of_field.picking = True
+    core.depth_of_field.on = True

@@ -1,0 +1,257 @@
+"""Windows that open over the docks: progress, errors, the help page, saving a picture."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+from imgui_bundle import ImVec4, imgui
+from imgui_bundle import portable_file_dialogs as pfd
+
+from splatview.viewer import save as saving
+from splatview.viewer import theme
+from splatview.viewer.commands import MOUSE, SHORTCUTS
+from splatview.viewer.panels import widgets
+from splatview.viewer.state import Core
+
+
+def centred(width_em: float) -> None:
+    """Puts the next window into the middle, no larger than the program's."""
+    viewport = imgui.get_main_viewport()
+    imgui.set_next_window_pos(viewport.get_center(), imgui.Cond_.appearing, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((0, 0), (viewport.size.x * 0.96, viewport.size.y * 0.9))
+    imgui.set_next_window_size((imgui.get_font_size() * width_em, 0), imgui.Cond_.appearing)
+
+
+DIALOG_FLAGS = (
+    imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
+)
+
+
+LOADING_SHOWN_AFTER = 0.3
+"""Seconds: what is quicker than this would only flicker."""
+
+
+def loading(core: Core) -> None:
+    """Progress of the scene on its way, with a button to stop it."""
+    if core.loading is None or core.now() - core.loading.began < LOADING_SHOWN_AFTER:
+        return
+    centred(24)
+    imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
+    imgui.text_unformatted(f"{core.loading.stage} {core.loading.name}")
+    progress = core.loading.progress
+    share, text = (-imgui.get_time(), "") if progress is None else (progress, f"{progress:.0%}")
+    imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
+    widgets.action_button(core, "Cancel", "cancel")
+    imgui.end()
+
+
+def problem(core: Core) -> None:
+    """An error that the user is to read; the scene behind it is as it was."""
+    if core.problem is None:
+        return
+    name = "That did not work"
+    if not imgui.is_popup_open(name):
+        imgui.open_popup(name)
+    centred(30)
+    if imgui.begin_popup_modal(name, None, DIALOG_FLAGS)[0]:
+        imgui.push_text_wrap_pos(0)
+        imgui.text_unformatted(core.problem)
+        imgui.pop_text_wrap_pos()
+        imgui.spacing()
+        if imgui.button("OK", (imgui.get_font_size() * 6, 0)) or imgui.is_key_pressed(imgui.Key.enter):
+            core.problem = None
+            imgui.close_current_popup()
+        imgui.set_item_default_focus()
+        imgui.end_popup()
+
+
+HELP_COLUMNS = (
+    ("Mouse", "Moving", "Navigation"),
+    ("Camera", "File"),
+    ("Select", "Edit"),
+    ("Picture", "Window", "Training"),
+)
+"""Groups of the shortcut table, and the mouse, as the help page sets them."""
+
+
+def help_page(core: Core) -> None:
+    """All keys, from the one table that binds them."""
+    if core.dialog != "help":
+        return
+    centred(84)
+    opened = imgui.begin("Keys and mouse", True, DIALOG_FLAGS)[1]
+    if imgui.begin_table("help", len(HELP_COLUMNS)):
+        for column in HELP_COLUMNS:
+            imgui.table_next_column()
+            for group in column:
+                rows = [(", ".join(s.keys), s.text) for s in SHORTCUTS if s.group == group and s.keys]
+                key_table(group, MOUSE if group == "Mouse" else rows)
+        imgui.end_table()
+    imgui.end()
+    if not opened:
+        core.dialog = None
+
+
+def key_table(name: str, rows: Iterable[tuple[str, str]]) -> None:
+    imgui.separator_text(name)
+    if imgui.begin_table(name, 2):
+        imgui.table_setup_column("key", imgui.TableColumnFlags_.width_fixed, imgui.get_font_size() * 8)
+        imgui.table_setup_column("text", imgui.TableColumnFlags_.width_stretch)
+        for keys, text in rows:
+            imgui.table_next_column()
+            imgui.text_colored(ImVec4(*theme.ACCENT, 1), keys)
+            imgui.table_next_column()
+            imgui.push_text_wrap_pos(0)
+            imgui.text_unformatted(text)
+            imgui.pop_text_wrap_pos()
+        imgui.end_table()
+
+
+def screenshot(core: Core) -> None:
+    """Size and place of a picture to save."""
+    if core.dialog != "screenshot":
+        return
+    centred(24)
+    opened = imgui.begin("Save a picture", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
+    width, height = core.screenshot_size or core.picture_size
+    widgets.label("Size", "Pixels of the saved picture; the window shows its middle.")
+    changed, size = imgui.input_int2("##size", [width, height])
+    if changed:
+        width, height = (min(max(int(side), 1), saving.MAX_SIDE) for side in size)
+        core.screenshot_size = (width, height)
+    for name, factor in (("As seen", 1), ("2 x", 2), ("4 x", 4)):
+        if factor > 1:
+            imgui.same_line()
+        if imgui.button(name):
+            w, h = core.picture_size
+            core.screenshot_size = (min(w * factor, saving.MAX_SIDE), min(h * factor, saving.MAX_SIDE))
+    imgui.spacing()
+    if imgui.button("Beside the scene"):
+        path = saving.next_free(saving.picture_folder(core) / f"{saving.picture_stem(core)}.png")
+        core.post(saving.save_picture, saving.resized(core.camera, width, height), path)
+        core.dialog = None
+    imgui.same_line()
+    if imgui.button("Choose a place..."):
+        camera = saving.resized(core.camera, width, height)
+        core.choose_files(
+            "Save the picture",
+            lambda paths: core.post(saving.save_picture, camera, paths[0].with_suffix(".png")),
+            kind="save_picture",
+            name=f"{saving.picture_stem(core)}.png",
+        )
+        core.dialog = None
+    imgui.end()
+    if not opened:
+        core.dialog = None
+
+
+# ---- The system's file dialogs, and a plain one to type a path into where there is none.
+
+
+Kind = Literal[
+    "scene", "cameras", "picture", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"
+]
+
+FILTERS: dict[Kind, list[str]] = {
+    "scene": ["Splat scenes", "*.ply *.splat *.spz *.ksplat *.sog", "All files", "*"],
+    "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
+    "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
+    "save_picture": ["PNG pictures", "*.png"],
+    "save_camera": ["Cameras", "*.json"],
+    "save_scene": ["Splat scenes", "*.ply"],
+    "recipe": ["Recipes", "*.json", "All files", "*"],
+    "save_recipe": ["Recipes", "*.json"],
+}
+
+LINUX_PROGRAMS = ("zenity", "kdialog", "qarma", "matedialog")
+"""What portable-file-dialogs can start there; without one its dialogs never appear."""
+
+
+def has_native_dialogs() -> bool:
+    return sys.platform in ("win32", "darwin") or any(shutil.which(name) for name in LINUX_PROGRAMS)
+
+
+class FileDialogs:
+    """At most one question for a path at a time; `show` is called every frame."""
+
+    def __init__(self, folder: Path | None = None):
+        self.folder = folder
+        """Where the next dialog starts."""
+        self._native: pfd.open_file | pfd.save_file | None = None
+        self._title = ""
+        self._typed: str | None = None
+        self._done: Callable[[list[Path]], object] | None = None
+        self._saving = False
+        self._fresh = False
+
+    @property
+    def open(self) -> bool:
+        return self._done is not None
+
+    def ask(self, title: str, done: Callable[[list[Path]], object], *, kind: Kind, name: str = "") -> None:
+        """Asks for files; `done` gets at least one path, or is not called where the user changed his mind.
+
+        `name`: the file name a saving dialog proposes.
+        """
+        if self.open:
+            return
+        self._title, self._done, self._saving = title, done, kind.startswith("save")
+        proposal = str((self.folder or Path.cwd()) / name) if name else str(self.folder or Path.cwd())
+        if not has_native_dialogs():
+            self._typed, self._fresh = (proposal if self._saving else ""), True
+        elif self._saving:
+            self._native = pfd.save_file(title, proposal, FILTERS[kind])
+        else:
+            self._native = pfd.open_file(title, proposal, FILTERS[kind], pfd.opt.multiselect)
+
+    def show(self) -> None:
+        """Polls the system's dialog or draws the plain one."""
+        if self._native is not None and self._native.ready(0):
+            answer = self._native.result()
+            self._native = None
+            self._finish([answer] if isinstance(answer, str) else answer)
+        if self._typed is not None:
+            self._show_plain()
+
+    def close(self) -> None:
+        """Takes a dialog that is still open away, for the program's end."""
+        if self._native is not None:
+            self._native.kill()
+
+    def _show_plain(self) -> None:
+        if self._fresh:
+            imgui.open_popup(self._title)
+        centre = imgui.get_main_viewport().get_center()
+        imgui.set_next_window_pos(centre, imgui.Cond_.appearing, (0.5, 0.5))
+        imgui.set_next_window_size((imgui.get_font_size() * 34, 0))
+        if not imgui.begin_popup_modal(self._title, None, imgui.WindowFlags_.no_saved_settings)[0]:
+            if not self._fresh:
+                self._finish([])
+            return
+        imgui.text_wrapped("Path of the file:" if self._saving else "Path of the file, or several between ;")
+        if self._fresh:
+            imgui.set_keyboard_focus_here()
+            self._fresh = False
+        imgui.set_next_item_width(-1)
+        entered, self._typed = imgui.input_text(
+            "##path", self._typed or "", imgui.InputTextFlags_.enter_returns_true
+        )
+        accepted = imgui.button("Save" if self._saving else "Open") or entered
+        imgui.same_line()
+        cancelled = imgui.button("Cancel") or imgui.is_key_pressed(imgui.Key.escape)
+        if accepted or cancelled:
+            imgui.close_current_popup()
+            names = [part.strip().strip("\"'") for part in self._typed.split(";")] if accepted else []
+            self._finish([name for name in names if name])
+        imgui.end_popup()
+
+    def _finish(self, names: list[str]) -> None:
+        done, self._done, self._typed = self._done, None, None
+        paths = [Path(name).expanduser() for name in names if name]
+        if paths and done is not None:
+            self.folder = paths[0].parent
+            done(paths)

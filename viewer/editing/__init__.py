@@ -1,0 +1,1 @@
+"""Selections, operations and clean-up in the window."""

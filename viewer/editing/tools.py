@@ -1,0 +1,266 @@
+"""The screen tools on the picture: what the mouse does with them, and how they are drawn over it."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
+
+from splatview.edit.operations import Operation, Select
+from splatview.edit.operations.transform import Ground
+from splatview.edit.selectors import Flood, SimilarColour, picked
+from splatview.edit.selectors.attributes import base_colours
+from splatview.scene import Camera, Gaussians, InputError
+from splatview.scene.edits import SceneEdits, adjusted_means
+from splatview.viewer import theme
+from splatview.viewer.editing.gizmos import grabbed
+from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.tool_state import (
+    CLICKED,
+    DRAGGED,
+    Measured,
+    Mode,
+    Place,
+    Stroke,
+    ToolName,
+    mode_of,
+)
+from splatview.viewer.panels import crops
+from splatview.viewer.panels import edit as move
+from splatview.viewer.theme import point_on_picture
+
+if TYPE_CHECKING:
+    from splatview.viewer.state import Core
+
+
+# ---- What a click on the picture means to the tools that pick a splat: magic wand, eyedropper, measure.
+
+
+class Hit(NamedTuple):
+    """The splat that makes the surface at a pixel."""
+
+    splat: int
+    place: Place
+    """Its mean as edited, world units."""
+
+
+def hit(desk: Desk, camera: Camera, x: float, y: float) -> Hit | None:
+    """What is at pixel (x, y) of what `camera` sees; None: the background. Raises InputError."""
+    document = desk.document
+    splat = picked(document.gaussians, document.edits, document.tools, camera, x, y)
+    return None if splat is None else Hit(splat, place_of(document.gaussians, document.edits, splat))
+
+
+def place_of(gaussians: Gaussians, edits: SceneEdits, splat: int) -> Place:
+    """Where splat `splat` is after its adjustments."""
+    one = np.array([splat])
+    alone = SceneEdits(marks=edits.marks[one], palette=edits.palette)
+    x, y, z = (float(value) for value in adjusted_means(gaussians.take(one), alone)[0])
+    return x, y, z
+
+
+def click(core: Core, desk: Desk, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+    """A click at (x, y) px of what `camera` sees, with a tool that picks."""
+    found = hit(desk, camera, x, y)
+    if found is None:
+        desk.news = "Nothing there: the pixel shows the background"
+        return
+    if tool == "flood":
+        by = Flood(seed=found.splat, tolerance=desk.tolerance)
+        desk.apply_slowly(Select(by=by, mode=mode), "Magic wand")
+    elif tool == "colour":
+        alone = SceneEdits(
+            marks=desk.document.edits.marks[[found.splat]], palette=desk.document.edits.palette
+        )
+        red, green, blue = (
+            float(v) for v in base_colours(desk.gaussians.take(np.array([found.splat])), alone)[0]
+        )
+        by = SimilarColour(rgb=(red, green, blue), tolerance=desk.tolerance)
+        desk.apply(Select(by=by, mode=mode))
+    else:
+        pick_point(desk, tool, found.place)
+
+
+def pick_point(desk: Desk, tool: ToolName, place: Place) -> None:
+    """One more point for the tape measure (two) or the ground (three)."""
+    desk.picked.append(place)
+    if tool == "measure" and len(desk.picked) == 2:
+        desk.measured = Measured(start=desk.picked[0], end=desk.picked[1])
+        desk.news = f"Distance: {desk.measured.length:.6g} units"
+        desk.picked.clear()
+    elif tool == "ground" and len(desk.picked) == 3:
+        first, second, third = desk.picked
+        desk.picked.clear()
+        desk.tool = "none"
+        desk.apply(Ground(points=(first, second, third)))
+    else:
+        desk.news = f"Point {len(desk.picked)} of {2 if tool == 'measure' else 3}"
+
+
+_LEFT = imgui.MouseButton_.left
+
+COLOURS: dict[Mode, tuple[float, float, float]] = {
+    "set": theme.ACCENT,
+    "add": (0.35, 0.8, 0.4),
+    "remove": (0.9, 0.4, 0.35),
+    "intersect": (0.85, 0.7, 0.3),
+}
+"""Of the outline, by what the selection will do."""
+
+
+def use_tool(core: Core, corner: ImVec2, width: int, height: int) -> bool:
+    """Lets the tool in hand have the left button over the picture's item, which was submitted last. Returns
+    whether navigation is to leave that button alone."""
+    desk = core.desk
+    io = imgui.get_io()
+    if desk is None or desk.tool == "none" or (io.key_alt and desk.stroke is None):
+        return False
+    x, y = io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    if desk.tool in DRAGGED:
+        drag(core, desk, mode, x, y, width, height)
+    elif desk.tool == "polygon":
+        outline(core, desk, mode, x, y, width, height)
+    elif desk.tool in CLICKED and imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
+        core.post(_click, desk.tool, mode, core.view.camera(width, height), x, y)
+    return True
+
+
+def _click(core: Core, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+    if core.desk is not None:
+        try:
+            click(core, core.desk, tool, mode, camera, x, y)
+        except InputError as error:
+            core.complain(str(error))
+
+
+def on_handles(core: Core) -> bool:
+    """Whether the mouse is on handles on the picture: navigation leaves the left button alone then."""
+    desk = core.desk
+    return desk is not None and (desk.forms.move.gizmo or desk.forms.crop >= 0) and grabbed()
+
+
+def drag(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+    if (
+        imgui.is_item_activated()
+        and imgui.is_mouse_down(_LEFT)
+        and desk.tool in ("rectangle", "lasso", "brush")
+    ):
+        desk.stroke = Stroke(tool=desk.tool, mode=mode, radius=desk.brush_radius)
+    stroke = desk.stroke
+    if stroke is None:
+        return
+    if imgui.is_mouse_down(_LEFT):
+        stroke.to(x, y)
+    else:
+        finish(core, desk, stroke, width, height)
+
+
+def outline(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+    """A polygon, corner by corner: a click on the first one, Enter or a double click closes it."""
+    closed = imgui.is_key_pressed(imgui.Key.enter)
+    if imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
+        if desk.stroke is None:
+            desk.stroke = Stroke(tool="polygon", mode=mode, radius=0)
+        if imgui.is_mouse_double_clicked(_LEFT) or desk.stroke.corner(x, y):
+            closed = True
+    if closed and desk.stroke is not None:
+        finish(core, desk, desk.stroke, width, height)
+
+
+def finish(core: Core, desk: Desk, stroke: Stroke, width: int, height: int) -> None:
+    """Selects what the stroke means; a click with nothing drawn selects nothing."""
+    desk.stroke = None
+    operation = stroke.operation(core.view.camera(width, height), desk.depth)
+    if operation is not None:
+        core.post(_apply, operation)
+
+
+def _apply(core: Core, operation: Operation) -> None:
+    if core.desk is not None:
+        core.desk.apply(operation)
+
+
+def draw_tool(core: Core, corner: ImVec2, width: int, height: int) -> None:
+    """The outline under way, the brush's circle, picked points and the last measured distance."""
+    desk = core.desk
+    draw = imgui.get_window_draw_list()
+    draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
+    for crop in core.training.pointed if core.training and not core.at_rest else ():
+        crops.draw_outline(crop, core.view.camera(width, height), corner, crops.CUTTING, 2.0)
+    if desk is None:
+        draw.pop_clip_rect()
+        return
+    if desk.stroke is not None:
+        draw_stroke(draw, desk.stroke, corner)
+    io = imgui.get_io()
+    if desk.tool == "brush" and imgui.is_item_hovered():
+        mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+        draw.add_circle(io.mouse_pos, desk.brush_radius, colour(mode, 0.9), 0, 1.5)
+    draw_points(core, draw, desk, corner, width, height)
+    camera = core.view.camera(width, height)
+    crops.draw(core, desk, camera, corner)
+    move.handles(core, desk, camera, corner)
+    draw.pop_clip_rect()
+
+
+def colour(mode: Mode, alpha: float) -> int:
+    return imgui.get_color_u32(ImVec4(*COLOURS[mode], alpha))
+
+
+def draw_stroke(draw: imgui.ImDrawList, stroke: Stroke, corner: ImVec2) -> None:
+    points: list[ImVec2Like] = [ImVec2(corner.x + x, corner.y + y) for x, y in stroke.points]
+    line, fill = colour(stroke.mode, 0.95), colour(stroke.mode, 0.18)
+    if stroke.tool == "rectangle" and len(points) > 1:
+        (x0, y0), (x1, y1) = stroke.points
+        low = ImVec2(corner.x + min(x0, x1), corner.y + min(y0, y1))
+        high = ImVec2(corner.x + max(x0, x1), corner.y + max(y0, y1))
+        draw.add_rect_filled(low, high, fill)
+        draw.add_rect(low, high, line)
+    elif stroke.tool == "brush":
+        draw.add_polyline(points, fill, 2 * stroke.radius, 0)
+        for point in (points[0], points[-1]):
+            draw.add_circle_filled(point, stroke.radius, fill)
+    elif stroke.tool in ("lasso", "polygon"):
+        if stroke.tool == "polygon":
+            points = [*points, imgui.get_io().mouse_pos]
+        if len(points) > 2:
+            draw.add_concave_poly_filled(points, fill)
+        draw.add_polyline(points, line, 1.5, imgui.ImDrawFlags_.closed)
+        for point in points[:-1] if stroke.tool == "polygon" else ():
+            draw.add_circle_filled(point, 3, line)
+
+
+def draw_points(
+    core: Core, draw: imgui.ImDrawList, desk: Desk, corner: ImVec2, width: int, height: int
+) -> None:
+    """Picked points in the scene, and the tape between the two of the last measurement."""
+    camera = core.view.camera(width, height)
+    place = partial(point_on_picture, camera, corner)
+    ink = imgui.get_color_u32(ImVec4(1, 0.9, 0.3, 1))
+    for point in desk.picked:
+        if (at := place(point)) is not None:
+            draw.add_circle(at, 6, ink, 0, 2)
+    measured = desk.measured
+    if measured is None or desk.tool != "measure":
+        return
+    start, end = place(measured.start), place(measured.end)
+    if start is None or end is None:
+        return
+    draw.add_line(start, end, ink, 2)
+    for at in (start, end):
+        draw.add_circle_filled(at, 4, ink)
+    text = f"{measured.length:.4g}"
+    middle = ImVec2((start.x + end.x) / 2, (start.y + end.y) / 2 - imgui.get_font_size() * 1.4)
+    if math.isfinite(middle.x + middle.y):
+        size = imgui.calc_text_size(text)
+        draw.add_rect_filled(
+            ImVec2(middle.x - size.x / 2 - 5, middle.y - 3),
+            ImVec2(middle.x + size.x / 2 + 5, middle.y + size.y + 3),
+            imgui.get_color_u32(ImVec4(0, 0, 0, 0.7)),
+            4,
+        )
+        draw.add_text(ImVec2(middle.x - size.x / 2, middle.y), ink, text)

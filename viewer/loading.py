@@ -1,0 +1,193 @@
+"""Reading scenes in a thread, so that the window never waits for a disk."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from splatview.renderers.demo_cache import cached_demo
+from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
+from splatview.scene.effects import Effect, scene_effects, settings_for
+from splatview.scene.formats import LoadCancelled, load_scene
+from splatview.scene.framing import robust_bounds
+from splatview.scene.health import Finding, check
+
+Stamp = tuple[int, int, int]
+"""What tells that a file is still the one that was read."""
+
+
+def stamp_of(path: Path) -> Stamp | None:
+    """None where there is no such file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
+    """By the files that links lead to."""
+    found = {path.resolve(): stamp_of(path) for path in paths}
+    return {path: stamp for path, stamp in found.items() if stamp is not None}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoadedScene:
+    """A scene and what must be known about it before it is shown."""
+
+    gaussians: Gaussians
+    paths: tuple[Path, ...]
+    """The files it came from; none for the demo."""
+    name: str
+    centre: np.ndarray
+    """(3,) float64, world: middle of where the splats are."""
+    radius: float
+    """World units, > 0: outliers left out."""
+    settings: RenderSettings
+    """What the scene itself calls for; the background apart."""
+
+    @cached_property
+    def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Least and greatest x, y, z of all finite centres, world units; kept, as a panel asks in each frame.
+        None where no centre is finite."""
+        means = self.gaussians.means
+        means = means[np.isfinite(means).all(axis=1)]
+        return (means.min(axis=0), means.max(axis=0)) if len(means) else None
+
+    seconds: float
+    """How long loading took."""
+    stamps: Mapping[Path, Stamp] = field(default_factory=dict)
+    """Of its files, just before they were read."""
+
+
+class Loading:
+    """One load under way. All attributes may be read from any thread.
+
+    `read` makes the scene; it is called in the thread with `progress(0..1)` and `cancelled()`.
+    """
+
+    def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
+        self.name = name
+        self.began = time.monotonic()
+        self.progress: float | None = 0.0
+        """Share done; None where nobody knows."""
+        self.stage = "Reading"
+        self.result: LoadedScene | None = None
+        self.error: str | None = None
+        self._paths = tuple(paths)
+        self._read = read
+        self._cancelled = threading.Event()
+        # A daemon: a read that hangs on a dead network drive must not keep the program from ending.
+        self._thread = threading.Thread(target=self._run, name="splatview-load", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def cancelled(self) -> bool:
+        return self._cancelled.is_set()
+
+    def cancel(self) -> None:
+        """Asks the thread to end soon; its result will not be used."""
+        self._cancelled.set()
+
+    def join(self, timeout: float) -> None:
+        self._thread.join(timeout)
+
+    def _advance(self, share: float) -> None:
+        self.progress = min(max(share, self.progress or 0.0), 1.0)
+
+    def _run(self) -> None:
+        began = time.perf_counter()
+        try:
+            stamps = stamps_of(self._paths)
+            gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
+            if self._cancelled.is_set():
+                return
+            centre, radius = robust_bounds(gaussians.means)
+            settings = settings_for(gaussians)
+            self.result = LoadedScene(
+                gaussians=gaussians,
+                paths=self._paths,
+                name=self.name,
+                centre=centre,
+                radius=radius,
+                settings=settings,
+                seconds=time.perf_counter() - began,
+                stamps=stamps,
+            )
+        except LoadCancelled:
+            self._cancelled.set()
+        except InputError as error:
+            self.error = str(error)
+        except MemoryError:
+            self.error = f"{self.name}: not enough memory to open it"
+        except Exception as error:
+            # Whatever a reader did not foresee: the window and the old scene must survive it.
+            self.error = f"{self.name}: cannot be opened ({type(error).__name__}: {error})"
+
+
+class Examination:
+    """The effects census and health check of a scene that is already shown; takes a second for a million."""
+
+    def __init__(self, gaussians: Gaussians):
+        self.effects: tuple[Effect, ...] = ()
+        self.findings: tuple[Finding, ...] = ()
+        self.settings: RenderSettings | None = None
+        """What the scene calls for; None until that is known."""
+        self.gaussians = gaussians
+        self._thread = threading.Thread(target=self._run, name="splatview-examine", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        return not self._thread.is_alive()
+
+    def join(self, timeout: float) -> None:
+        self._thread.join(timeout)
+
+    def _run(self) -> None:
+        findings = check(self.gaussians)
+        self.effects = tuple(scene_effects(self.gaussians, findings=findings))
+        self.settings = settings_for(self.gaussians)
+        self.findings = tuple(findings)
+
+
+def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
+    """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
+    sizes = [path.stat().st_size if path.is_file() else 0 for path in paths]
+    whole = max(sum(sizes), 1)
+    before = [sum(sizes[:i]) for i in range(len(sizes))]
+
+    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
+        parts = [added_to.gaussians] if added_to else []
+        for path, size, start in zip(paths, sizes, before, strict=True):
+            parts.append(
+                load_scene(
+                    path,
+                    progress=lambda share, size=size, start=start: progress((start + share * size) / whole),
+                    cancelled=cancelled,
+                )
+            )
+        return concatenate(parts) if len(parts) > 1 else parts[0]
+
+    all_paths = (*(added_to.paths if added_to else ()), *paths)
+    name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
+    if added_to and not added_to.paths:
+        name = f"{added_to.name} and {name}"
+    return Loading(name, all_paths, read)
+
+
+def load_demo() -> Loading:
+    """Starts to make the bundled scene, which the window opens with when it is given none."""
+    made = Loading("Demo", (), cached_demo)
+    made.stage, made.progress = "Making", None
+    return made

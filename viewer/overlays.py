@@ -1,0 +1,326 @@
+"""What lies over the picture, and the status bar under it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from splatview.scene import Camera
+from splatview.scene.image_model import NEAR
+from splatview.viewer import theme
+from splatview.viewer.commands import ACTIONS, NAVIGATION_MODES, VISUAL_MODES, keys_of, set_mode
+from splatview.viewer.navigation import AXIS_NAMES
+from splatview.viewer.navigation.framing import axis
+from splatview.viewer.open import go_to_camera
+from splatview.viewer.panels import recipe as rules
+from splatview.viewer.panels import split_view as on_picture
+from splatview.viewer.panels import widgets
+from splatview.viewer.panels.camera import NAVIGATION_NAMES
+from splatview.viewer.panels.rendering import MODE_NAMES, MODE_TIP
+from splatview.viewer.state import Core
+
+# ---- The axis cross in the picture's corner: shows how the world lies, and turns to an axis on a click.
+
+
+ARM_EM, BALL_EM = 2.3, 0.62
+"""Length of an arm and radius of the ball at its end, in font heights."""
+
+COLOURS = {"X": (0.90, 0.38, 0.36), "Y": (0.48, 0.76, 0.36), "Z": (0.36, 0.58, 0.94)}
+
+
+@dataclass(frozen=True)
+class Ball:
+    """The end of one half axis."""
+
+    name: str
+    x: float
+    """Px to the right of the cross's middle."""
+    y: float
+    """Px below it."""
+    depth: float
+    """Away from the eye, -1 to 1."""
+
+
+def balls(R_camera_world: np.ndarray, arm: float) -> list[Ball]:
+    """The six ends for a view's rotation (3, 3), farthest first."""
+    ends = []
+    for name in AXIS_NAMES:
+        x, y, depth = R_camera_world @ axis(name)
+        ends.append(Ball(name, float(x * arm), float(y * arm), float(depth)))
+    return sorted(ends, key=lambda ball: -ball.depth)
+
+
+def ball_at(ends: list[Ball], x: float, y: float, radius: float) -> Ball | None:
+    """The nearest ball that is under (x, y) px from the middle; the front one where two overlap."""
+    under = [ball for ball in ends if (ball.x - x) ** 2 + (ball.y - y) ** 2 <= radius**2]
+    return under[-1] if under else None
+
+
+def show_axis_gizmo(core: Core, corner: ImVec2) -> None:
+    """Draws the cross with its top right corner at `corner`, screen coordinates."""
+    em = imgui.get_font_size()
+    arm, radius = ARM_EM * em, BALL_EM * em
+    side = 2 * (arm + radius)
+    imgui.set_cursor_screen_pos(ImVec2(corner.x - side, corner.y))
+    clicked = imgui.invisible_button("axes", ImVec2(side, side))
+    middle = ImVec2(corner.x - side / 2, corner.y + side / 2)
+    ends = balls(core.view.R_camera_world, arm)
+    hovered = None
+    if imgui.is_item_hovered():
+        mouse = imgui.get_mouse_pos()
+        hovered = ball_at(ends, mouse.x - middle.x, mouse.y - middle.y, radius * 1.2)
+        if hovered:
+            widgets.tooltip(f"Look from {hovered.name} ({keys_of(f'look_from_{hovered.name}')})")
+    draw = imgui.get_window_draw_list()
+    for ball in ends:
+        draw_ball(draw, middle, ball, radius, bright=ball is hovered)
+    if clicked and hovered:
+        core.post(ACTIONS[f"look_from_{hovered.name}"])
+
+
+def draw_ball(draw: imgui.ImDrawList, middle: ImVec2, ball: Ball, radius: float, *, bright: bool) -> None:
+    sign, letter = ball.name
+    # What points away from the eye is dimmer, so that the cross reads as solid.
+    light = 1.0 if bright else 0.85 - 0.3 * (ball.depth + 1) / 2
+    r, g, b = COLOURS[letter]
+    colour = imgui.get_color_u32(ImVec4(r * light, g * light, b * light, 1))
+    place = ImVec2(middle.x + ball.x, middle.y + ball.y)
+    if sign == "+":
+        draw.add_line(middle, place, colour, radius * 0.22)
+        draw.add_circle_filled(place, radius, colour)
+        size = imgui.calc_text_size(letter)
+        ink = imgui.get_color_u32(ImVec4(0.08, 0.08, 0.09, 1))
+        draw.add_text(ImVec2(place.x - size.x / 2, place.y - size.y / 2), ink, letter)
+    else:
+        draw.add_circle_filled(place, radius * 0.75, imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8)))
+        draw.add_circle(place, radius * 0.75, colour, 0, radius * 0.18)
+
+
+# ---- Cameras in the view, loaded ones or those of photos in training: pyramids that open the way they look.
+
+
+SIZE = 0.06
+"""Depth of a pyramid in scene radii."""
+
+PHOTO_SIZE = 0.03
+"""The same of photos in training, which are mostly many and near."""
+
+EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
+"""Between the eye (0) and the picture's corners (1 to 4, going round)."""
+
+MOST = 1000
+"""Pyramids drawn at most: a video's every frame would be a carpet, and slow."""
+
+
+WIDEST = 2.0
+"""Slope of a pyramid's sides at most where the camera has a lens: a fisheye's pyramid would be flat."""
+
+GRAB = 0.4
+"""Font heights from a line within which the mouse is on its camera."""
+
+
+def wanted(core: Core) -> bool:
+    """Whether the loaded cameras, or those of the photos in training, are to be drawn."""
+    if core.training is not None and core.cameras is core.training.cameras:
+        return core.preferences.show_photos
+    return core.preferences.show_cameras and bool(core.cameras)
+
+
+def show_frusta(core: Core, corner: ImVec2) -> None:
+    """Draws the pyramids over the picture whose top left is at `corner`, screen coordinates; a click on
+    one goes to its camera."""
+    scale = imgui.get_io().display_framebuffer_scale
+    radius = core.scene.radius if core.scene else core.view.distance
+    step = -(-len(core.cameras) // MOST)
+    training = core.training if core.training and core.cameras is core.training.cameras else None
+    size = radius * (SIZE if training is None else PHOTO_SIZE)
+    drawn = pyramids(core.cameras[::step], core.camera, size)
+    lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
+    mouse = imgui.get_mouse_pos()
+    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point(core) else None
+    draw = imgui.get_window_draw_list()
+    for place, (index, _) in enumerate(drawn):
+        index *= step
+        if index == core.camera_index or place == under:
+            colour = ImVec4(*theme.ACCENT, 1)
+        elif training is not None and training.photos[index].held_out:
+            colour = ImVec4(*theme.HELD_OUT, 0.75)
+        else:
+            colour = ImVec4(1, 1, 1, 0.55)
+        ink, weight = imgui.get_color_u32(colour), 2.0 if place == under else 1.0
+        for (x0, y0), (x1, y1) in lines[place].tolist():
+            draw.add_line(ImVec2(x0, y0), ImVec2(x1, y1), ink, weight)
+    if under is None:
+        return
+    index = drawn[under][0] * step
+    held_out = " (held out)" if training is not None and training.photos[index].held_out else ""
+    imgui.set_tooltip(f"{core.cameras[index].name or f'Camera {index + 1}'}{held_out}")
+    dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
+    if imgui.is_mouse_released(imgui.MouseButton_.left) and not (dragged.x or dragged.y):
+        core.post(go_to_camera, index)
+
+
+def may_point(core: Core) -> bool:
+    """Whether the mouse is over the picture itself, turns nothing and holds no tool."""
+    if core.desk is not None and core.desk.tool != "none":
+        return False
+    dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
+    return imgui.is_window_hovered() and not (dragged.x or dragged.y)
+
+
+def nearest(lines: Sequence[np.ndarray], place: tuple[float, float], reach: float) -> int | None:
+    """Which of the bundles of lines, each (L, 2, 2) px, comes nearest to `place`; None beyond `reach` px."""
+    if not lines:
+        return None
+    ends = np.stack(lines)  # (B, L, 2, 2)
+    start, along = ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]
+    length = np.maximum((along**2).sum(axis=-1), 1e-12)
+    share = np.clip(((place - start) * along).sum(axis=-1) / length, 0, 1)
+    apart = np.linalg.norm(start + share[..., None] * along - place, axis=-1).min(axis=1)
+    best = int(np.argmin(apart))
+    return best if apart[best] <= reach else None
+
+
+def pyramids(cameras: Sequence[Camera], seen_by: Camera, size: float) -> list[tuple[int, np.ndarray]]:
+    """(index, lines (8, 2, 2) px in `seen_by`'s picture) of every camera that is wholly before the eye.
+
+    `size` is the depth of a pyramid, world units.
+    """
+    found = []
+    for index, camera in enumerate(cameras):
+        own = np.concatenate([np.zeros((1, 3)), size * picture_corners(camera, size)])
+        # By way of the difference of the eyes, so that scenes far from the origin do not jitter.
+        points = own @ camera.R_camera_world + (camera.eye - seen_by.eye)
+        t = points @ seen_by.R_camera_world.T
+        if not (t[:, 2] >= NEAR).all():
+            continue
+        pixels = seen_by.image_points(t)
+        if np.isfinite(pixels).all():
+            found.append((index, pixels[EDGES]))
+    return found
+
+
+def picture_corners(camera: Camera, size: float) -> np.ndarray:
+    """(4, 3): where the picture's corners are `size` ahead, in camera axes and units of `size`."""
+    if camera.orthographic:
+        w, h = camera.width, camera.height
+        return camera.points_at([(0, 0), (w, 0), (w, h), (0, h)], size) / size
+    left, top, right, bottom = camera.seen_slopes
+    if camera.lens is not None:
+        left, top, right, bottom = np.clip((left, top, right, bottom), -WIDEST, WIDEST)
+    return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
+
+
+HINTS = {
+    "orbit": "Drag: orbit   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
+    "fly": "Drag: look   W A S D E Q: move   Wheel: speed   Shift: fast   F1: keys",
+    "trackball": "Drag: turn   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
+}
+
+
+def over_picture(core: Core) -> None:
+    """The tools in the picture's corner, and a welcome where nothing is open."""
+    corner = imgui.get_window_pos()
+    if wanted(core):
+        show_frusta(core, corner)
+    margin = imgui.get_font_size() * 0.6
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 2))
+    for i, mode in enumerate(NAVIGATION_MODES):
+        if i:
+            imgui.same_line()
+        chosen = core.preferences.navigation == mode
+        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
+        imgui.push_style_color(imgui.Col_.button, fill)
+        widgets.action_button(core, NAVIGATION_NAMES[mode], f"navigate_{mode}")
+        imgui.pop_style_color()
+    imgui.pop_style_var()
+    imgui.same_line()
+    mode_chooser(core)
+    width = imgui.get_window_width()
+    show_axis_gizmo(core, ImVec2(corner.x + width - margin, corner.y + margin))
+    if core.picture is not None and core.picture.status:
+        imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
+        imgui.begin_group()
+        imgui.text_colored(theme.WARNING, core.picture.status)
+        imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(core.picture.status).x, margin), "")
+        imgui.end_group()
+    if core.picture is not None and core.picture.note:
+        badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
+    lowest = corner.y + imgui.get_window_height() - margin
+    moving = core.picture is not None and bool(core.picture.note)
+    on_picture.badges(core, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
+    if text := core.depth_of_field.badge:
+        size, line = imgui.calc_text_size(text), imgui.get_font_size()
+        on_picture.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
+    waiting = rules.waiting_note(core)
+    if waiting:
+        note_below(f"{waiting} {keys_of('cancel')} lets go.")
+    if core.scene is None and core.loading is None:
+        text = f"Drop a scene here, or press {keys_of('open')}"
+        size, area = imgui.calc_text_size(text), imgui.get_window_size()
+        place = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + (area.y - size.y) / 2)
+        imgui.set_cursor_screen_pos(place)
+        imgui.text_colored(theme.QUIET, text)
+
+
+def note_below(text: str) -> None:
+    """In the middle of the picture's lower edge, wrapped where it is narrow."""
+    corner, area = imgui.get_window_pos(), imgui.get_window_size()
+    edge = imgui.get_font_size() * 0.4
+    room = max(area.x - 6 * edge, 1.0)
+    size = imgui.calc_text_size(text, wrap_width=room)
+    low = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + area.y - size.y - 5 * edge)
+    high = ImVec2(low.x + size.x + edge, low.y + size.y + edge)
+    draw = imgui.get_window_draw_list()
+    ground = imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8))
+    draw.add_rect_filled(ImVec2(low.x - edge, low.y - edge), high, ground, edge)
+    font, ink = imgui.get_font(), imgui.get_color_u32(theme.WARNING)
+    draw.add_text(font, imgui.get_font_size(), low, ink, text, wrap_width=room)
+
+
+def badge(note: str, at: ImVec2) -> None:
+    """What the picture leaves out while it moves, over its lower left corner `at`."""
+    text = f"moving: {note}"
+    size, edge = imgui.calc_text_size(text), imgui.get_font_size() * 0.3
+    draw = imgui.get_window_draw_list()
+    low = ImVec2(at.x, at.y - size.y - 2 * edge)
+    draw.add_rect_filled(
+        low, ImVec2(at.x + size.x + 2 * edge, at.y), imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.7)), edge
+    )
+    draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
+
+
+def mode_chooser(core: Core) -> None:
+    """What is shown, as one small list; bright where it is not the picture itself."""
+    usual = core.mode == "splats"
+    fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
+    imgui.push_style_color(imgui.Col_.frame_bg, fill)
+    imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
+    imgui.set_next_item_width(imgui.get_font_size() * 7)
+    names = [MODE_NAMES[mode] for mode in VISUAL_MODES]
+    changed, index = imgui.combo("##mode", VISUAL_MODES.index(core.mode), names)
+    imgui.pop_style_color(2)
+    widgets.tooltip(MODE_TIP)
+    if changed:
+        core.post(set_mode, VISUAL_MODES[index])
+
+
+def status_bar(core: Core) -> None:
+    if core.messages:
+        latest = core.messages[-1]
+        if latest.error:
+            imgui.text_colored(theme.ERROR, latest.text)
+        else:
+            imgui.text_unformatted(latest.text)
+    imgui.same_line()
+    hint = HINTS[core.preferences.navigation]
+    start = imgui.get_window_width() - imgui.calc_text_size(hint).x - imgui.get_font_size()
+    if start < imgui.get_cursor_pos_x():
+        imgui.new_line()
+        return
+    imgui.same_line(start)
+    imgui.text_colored(theme.QUIET, hint)

@@ -1,0 +1,228 @@
+"""The Accuracy panel: what every shortcut saves and costs in this view, and drawing by it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from imgui_bundle import ImVec4, imgui
+
+from splatview.measure.knobs import Knob, Plan, knob
+from splatview.measure.ladder import Ladder, Measured, is_clear
+from splatview.measure.work import rows, sums
+from splatview.viewer import theme
+from splatview.viewer.panels import widgets
+from splatview.viewer.preferences import RANGES
+from splatview.viewer.quality import state as commands
+from splatview.viewer.quality.comparison import RIGHTS
+from splatview.viewer.quality.measurement import applicable, renderer_name, unpriced_knobs
+from splatview.viewer.quality.state import Accuracy, price_of
+from splatview.viewer.state import Core
+
+RIGHT_NAMES = {
+    "off": "Off",
+    "chosen": "Exact | chosen",
+    "signed": "Exact | signed difference",
+    "perceptual": "Exact | what an eye notices",
+}
+
+
+def show(core: Core) -> None:
+    accuracy = core.accuracy
+    if core.scene is None or core.picture is None:
+        widgets.note("Open a scene to see what accuracy costs in it.")
+        return
+    tools(core, accuracy)
+    if accuracy.ladder is None:
+        widgets.note(
+            "Measure draws this view with each shortcut, and tells what it saves in time and how far it is "
+            "from a float64 truth, on this machine. A click on a value then draws by it."
+        )
+    else:
+        prices(core, accuracy, accuracy.ladder)
+    widgets.section("Frame budget")
+    budget(core, accuracy)
+    widgets.section("Exact beside chosen")
+    split(accuracy)
+    if accuracy.bill is not None and imgui.collapsing_header("The bill of this view"):
+        bill(accuracy)
+
+
+def tools(core: Core, accuracy: Accuracy) -> None:
+    """Measure or cancel, and the way back to exact."""
+    measurement = accuracy.measurement
+    if measurement is None:
+        again = "Measure again" if accuracy.ladder is not None else "Measure"
+        widgets.button(
+            f"{again}###measure",
+            "Measures every shortcut in this view, beside the exact picture, for some seconds. The window "
+            "can be used meanwhile; a busy machine only makes the noise floor higher.",
+            partial(core.post, commands.measure),
+        )
+    else:
+        imgui.progress_bar(measurement.progress, (-imgui.get_font_size() * 5, 0), measurement.text)
+        imgui.same_line()
+        widgets.button("Cancel###cancel", "Ends measuring.", partial(core.post, commands.cancel))
+    if accuracy.choices:
+        if measurement is None:
+            imgui.same_line()
+        widgets.button("Exact###exact", "Takes all shortcuts back.", partial(core.post, commands.exact))
+
+
+def prices(core: Core, accuracy: Accuracy, ladder: Ladder) -> None:
+    """A row a value, by knob; the chosen ones are bright."""
+    base = ladder.baseline
+    picture = core.picture
+    exact = f"{base.psnr:.1f} dB" if base.psnr != float("inf") else "the truth itself"
+    widgets.note(f"Exact: {base.ms:.1f} ms a frame, {exact}. Noise floor: {ladder.noise:.0%}.")
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
+    if imgui.begin_table("prices", 4, flags):
+        for title, width in (("shortcut", 3.2), ("time", 2.4), ("dB", 1.2), ("largest", 1.5)):
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch, width)
+        imgui.table_headers_row()
+        before = None
+        for one in ladder.rungs:
+            if one is base:
+                continue
+            if one.rung.knob != before:
+                before = one.rung.knob
+                imgui.table_next_row()
+                imgui.table_next_column()
+                imgui.text_colored(theme.QUIET, knob(before).title)
+                widgets.tooltip(knob(before).changes)
+            row(core, accuracy, ladder, one)
+        for other in unpriced_knobs(renderer_name(picture)) if picture is not None else ():
+            unpriced(core, accuracy, other)
+        imgui.end_table()
+    if ladder.left_out:
+        left = ", ".join(f"{rung.knob} {rung.value}" for rung in ladder.left_out)
+        widgets.note(f"There was no time for {left}: a smaller window, or splatview ladder.")
+
+
+def unpriced(core: Core, accuracy: Accuracy, other: Knob) -> None:
+    """A knob for which the scene is loaded anew: splatview ladder tells what it saves."""
+    imgui.table_next_row()
+    imgui.table_next_column()
+    imgui.text_colored(theme.QUIET, other.title)
+    widgets.tooltip(f"{other.changes}. Priced by splatview ladder, as the scene is loaded anew for it.")
+    if accuracy.storing is not None:
+        imgui.same_line()
+        imgui.text_colored(theme.QUIET, "(loading)")
+    for value in other.values:
+        if not applicable(value.apply(Plan())):
+            imgui.table_next_row()
+            imgui.table_next_column()
+            choice(core, accuracy, other.name, value.text, f"{other.name} {value.text}.")
+
+
+def choice(core: Core, accuracy: Accuracy, name: str, value: str, words: str) -> None:
+    """A row's name, bright where it is chosen: a click takes the shortcut, another one gives it back."""
+    chosen = accuracy.choices.get(name) == value
+    colour = imgui.get_color_u32(ImVec4(*theme.ACCENT, 0.75))
+    imgui.push_style_color(imgui.Col_.header, colour)
+    clicked, _ = imgui.selectable(
+        f"  {value}###{name} {value}", chosen, imgui.SelectableFlags_.span_all_columns
+    )
+    imgui.pop_style_color()
+    widgets.tooltip(f"{words} Click to draw by it, again for exact.")
+    if clicked:
+        core.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
+
+
+def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
+    name, value = one.rung.knob, one.rung.value
+    imgui.table_next_row()
+    imgui.table_next_column()
+    best = " Nothing else here is both faster and nearer to the truth." if one.pareto else ""
+    choice(core, accuracy, name, value, f"{name} {value}: {price_of(one, ladder)}.{best}")
+    known = is_clear(one)
+    saved = ladder.baseline.ms * (1 - one.ratio)
+    cells = (
+        f"{-saved:+.1f} ms" if known else "same",
+        f"{one.psnr:.1f}",
+        f"{one.max_error:.1g}",
+    )
+    for cell in cells:
+        imgui.table_next_column()
+        if cell == "same":
+            imgui.text_colored(theme.QUIET, cell)
+            widgets.tooltip("The difference is within the noise floor.")
+        else:
+            imgui.text_unformatted(cell)
+
+
+def budget(core: Core, accuracy: Accuracy) -> None:
+    held = accuracy.budget_ms is not None
+    changed = widgets.checkbox(
+        "Hold",
+        held,
+        "While the camera moves, pictures are made as coarse as the budget asks, and no coarser; two frames "
+        "after it rests the exact picture is back. The badge in the picture states the present error.",
+    )
+    if changed is not None:
+        core.post(commands.hold, core.preferences.frame_budget_ms if changed else None)
+    milliseconds = widgets.slider(
+        "A frame",
+        core.preferences.frame_budget_ms,
+        *RANGES["frame_budget_ms"],
+        "What drawing a frame may take.",
+        form="%.0f ms",
+        logarithmic=True,
+    )
+    if milliseconds is not None:
+        core.prefer(frame_budget_ms=milliseconds)
+        if held:
+            core.post(commands.hold, milliseconds)
+    widgets.fact("That is", f"{1000 / core.preferences.frame_budget_ms:.0f} frames a second at most")
+    if accuracy.note:
+        widgets.fact("Now", accuracy.note)
+
+
+def split(accuracy: Accuracy) -> None:
+    comparing = accuracy.comparing
+    chosen = widgets.combo(
+        "Show",
+        comparing.right,
+        RIGHTS,
+        "The exact picture left of a line, and right of it the one by the chosen shortcuts, or where the two "
+        "differ: signed (grey: equal, brighter: too bright), or how strongly an eye would notice it (black: "
+        "not at all). Drag the line. Made anew when the view rests.",
+        [RIGHT_NAMES[name] for name in RIGHTS],
+    )
+    if chosen is not None:
+        comparing.right = chosen
+    if comparing.right == "off":
+        return
+    if comparing.right == "signed":
+        gain = widgets.slider(
+            "Gain", comparing.gain, 1.0, 64.0, "By how much differences are brightened.", logarithmic=True
+        )
+        if gain is not None:
+            comparing.gain = gain
+    if comparing.problem is not None:
+        widgets.note(comparing.problem, theme.ERROR)
+    elif comparing.latest is not None:
+        made = comparing.latest
+        score = "no error" if made.psnr == float("inf") else f"{made.psnr:.1f} dB"
+        widgets.fact("Largest error", f"{made.largest:.3g} of 1 ({made.largest * 255:.0f} of 255)")
+        widgets.fact("Apart", f"{score}; noticed {made.noticed:.3f} of 1 on average")
+
+
+def bill(accuracy: Accuracy) -> None:
+    """What the picture asks of a machine, beside what a NeRF would."""
+    made = accuracy.bill
+    if made is None:
+        return
+    if imgui.begin_table("bill", 3, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
+        for title in ("", "splats", "a NeRF"):
+            imgui.table_setup_column(title)
+        imgui.table_headers_row()
+        for cells in rows(made):
+            imgui.table_next_row()
+            for cell in cells:
+                imgui.table_next_column()
+                imgui.push_text_wrap_pos(0)
+                imgui.text_unformatted(cell)
+                imgui.pop_text_wrap_pos()
+        imgui.end_table()
+    for line in sums(made):
+        widgets.note(line)

@@ -1,0 +1,312 @@
+"""Where the eye is and how it moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from splatview.viewer import save as saving
+from splatview.viewer.commands import (
+    NAVIGATION_MODES,
+    UP_NAMES,
+    delete_bookmark,
+    go_to_bookmark,
+    keys_of,
+    navigate,
+    rename_bookmark,
+    set_up,
+    toggle_lenses,
+    toggle_orthographic,
+    up_name,
+)
+from splatview.viewer.depth_of_field import focus_by_click, is_pinhole
+from splatview.viewer.navigation import AXIS_NAMES
+from splatview.viewer.open import go_to_camera
+from splatview.viewer.panels import widgets
+from splatview.viewer.preferences import RANGES
+from splatview.viewer.state import Core
+
+# ---- Depth of field: how wide the lens is, and what is sharp.
+
+
+APERTURES = (0.001, 0.5)
+"""Of the distance to the turning point."""
+
+FOCUS_RANGE = (0.02, 50.0)
+"""Likewise."""
+
+
+def show_lens(core: Core) -> None:
+    lens = core.depth_of_field
+    on = widgets.checkbox(
+        "Depth of field",
+        lens.on,
+        "Blurs what is not in focus, as a lens does: pictures from all over it are averaged while the view "
+        "rests. While it moves, and where this is off, it costs nothing.",
+    )
+    if on is not None:
+        lens.on = on
+    if not lens.on:
+        return
+    share = widgets.slider(
+        "Aperture",
+        lens.share,
+        *APERTURES,
+        "The lens's diameter over the distance to the point that the view turns about. Wider blurs more.",
+        form="%.3f",
+        logarithmic=True,
+    )
+    if share is not None:
+        lens.share = share
+    focus = widgets.slider(
+        "Focus",
+        lens.focus or core.view.distance,
+        FOCUS_RANGE[0] * core.view.distance,
+        FOCUS_RANGE[1] * core.view.distance,
+        "The distance that is sharp, world units.",
+        form="%.4g",
+        logarithmic=True,
+    )
+    if focus is not None:
+        lens.focus = focus
+    widgets.button(
+        "Focus by click",
+        "What you click on in the picture next becomes sharp.",
+        lambda: core.post(focus_by_click),
+    )
+    widgets.beside("On turning point")
+    widgets.button(
+        "On turning point",
+        "Keeps sharp what the view turns about.",
+        lambda: setattr(lens, "focus", None),
+    )
+    if lens.picking:
+        widgets.note("Click what shall be sharp.")
+    elif not is_pinhole(core.camera):
+        widgets.note("Only pinhole cameras have one: not through a lens that distorts, nor orthographic.")
+    elif lens.badge:
+        widgets.note(lens.badge)
+    imgui.spacing()
+
+
+NAVIGATION_NAMES = {"orbit": "Orbit", "fly": "Fly", "trackball": "Trackball"}
+
+
+def show(core: Core) -> None:
+    mode = widgets.combo(
+        "Navigation",
+        core.preferences.navigation,
+        NAVIGATION_MODES,
+        "Orbit turns about a point and keeps the horizon level. Fly looks around from where the eye is. "
+        "Trackball turns the scene freely like a ball. W A S D E Q move in all of them.",
+        [NAVIGATION_NAMES[m] for m in NAVIGATION_MODES],
+    )
+    if mode is not None:
+        core.post(navigate, mode)
+    up = up_name(core.view)
+    choices = list(UP_NAMES) if up else [*UP_NAMES, "oblique"]
+    chosen = widgets.combo(
+        "Up",
+        up or "oblique",
+        choices,
+        f"The axis that orbiting turns about. Trained scenes are mostly -Y up; {keys_of('next_up')} tries "
+        f"the next, {keys_of('up_from_view')} takes what is up in the picture.",
+    )
+    if chosen is not None and chosen != "oblique":
+        core.post(set_up, chosen)
+    fov = widgets.slider(
+        "Field of view",
+        core.view.lens.fov_y,
+        *RANGES["fov_y"],
+        "Vertical angle of the picture in degrees. Small is a long lens.",
+        form="%.0f°",
+    )
+    if fov is not None:
+        core.prefer(fov_y=fov)
+    rays(core)
+    speeds(core)
+
+    widgets.section("Look")
+    axis_buttons(core)
+    widgets.action_button(core, "Whole scene", "frame_all")
+    imgui.same_line()
+    widgets.action_button(core, "Level", "level")
+
+    widgets.section("Position")
+    position(core)
+    widgets.action_button(core, "Copy", "copy_camera")
+    imgui.same_line()
+    widgets.action_button(core, "Paste", "paste_camera")
+    imgui.same_line()
+    widgets.button(
+        "Save...", "Writes the camera as JSON, for `splatview render --camera`.", lambda: ask_where(core)
+    )
+    imgui.same_line()
+    widgets.action_button(core, "Load...", "open_cameras")
+
+    widgets.section("Lens")
+    show_lens(core)
+
+
+def rays(core: Core) -> None:
+    parallel = widgets.checkbox(
+        "Orthographic",
+        core.destination.lens.orthographic,
+        f"Parallel rays: equal lengths look equal however far away ({keys_of('toggle_orthographic')}). "
+        "The wheel changes the scale.",
+    )
+    if parallel is not None:
+        core.post(toggle_orthographic)
+    if any(camera.lens is not None for camera in core.cameras):
+        through = widgets.checkbox(
+            "Camera lenses",
+            core.through_lenses,
+            f"Shows the views of loaded cameras through their lenses ({keys_of('toggle_lenses')}).",
+        )
+        if through is not None:
+            core.post(toggle_lenses)
+
+
+def speeds(core: Core) -> None:
+    preferences = core.preferences
+    speed = widgets.slider(
+        "Flying speed",
+        preferences.fly_speed,
+        *RANGES["fly_speed"],
+        "Factor on a speed that suits the scene's size. The wheel changes it while flying; "
+        "Shift is four times as fast, Alt four times as slow.",
+        form="%.2f x",
+        logarithmic=True,
+    )
+    if speed is not None:
+        core.prefer(fly_speed=speed)
+    turning = widgets.slider(
+        "Mouse speed",
+        preferences.mouse_speed,
+        *RANGES["mouse_speed"],
+        "How far a drag turns.",
+        form="%.2f x",
+        logarithmic=True,
+    )
+    if turning is not None:
+        core.prefer(mouse_speed=turning)
+    smooth = widgets.checkbox(
+        "Smooth jumps", preferences.smooth, "Shows the way from one view to the next, so you stay oriented."
+    )
+    if smooth is not None:
+        core.prefer(smooth=smooth)
+    inverted = widgets.checkbox(
+        "Invert wheel", preferences.invert_wheel, "Turning the wheel towards you then comes nearer."
+    )
+    if inverted is not None:
+        core.prefer(invert_wheel=inverted)
+
+
+def axis_buttons(core: Core) -> None:
+    spacing = imgui.get_style().item_spacing.x
+    width = (imgui.get_content_region_avail().x - 5 * spacing) / 6
+    for i, name in enumerate(AXIS_NAMES):
+        if i:
+            imgui.same_line()
+        widgets.action_button(core, name, f"look_from_{name}", width=width)
+
+
+def position(core: Core) -> None:
+    view = core.view
+    for name, value, tip in (
+        ("Eye", view.eye, "Where the eye is, world units."),
+        ("Target", view.target, "The point that orbiting turns about: double-click a surface to move it."),
+    ):
+        widgets.label(name, tip)
+        changed, typed = imgui.input_float3(
+            f"##{name}", [float(v) for v in value], "%.4g", imgui.InputTextFlags_.enter_returns_true
+        )
+        widgets.tooltip(f"{tip} Type new coordinates and press Enter: the view is moved, not turned.")
+        if changed:
+            moved = view.target + (typed - value)
+            core.go_to(replace(view, target=moved))
+    widgets.fact("Distance", f"{view.distance:.5g}", "From the eye to the target, world units.")
+
+
+def ask_where(core: Core) -> None:
+    core.choose_files(
+        "Save the camera",
+        lambda paths: core.post(saving.save_current_camera, paths[0]),
+        kind="save_camera",
+        name=f"{saving.picture_stem(core)}.camera.json",
+    )
+
+
+# ---- Views to go back to: bookmarks, and the cameras of a loaded list.
+
+
+def show_bookmarks(core: Core) -> None:
+    imgui.push_id("bookmarks")
+    widgets.section("Bookmarks")
+    widgets.action_button(core, "Bookmark this view", "add_bookmark")
+    if not core.bookmarks:
+        widgets.note(f"None yet. {keys_of('add_bookmark')} keeps the present view, beside the scene's file.")
+    for index, bookmark in enumerate(core.bookmarks):
+        bookmark_row(core, index, bookmark.name)
+    imgui.pop_id()
+    imgui.push_id("cameras")
+    widgets.section("Cameras")
+    if core.cameras:
+        cameras(core)
+    else:
+        widgets.note("A cameras.json, a COLMAP model or a saved camera: drop it on the window, or")
+        widgets.action_button(core, "Load...", "open_cameras")
+    imgui.pop_id()
+
+
+def bookmark_row(core: Core, index: int, name: str) -> None:
+    imgui.push_id(index)
+    style = imgui.get_style()
+    signs = (icons.ICON_FA_PEN, icons.ICON_FA_TRASH)
+    buttons = sum(
+        imgui.calc_text_size(sign).x + 2 * style.frame_padding.x + style.item_spacing.x for sign in signs
+    )
+    width = max(imgui.get_content_region_avail().x - buttons, imgui.get_font_size())
+    if imgui.selectable(name, index == core.bookmark_index, 0, (width, 0))[0]:
+        core.post(go_to_bookmark, index)
+    widgets.tooltip("Go to this view")
+    imgui.same_line()
+    if imgui.small_button(icons.ICON_FA_PEN):
+        imgui.open_popup("rename")
+    widgets.tooltip("Rename")
+    imgui.same_line()
+    if imgui.small_button(icons.ICON_FA_TRASH):
+        core.post(delete_bookmark, index)
+    widgets.tooltip("Delete this bookmark")
+    if imgui.begin_popup("rename"):
+        if imgui.is_window_appearing():
+            imgui.set_keyboard_focus_here()
+        imgui.set_next_item_width(imgui.get_font_size() * 14)
+        done, text = imgui.input_text("##name", name, imgui.InputTextFlags_.enter_returns_true)
+        if done:
+            core.post(rename_bookmark, index, text)
+            imgui.close_current_popup()
+        imgui.end_popup()
+    imgui.pop_id()
+
+
+def cameras(core: Core) -> None:
+    widgets.action_button(core, "Previous", "previous_camera")
+    imgui.same_line()
+    widgets.action_button(core, "Next", "next_camera")
+    imgui.same_line()
+    changed, shown = imgui.checkbox("In the view", core.preferences.show_cameras)
+    widgets.tooltip("Draws each camera as a small pyramid that opens the way it looks.")
+    if changed:
+        core.prefer(show_cameras=shown)
+    clipper = imgui.ListClipper()
+    clipper.begin(len(core.cameras))
+    while clipper.step():
+        for index in range(clipper.display_start, clipper.display_end):
+            camera = core.cameras[index]
+            text = f"{camera.name or f'Camera {index + 1}'}##{index}"
+            if imgui.selectable(text, index == core.camera_index)[0]:
+                core.post(go_to_camera, index)
+            widgets.tooltip(f"{camera.width} x {camera.height} px")

@@ -1,0 +1,231 @@
+"""Crop boxes and spheres: a list, numbers for the chosen one, handles on the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from splatview.edit.operations import Select
+from splatview.edit.operations.base import Operation
+from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
+from splatview.edit.selectors import Box, Sphere
+from splatview.scene import Camera
+from splatview.scene.edits import Adjustment, Crop
+from splatview.viewer import theme
+from splatview.viewer.editing import gizmos
+from splatview.viewer.editing.commands import Shape, add_crop
+from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
+from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.tool_state import mode_of
+from splatview.viewer.panels import widgets
+from splatview.viewer.theme import point_on_picture
+from splatview.viewer.training import live_edits as held
+
+if TYPE_CHECKING:
+    from splatview.viewer.state import Core
+
+
+SECTION = "crop"
+
+KINDS = ("move", "turn", "size")
+
+CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+EDGES = [(i, j) for i in range(8) for j in range(i) if bin(i ^ j).count("1") == 1]
+
+CUTTING = ImVec4(1, 0.45, 0.4, 0.8)
+"""Colour of crops that cut out what is inside."""
+
+CIRCLE = np.linspace(0, 2 * np.pi, 49)
+
+
+def show(core: Core, desk: Desk) -> None:
+    shapes: tuple[tuple[str, Shape], ...] = (("Add a box", "box"), ("Add a sphere", "sphere"))
+    for number, (name, shape) in enumerate(shapes):
+        if number:
+            widgets.beside(name)
+        widgets.button(
+            name,
+            "Shows only what is inside; no splat is touched. Several add up; each can also cut out instead.",
+            partial(core.post, partial(add_crop, shape=shape)),
+        )
+    crops = desk.document.crops
+    if not crops:
+        desk.forms.crop = -1
+        widgets.note(
+            "No crops. Export leaves out what they cut away."
+            if desk.trainee is None
+            else "No crops. They show what is left; then let them cut, or let nothing grow inside."
+        )
+        return
+    desk.forms.crop = min(desk.forms.crop, len(crops) - 1)
+    for index, crop in enumerate(crops):
+        imgui.push_id(index)
+        toggled, enabled = imgui.checkbox("##on", crop.enabled)
+        widgets.tooltip("Switches this crop on or off.")
+        if toggled:
+            _post(core, EnableCrop(index=index, enabled=enabled))
+        imgui.same_line()
+        word = "keeps" if crop.keep == "inside" else "cuts out"
+        clicked, _ = imgui.selectable(
+            f"{crop.name}: {crop.shape}, {word} its inside", index == desk.forms.crop
+        )
+        if clicked:
+            desk.forms.crop = -1 if index == desk.forms.crop else index
+        imgui.pop_id()
+    if desk.forms.crop >= 0:
+        numbers(core, desk, desk.forms.crop)
+    if not any(crop.enabled for crop in crops):
+        return
+    if desk.trainee is not None:
+        widgets.button(
+            "Cut away in training",
+            "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
+            partial(core.post, held.cut_away),
+        )
+    else:
+        operation = DeleteCropped()
+        widgets.button("Delete what is cut away", operation.summary, partial(_post, core, operation))
+
+
+def numbers(core: Core, desk: Desk, index: int) -> None:
+    """Every number of a crop, to type or to drag; undo goes back over a whole drag."""
+    crop = desk.document.crops[index]
+    speed = max(core.scene.radius if core.scene else 1.0, 1e-6) / 300
+    new, settled = crop, False
+    widgets.label("Name", "For you and the history.")
+    changed, name = imgui.input_text("##name", crop.name, imgui.InputTextFlags_.enter_returns_true)
+    if changed and name.strip():
+        new, settled = replace(new, name=name.strip()), True
+    keep = widgets.combo(
+        "Keeps", crop.keep, ("inside", "outside"), "What stays: the inside, or everything else."
+    )
+    if keep is not None:
+        new, settled = replace(new, keep=keep), True
+    for label, field, tip, step in (
+        ("Centre", "centre", "x, y, z in world units.", speed),
+        ("Half size", "half_extents", "Half of its extent along its own axes, world units.", speed),
+    ):
+        values = widgets.vector(label, getattr(crop, field), step, tip)
+        if values is not None and field == "half_extents":
+            x, y, z = (max(abs(value), 1e-9) for value in values)
+            values = x, y, z
+        if values is not None:
+            new = replace(new, **{field: values})
+        settled |= imgui.is_item_deactivated_after_edit()
+    values = widgets.vector("Turned", angles_of(crop.rotation), 0.25, "Degrees about x, y, z.", form="%.2f")
+    if values is not None:
+        new = replace(new, rotation=quat_of(values))
+    settled |= imgui.is_item_deactivated_after_edit()
+    handle = widgets.combo(
+        "Handles", KINDS[desk.forms.crop_handles], KINDS, "What the handles on the picture do."
+    )
+    if handle is not None:
+        desk.forms.crop_handles = KINDS.index(handle)
+    change(core, desk, index, new, settled=settled)
+    by = volume(crop)
+    imgui.begin_disabled(by is None)
+    if imgui.button("Select inside") and by is not None:
+        io = imgui.get_io()
+        _post(core, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
+    widgets.tooltip(
+        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
+    )
+    imgui.end_disabled()
+    widgets.beside("Remove")
+    if imgui.button("Remove"):
+        _post(core, RemoveCrop(index=index))
+    widgets.tooltip("Removes this crop; what it cut away is back.")
+    if desk.trainee is not None:
+        widgets.button(
+            "No growth inside",
+            "From now on no splat is born in it. Those that are there are trained on, and may die.",
+            partial(core.post, held.stop_growth, index),
+        )
+
+
+def volume(crop: Crop) -> Box | Sphere | None:
+    """What selects the inside of a crop; None for a sphere that was drawn out to an egg."""
+    if crop.shape == "box":
+        return Box(centre=crop.centre, half_extents=crop.half_extents, rotation=crop.rotation)
+    low, high = min(crop.half_extents), max(crop.half_extents)
+    return Sphere(centre=crop.centre, radius=high) if high - low <= 1e-6 * high else None
+
+
+def change(core: Core, desk: Desk, index: int, new: Crop, *, settled: bool) -> None:
+    """Previews a crop while it is dragged, and makes one step of the drag when it ends."""
+    if new != desk.document.crops[index]:
+        operation = ChangeCrop(index=index, crop=new)
+        core.post(lambda core: core.desk.preview(SECTION, operation) if core.desk else None)
+    if settled:
+        core.post(lambda core: core.desk.commit_preview() if core.desk else None)
+
+
+def draw(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
+    """The crops' outlines over the picture, and handles of the chosen one."""
+    for index, crop in enumerate(desk.document.crops):
+        chosen = index == desk.forms.crop
+        if not (crop.enabled or chosen):
+            continue
+        colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
+        draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
+    if 0 <= desk.forms.crop < len(desk.document.crops) and not desk.forms.move.gizmo:
+        drag_handles(core, desk, camera, corner)
+
+
+def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thickness: float) -> None:
+    """One crop over the picture of `camera` with its top left at `corner`."""
+    ink, packed = imgui.get_window_draw_list(), imgui.get_color_u32(colour)
+    for line in outline(crop):
+        for start, end in pairwise(line.tolist()):
+            a = point_on_picture(camera, corner, start)
+            b = point_on_picture(camera, corner, end)
+            if a is not None and b is not None:
+                ink.add_line(a, b, packed, thickness)
+
+
+def drag_handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
+    index = desk.forms.crop
+    crop = desk.document.crops[index]
+    R_world_own = Adjustment(rotation=crop.rotation).R
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R_world_own * np.array(crop.half_extents), crop.centre
+    kind = KINDS[desk.forms.crop_handles]
+    moved = gizmos.handles("crop", camera, corner, matrix, kind, local=kind != "move")
+    if moved is not None:
+        desk.forms.crop_dragged = True
+        lengths = np.maximum(np.linalg.norm(moved[:3, :3], axis=0), 1e-9)
+        x, y, z = moved[:3, 3].tolist()
+        if kind == "move":
+            new = replace(crop, centre=(x, y, z))
+        elif kind == "size":
+            ex, ey, ez = lengths.tolist()
+            new = replace(crop, half_extents=(ex, ey, ez))
+        else:
+            new = replace(crop, rotation=quat_from_matrix(moved[:3, :3] / lengths))
+        change(core, desk, index, new, settled=False)
+    elif desk.forms.crop_dragged and not gizmos.dragging():
+        desk.forms.crop_dragged = False
+        core.post(lambda core: core.desk.commit_preview() if core.desk else None)
+
+
+def outline(crop: Crop) -> list[np.ndarray]:
+    """Lines (P, 3) float64 in the world: edges of the box, or three circles of the sphere."""
+    R_world_own = Adjustment(rotation=crop.rotation).R
+    place = lambda own: (own * crop.half_extents) @ R_world_own.T + crop.centre  # noqa: E731
+    if crop.shape == "box":
+        return [place(CORNERS[[i, j]]) for i, j in EDGES]
+    circles = []
+    for axis in range(3):
+        own = np.zeros((len(CIRCLE), 3))
+        own[:, (axis + 1) % 3], own[:, (axis + 2) % 3] = np.cos(CIRCLE), np.sin(CIRCLE)
+        circles.append(place(own))
+    return circles
+
+
+def _post(core: Core, operation: Operation) -> None:
+    core.post(lambda core: core.desk.apply(operation) if core.desk else None)

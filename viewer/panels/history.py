@@ -1,0 +1,113 @@
+"""The steps so far: undo, redo, and any of them on a click."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from imgui_bundle import ImVec2, imgui
+
+from splatview.viewer import theme
+from splatview.viewer.dialogs import DIALOG_FLAGS, centred
+from splatview.viewer.editing import commands
+from splatview.viewer.editing.files import described
+from splatview.viewer.editing.files import restore as restore_journal
+from splatview.viewer.panels import widgets
+from splatview.viewer.training.live_edits import NO_WAY_BACK
+
+if TYPE_CHECKING:
+    from splatview.edit.journal import AbandonedJournal
+    from splatview.viewer.state import Core
+
+
+def show(core: Core) -> None:
+    desk = core.desk
+    if desk is None:
+        widgets.note("Nothing is held: take a tool first." if core.can_edit else "Nothing is open.")
+        return
+    history = desk.document.history
+    if desk.trainee is not None:
+        widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
+    imgui.begin_disabled(not history.can_undo)
+    widgets.action_button(core, "Undo", "undo")
+    imgui.end_disabled()
+    imgui.same_line()
+    imgui.begin_disabled(not history.can_redo)
+    widgets.action_button(core, "Redo", "redo")
+    imgui.end_disabled()
+    number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
+    used = f"{number}, {memory(history.nbytes)}"
+    widgets.beside(used)
+    imgui.text_colored(theme.QUIET, used)
+    widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
+    if core.at_rest:
+        for number, (name, action) in enumerate(
+            (
+                ("Export...", "export"),
+                ("Save recipe...", "save_recipe"),
+                ("Replay recipe...", "replay_recipe"),
+            )
+        ):
+            if number:
+                widgets.beside(name)
+            widgets.action_button(core, name, action)
+    imgui.begin_child("##steps", ImVec2(0, 0))
+    steps = ["As opened", *(step.title for step in history.steps)]
+    for position, title in enumerate(steps):
+        waiting = position > history.position
+        if waiting:
+            imgui.push_style_color(imgui.Col_.text, theme.QUIET)
+        clicked, _ = imgui.selectable(f"{title}##{position}", position == history.position)
+        if waiting:
+            imgui.pop_style_color()
+        if clicked:
+            core.post(partial(commands.jump, position=position))
+    if desk.seen_position != history.position:
+        desk.seen_position = history.position
+        imgui.set_scroll_here_y(1.0) if history.position == len(history.steps) else None
+    imgui.end_child()
+
+
+def memory(size: int) -> str:
+    """Bytes in words."""
+    return f"{size / 1024:.0f} KiB" if size < 1 << 20 else f"{size / (1 << 20):.1f} MiB"
+
+
+# ---- The offer to go on with edits that an earlier window left in no file.
+
+
+def show_restore(core: Core) -> None:
+    if core.dialog != "restore" or not core.abandoned:
+        return
+    centred(34)
+    opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
+    widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
+    for journal in tuple(core.abandoned):
+        imgui.push_id(str(journal.file))
+        widgets.button(
+            "Restore", "Opens the scene and does its steps again.", partial(_restore, core, journal)
+        )
+        imgui.same_line()
+        widgets.button("Discard", "Forgets these steps for good.", partial(_discard, core, journal))
+        imgui.same_line()
+        imgui.text_unformatted(described(journal))
+        widgets.tooltip(str(journal.scene))
+        imgui.pop_id()
+    widgets.button("Later", "Asks again at the next start.", partial(_close, core))
+    imgui.end()
+    if not opened or not core.abandoned:
+        core.dialog = None
+
+
+def _restore(core: Core, journal: AbandonedJournal) -> None:
+    _close(core)
+    core.post(partial(restore_journal, journal=journal))
+
+
+def _discard(core: Core, journal: AbandonedJournal) -> None:
+    journal.discard()
+    core.abandoned.remove(journal)
+
+
+def _close(core: Core) -> None:
+    core.dialog = None

@@ -1,0 +1,193 @@
+"""The photos of a training: which are trained on, which are held out and how they score."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import moderngl
+from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from splatview.viewer import theme
+from splatview.viewer.panels import widgets
+from splatview.viewer.state import Core
+from splatview.viewer.training import live as actions
+from splatview.viewer.training.comparison import Wish, shrink_for
+from splatview.viewer.training.live import Training, viewer_threads
+
+
+def show(core: Core) -> None:
+    training = core.training
+    if training is None:
+        return
+    widgets.button(
+        "Go to this camera",
+        "Looks from where the chosen photo was taken. A double click on a photo does it, too.",
+        partial(core.post, actions.go_to_photo, training.photo_index),
+    )
+    imgui.same_line()
+    changed, shown = imgui.checkbox("In the view", core.preferences.show_photos)
+    widgets.tooltip("Draws each photo's camera as a small pyramid; a click on one goes there.")
+    if changed:
+        core.prefer(show_photos=shown)
+    if any(photo.held_out for photo in training.photos):
+        imgui.same_line()
+        widgets.button("Measure", "Scores the held-out photos now.", partial(core.post, actions.evaluate))
+    table(core)
+
+
+def table(core: Core) -> None:
+    training = core.training
+    assert training is not None
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_stretch_prop
+    if not imgui.begin_table("photos", 3, flags):
+        return
+    imgui.table_setup_scroll_freeze(0, 1)
+    imgui.table_setup_column("Photo", imgui.TableColumnFlags_.width_stretch, 3)
+    imgui.table_setup_column("Use", imgui.TableColumnFlags_.width_stretch, 1.3)
+    imgui.table_setup_column("dB", imgui.TableColumnFlags_.width_stretch, 1)
+    imgui.table_headers_row()
+    scores = training.scores
+    clipper = imgui.ListClipper()
+    clipper.begin(len(training.photos))
+    while clipper.step():
+        for index in range(clipper.display_start, clipper.display_end):
+            photo = training.photos[index]
+            imgui.table_next_row()
+            imgui.table_next_column()
+            flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
+            if imgui.selectable(f"{photo.label}##{index}", index == training.photo_index, flags)[0]:
+                double = imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
+                core.post(actions.go_to_photo if double else actions.compare_photo, index)
+            widgets.tooltip(f"{photo.name}: {photo.camera.width} x {photo.camera.height} px")
+            imgui.table_next_column()
+            if photo.held_out:
+                imgui.text_colored(ImVec4(*theme.HELD_OUT, 1), "held out")
+            else:
+                imgui.text_colored(theme.QUIET, "trained")
+            imgui.table_next_column()
+            if photo.name in scores:
+                imgui.text_unformatted(f"{scores[photo.name]:.2f}")
+    imgui.end_table()
+
+
+# ---- A photo beside what the scene shows from its camera, and where the two differ.
+
+
+TITLES = ("Photo", "Scene", "Difference")
+
+GAINS = (1.0, 20.0)
+
+LENS_SHARE = 1 / 6
+"""Of a picture's width, that the magnifying tooltip shows."""
+
+
+def show_comparison(core: Core) -> None:
+    training = core.training
+    if training is None:
+        return
+    tools(core, training)
+    comparison = training.comparer.latest
+    room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing
+    camera = training.photo.camera
+    width = (room.x - 2 * spacing.x) / 3
+    width = max(min(width, room.y * camera.width / camera.height), 16.0)
+    height = width * camera.height / camera.width
+    want(core, training, width, height)
+    if comparison is None or comparison.wish.shot is not training.photo.shot:
+        widgets.note(training.comparer.problem or "Drawing...")
+        return
+    textures = training.pictures.of(comparison)
+    for column, (title, texture) in enumerate(zip(TITLES, textures, strict=True)):
+        if column:
+            imgui.same_line()
+        imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
+        caption(title)
+        if imgui.is_item_hovered():
+            magnify(textures, width, height)
+
+
+def caption(text: str) -> None:
+    """In the corner of the picture just drawn, on a dark ground."""
+    corner, size = imgui.get_item_rect_min(), imgui.calc_text_size(text)
+    edge = 0.3 * imgui.get_font_size()
+    draw = imgui.get_window_draw_list()
+    low = ImVec2(corner.x + edge, corner.y + edge)
+    high = ImVec2(low.x + size.x + 2 * edge, low.y + size.y + edge)
+    draw.add_rect_filled(low, high, imgui.get_color_u32(ImVec4(0, 0, 0, 0.6)), edge)
+    draw.add_text(ImVec2(low.x + edge, low.y + edge / 2), imgui.get_color_u32(ImVec4(1, 1, 1, 0.9)), text)
+
+
+def tools(core: Core, training: Training) -> None:
+    """Which photo, its score, and how strongly differences are shown."""
+    index = training.photo_index
+    widgets.button(
+        f"{icons.ICON_FA_CHEVRON_LEFT}###previous",
+        "Previous photo",
+        partial(core.post, actions.compare_photo, index - 1),
+    )
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_CHEVRON_RIGHT}###next",
+        "Next photo",
+        partial(core.post, actions.compare_photo, index + 1),
+    )
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_VIDEO}  Go there###go",
+        "Looks from where this photo was taken",
+        partial(core.post, actions.go_to_photo, index),
+    )
+    imgui.same_line()
+    comparison = training.comparer.latest
+    score = ""
+    if comparison is not None and comparison.wish.shot is training.photo.shot:
+        height, width = comparison.photo.shape[:2]
+        score = f"   {comparison.psnr:.2f} dB at {width} x {height}"
+    imgui.text_unformatted(
+        f"{training.photo.label} ({'held out' if training.photo.held_out else 'trained'}){score}"
+    )
+    imgui.same_line()
+    imgui.set_next_item_width(imgui.get_font_size() * 8)
+    changed, gain = imgui.slider_float(
+        "##gain", training.gain, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
+    )
+    widgets.tooltip("By how much differences are brightened")
+    if changed:
+        training.gain = min(max(gain, GAINS[0]), GAINS[1])
+
+
+def want(core: Core, training: Training, width: float, height: float) -> None:
+    """Asks for the pictures in the size in which they are seen."""
+    if training.shown is None:
+        return
+    camera, scale = training.photo.camera, imgui.get_io().display_framebuffer_scale
+    training.comparer.want(
+        Wish(
+            shot=training.photo.shot,
+            gaussians=training.shown.gaussians,
+            settings=training.settings,
+            shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
+            gain=training.gain,
+        ),
+        viewer_threads(core.preferences.training_share, training.thread.cores),
+    )
+
+
+def magnify(textures: list[moderngl.Texture], width: float, height: float) -> None:
+    """The place under the mouse in all three pictures, enlarged."""
+    corner, mouse = imgui.get_item_rect_min(), imgui.get_mouse_pos()
+    half = LENS_SHARE / 2
+    tall = half * width / height
+    x = min(max((mouse.x - corner.x) / width, half), 1 - half)
+    y = min(max((mouse.y - corner.y) / height, tall), 1 - tall)
+    if imgui.begin_tooltip():
+        side = imgui.get_font_size() * 10
+        for column, texture in enumerate(textures):
+            if column:
+                imgui.same_line()
+            texture_ref = imgui.ImTextureRef(texture.glo)
+            imgui.image(
+                texture_ref, ImVec2(side, side), ImVec2(x - half, y - tall), ImVec2(x + half, y + tall)
+            )
+        imgui.end_tooltip()

@@ -1,0 +1,222 @@
+"""The recipe of a training, below its controls: what may be changed on the way, and what was decided."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from imgui_bundle import ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from splatview.scene.edits import Crop
+from splatview.trainer.settings import TrainSettings
+from splatview.viewer import theme
+from splatview.viewer.panels import widgets
+from splatview.viewer.state import Core
+from splatview.viewer.training import live as actions
+from splatview.viewer.training import live_edits as held
+from splatview.viewer.training.live import Training
+
+DEFAULTS = TrainSettings()
+
+STRATEGIES = {"mcmc": "MCMC", "classic": "Classic"}
+
+
+def show(core: Core) -> None:
+    if core.training is None:
+        return
+    status = core.training.status
+    settings = status.settings
+    length(core, settings)
+    factor = widgets.slider(
+        "Position rate",
+        settings.means_rate / DEFAULTS.means_rate,
+        0.1,
+        10.0,
+        "How far splats move in a step, times what is usual. More finds far places sooner, less is calmer.",
+        form="%.2f x",
+        logarithmic=True,
+    )
+    if factor is not None:
+        set_position_rate(core, factor)
+    most = widget_count(
+        "Most splats",
+        settings.max_splats,
+        "Density control adds none beyond this. Fewer are faster, and learn fewer photos by heart.",
+        step=1000,
+    )
+    if most is not None:
+        core.post(lambda core: actions.change_settings(core, max_splats=max(most, 1)))
+    choices = [str(degree) for degree in range(status.sh_degree, 4)]
+    degree = widgets.combo(
+        "SH degree",
+        str(max(settings.sh_degree, status.sh_degree)),
+        choices,
+        f"Bands of view-dependent colour in the end; {status.sh_degree} by now. Bands in training stay.",
+    )
+    if degree is not None:
+        core.post(lambda core: actions.change_settings(core, sh_degree=int(degree)))
+    imgui.spacing()
+    widgets.fact("Strategy", STRATEGIES[settings.strategy], "How splats are born and die.")
+    widgets.fact("Seed", str(settings.seed), "Of all that is random.")
+    first = core.training.photos[0].camera
+    held_out = sum(photo.held_out for photo in core.training.photos)
+    widgets.fact("Photos", f"{len(core.training.photos) - held_out} + {held_out} held out")
+    widgets.fact("First photo", f"{first.width} x {first.height} px", "After downscaling.")
+    red, green, blue = settings.background
+    widgets.fact("Background", f"{red:.2f}, {green:.2f}, {blue:.2f}", "Behind the scene, RGB.")
+    widgets.fact("Loss", f"{1 - settings.ssim_weight:g} L1 + {settings.ssim_weight:g} (1 - SSIM)")
+    widgets.section("Effects")
+    effects(core)
+
+
+def effects(core: Core) -> None:
+    """What the run computes, decided from the capture; the evidence on demand."""
+    if core.training is None:
+        return
+    for effect in core.training.thread.effects:
+        on = effect.in_force
+        if effect.name == "SH bands":
+            on = core.training.status.sh_degree > 0
+        imgui.text_colored(ImVec4(*theme.ACCENT, 1) if on else theme.QUIET, "on" if on else "off")
+        imgui.same_line(imgui.get_font_size() * 2.6)
+        imgui.text(effect.name)
+        widgets.tooltip(effect.why)
+
+
+def length(core: Core, settings: TrainSettings) -> None:
+    """The end of the run: moving it changes how fast rates decay from here on."""
+    if settings.iterations is not None:
+        steps = widget_count(
+            "Length, steps",
+            settings.iterations,
+            "When the run is over. All schedules follow: a longer run decays later. Above the steps done, a "
+            "run that is over can be resumed.",
+            step=1000,
+        )
+        if steps is not None:
+            core.post(lambda core: actions.change_settings(core, iterations=max(steps, 1)))
+    if settings.minutes is not None:
+        tip = "When the run is over, pauses not counted. All schedules follow."
+        widgets.label("Length, minutes", tip)
+        changed, minutes = imgui.input_float("##Length, minutes", settings.minutes, 1.0, 10.0, "%.1f")
+        widgets.tooltip(tip)
+        if changed and minutes > 0:
+            core.post(lambda core: actions.change_settings(core, minutes=minutes))
+
+
+def widget_count(name: str, value: int, tip: str, *, step: int) -> int | None:
+    """A row with a whole number to type or step; the new one where the user changed it."""
+    widgets.label(name, tip)
+    changed, value = imgui.input_int(
+        f"##{name}", value, step, 10 * step, imgui.InputTextFlags_.enter_returns_true
+    )
+    widgets.tooltip(tip)
+    return value if changed else None
+
+
+def set_position_rate(core: Core, factor: float) -> None:
+    """Both ends of the curve of the positions' rate, times what is usual."""
+    core.post(
+        lambda core: actions.change_settings(
+            core,
+            means_rate=factor * DEFAULTS.means_rate,
+            means_rate_end=factor * DEFAULTS.means_rate_end,
+        )
+    )
+
+
+# ---- The part of the Edit panel that is about training: whether the view waits, and the rules in force.
+
+
+WHICH = (
+    "Delete, clean-up and crops act on the training. Hiding and locking only help to choose. Everything else "
+    "(moving, colours, merging, recipes) is for scenes at rest."
+)
+
+
+def waiting_note(core: Core) -> str:
+    """Why the view does not follow the training; "" where it does."""
+    desk = core.desk
+    if desk is None or desk.trainee is None or not held.engaged(desk):
+        return ""
+    step = f"{desk.trainee.snapshot.iteration:,}"
+    goes_on = core.training is not None and core.training.status.state == "training"
+    begin = "Training goes on; the view" if goes_on else "The view"
+    counts = desk.document.counts
+    why = (
+        "while splats are selected"
+        if counts.selected
+        else f"while a tool is in hand ({desk.tool})"
+        if desk.tool != "none"
+        else "while crops are being set"
+        if desk.document.crops
+        else "until it is let go"
+    )
+    return f"{begin} waits at step {step} {why}."
+
+
+def show_rules(core: Core, training: Training) -> None:
+    """On top of the Edit panel."""
+    note = waiting_note(core)
+    if note:
+        widgets.note(note, theme.WARNING)
+        widgets.button(
+            f"{icons.ICON_FA_PLAY}  Let go###let go",
+            "Puts the tool away, selects nothing, and shows the training as it goes on (Esc).",
+            partial(core.post, held.let_go),
+        )
+    else:
+        widgets.note("Take a tool to choose splats: the view then waits, and training goes on.")
+        widgets.button(
+            f"{icons.ICON_FA_PAUSE}  Hold the view###hold",
+            "Stays with this moment of the training, for all that the panel can do.",
+            partial(core.post, held.keep_waiting),
+        )
+    imgui.same_line()
+    imgui.text_colored(theme.QUIET, icons.ICON_FA_CIRCLE_QUESTION)
+    widgets.tooltip(f"{WHICH} {held.NO_WAY_BACK}; rules can be removed below.")
+
+
+def in_force(core: Core, training: Training) -> None:
+    """The list of rules, each with a way out. The one under the mouse is drawn on the picture."""
+    settings = training.status.settings
+    training.pointed = ()
+    if not settings.cut and not settings.no_growth:
+        widgets.note("None yet: add a crop and let it cut, or let nothing grow in it.")
+        return
+    for number, crops in enumerate(settings.cut):
+        names = ", ".join(f"{crop.shape} {crop.name}" for crop in crops)
+        _row(core, training, "cut", number, crops, f"Cut by {names}")
+    for number, crop in enumerate(settings.no_growth):
+        _row(core, training, "no_growth", number, (crop,), f"No growth in {crop.shape} {crop.name}")
+    widgets.note("Checkpoints keep them.")
+
+
+def _row(
+    core: Core, training: Training, kind: held.Rule, number: int, crops: tuple[Crop, ...], text: str
+) -> None:
+    imgui.push_id(f"{kind} {number}")
+    widgets.button(
+        f"{icons.ICON_FA_XMARK}###remove",
+        "Removes this rule. What it took out comes back only by training.",
+        partial(core.post, held.remove_rule, kind, number),
+    )
+    pointed = imgui.is_item_hovered()
+    imgui.same_line()
+    imgui.align_text_to_frame_padding()
+    imgui.text(text)
+    widgets.tooltip("; ".join(described(crop) for crop in crops))
+    if pointed or imgui.is_item_hovered():
+        training.pointed = crops
+    imgui.pop_id()
+
+
+def described(crop: Crop) -> str:
+    """In words and numbers, for a tooltip."""
+    x, y, z = crop.centre
+    a, b, c = crop.half_extents
+    word = "keeps" if crop.keep == "inside" else "cuts out"
+    return (
+        f"{crop.name}: {word} the inside of a {crop.shape} at ({x:.3g}, {y:.3g}, {z:.3g}), half size "
+        f"({a:.3g}, {b:.3g}, {c:.3g})"
+    )

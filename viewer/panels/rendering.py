@@ -1,0 +1,198 @@
+"""How the picture is made: what is shown, the image model's knobs, the background."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from imgui_bundle import ImVec4, imgui
+
+from splatview.scene.image_model import BLUR, DISC_BLUR, ImageModel
+from splatview.viewer.background import ask_for_picture
+from splatview.viewer.commands import VISUAL_MODES, set_mode
+from splatview.viewer.panels import widgets
+from splatview.viewer.preferences import RANGES, BackgroundKind
+from splatview.viewer.state import Core
+
+# ---- What is behind the scene: one colour, a sky over a ground, or a picture all around.
+
+
+COLOURS = (
+    ("Black", (0.0, 0.0, 0.0)),
+    ("Graphite", (0.10, 0.10, 0.11)),
+    ("Grey", (0.5, 0.5, 0.5)),
+    ("White", (1.0, 1.0, 1.0)),
+    ("Sky", (0.53, 0.70, 0.90)),
+)
+
+KINDS = {"colour": "One colour", "gradient": "Gradient", "panorama": "Picture all around"}
+
+
+def show_background(core: Core) -> None:
+    preferences = core.preferences
+    kinds: tuple[BackgroundKind, ...] = get_args(BackgroundKind)
+    kind = widgets.combo(
+        "Behind",
+        preferences.background_kind,
+        kinds,
+        "Blended behind the scene, as it is: no gamma. A gradient goes from straight up to straight down, "
+        "a picture (equirectangular, twice as wide as high) all the way round. Both are upright as the "
+        "view's up axis is, and stay where they are while the eye turns.",
+        [KINDS[kind] for kind in kinds],
+    )
+    if kind is not None:
+        core.prefer(background_kind=kind)
+        if kind == "panorama" and not preferences.panorama:
+            ask_for_picture(core)
+    match preferences.background_kind:
+        case "colour":
+            one_colour(core)
+        case "gradient":
+            colour(core, "Above", "sky", "Straight up.")
+            colour(core, "Below", "ground", "Straight down.")
+        case "panorama":
+            name = Path(preferences.panorama).name or "none yet"
+            widgets.fact("Picture", name, preferences.panorama)
+            widgets.button(
+                "Open picture...",
+                "An equirectangular picture: its middle is in front, its top row up.",
+                lambda: ask_for_picture(core),
+            )
+
+
+def one_colour(core: Core) -> None:
+    colour(core, "Colour", "background", "Scenes are mostly trained on black or white.")
+    widgets.label("Presets", "Backgrounds for one click.")
+    side = imgui.get_frame_height()
+    for i, (name, preset) in enumerate(COLOURS):
+        if i:
+            imgui.same_line()
+        flags = imgui.ColorEditFlags_.no_tooltip | imgui.ColorEditFlags_.no_drag_drop
+        if imgui.color_button(f"{name}##background", ImVec4(*preset, 1), flags, (side, side)):
+            core.prefer(background=preset)
+        widgets.tooltip(name)
+
+
+def colour(core: Core, name: str, preference: str, tip: str) -> None:
+    """A row with the colour that `preference` holds."""
+    widgets.label(name, tip)
+    changed, new = imgui.color_edit3(f"##{preference}", list(getattr(core.preferences, preference)))
+    widgets.tooltip(tip)
+    if changed:
+        r, g, b = (min(max(float(part), 0.0), 1.0) for part in new)
+        core.prefer(**{preference: (r, g, b)})
+
+
+MODE_NAMES = {
+    "splats": "Splats",
+    "points": "Points",
+    "ellipsoids": "Ellipsoids",
+    "depth": "Depth",
+    "overdraw": "Overdraw",
+}
+MODE_TIP = (
+    "What is drawn for each splat. Splats: the picture itself. Points: centres only, to see structure. "
+    "Ellipsoids: solid bodies, to see needles and discs. Depth: near is bright. "
+    "Overdraw: how many splats each pixel costs, to see where time goes."
+)
+
+
+def show(core: Core) -> None:
+    mode = widgets.combo("Show", core.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
+    if mode is not None:
+        core.post(set_mode, mode)
+    sh_degree(core)
+    scale = widgets.slider(
+        "Resolution",
+        core.preferences.resolution_scale,
+        *RANGES["resolution_scale"],
+        "Rendered pixels for each pixel of the window, along each side. Half is about four times as fast; "
+        "two smooths edges. Saved pictures are always at full resolution.",
+        form="%.2f x",
+    )
+    if scale is not None:
+        core.prefer(resolution_scale=scale)
+    widgets.section("Background")
+    show_background(core)
+    widgets.section("Image model")
+    image_model(core)
+
+
+def sh_degree(core: Core) -> None:
+    stored = core.scene.gaussians.sh_degree if core.scene else 3
+    choices = ["all", *(str(degree) for degree in range(stored + 1))]
+    names = [f"All stored ({stored})", "0: constant colour", "1", "2", "3"][: len(choices)]
+    now = core.settings.sh_degree
+    value = "all" if now is None or now > stored else str(now)
+    chosen = widgets.combo(
+        "SH degree",
+        value,
+        choices,
+        "Highest band of view-dependent colour that is computed. Lower is faster and loses gloss.",
+        names,
+    )
+    if chosen is not None:
+        core.settings = replace(core.settings, sh_degree=None if chosen == "all" else int(chosen))
+
+
+def image_model(core: Core) -> None:
+    model = core.settings.model
+    footprint = widgets.combo(
+        "Splats are",
+        model.footprint,
+        ("ellipsoid", "disc"),
+        "Solid, or flat discs that each pixel's ray meets (2D Gaussian Splatting). Right is what the scene "
+        "was trained as; blur changes with it.",
+        ["Solid ellipsoids", "Flat discs"],
+    )
+    if footprint is not None:
+        model = model.with_footprint("disc" if footprint == "disc" else "ellipsoid")
+    antialiased = widgets.checkbox(
+        "Antialiased",
+        model.antialiased,
+        "Takes back from small splats the brightness that the blur adds (Mip-Splatting). Right only for "
+        "scenes that were trained so; others become thin and dark. Without effect on discs.",
+    )
+    if antialiased is not None:
+        model = replace(model, antialiased=antialiased)
+    blur = widgets.slider(
+        "Blur",
+        model.blur,
+        0.0,
+        1.0,
+        f"Variance in px² added to every footprint. Trained scenes expect {BLUR}; some antialiased ones 0.1. "
+        f"Of discs: of the dot that each is at least; they expect {DISC_BLUR}.",
+    )
+    if blur is not None:
+        model = replace(model, blur=blur)
+    near = widgets.slider(
+        "Near",
+        model.near,
+        0.001,
+        10.0,
+        "Splats nearer to the eye than this are not drawn, world units. Raise it to look inside.",
+        form="%.3f",
+        logarithmic=True,
+    )
+    if near is not None:
+        model = replace(model, near=near)
+    if model != core.settings.model:
+        core.settings = replace(core.settings, model=model)
+    blend = widgets.combo(
+        "Blending",
+        core.preferences.blend,
+        ("float16", "float32"),
+        "Precision of the target that splats are blended into. float16 is faster and within 4/255 of the "
+        "truth; float32 is for measuring, and for drivers that truncate float16 (splatview doctor).",
+    )
+    if blend is not None:
+        core.prefer(blend=blend)
+    called_for = core.scene.settings.model if core.scene else ImageModel()
+    if core.settings.model != called_for:
+        widgets.button(
+            "As the scene calls for",
+            "Takes footprint, antialiasing, blur and near back to what the scene was trained with, as far as "
+            "its file says.",
+            lambda: setattr(core, "settings", replace(core.settings, model=called_for)),
+        )

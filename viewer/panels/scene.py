@@ -1,0 +1,108 @@
+"""What is open: its files, size, what its effects are and what is ill in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from imgui_bundle import imgui
+
+from splatview.edit.impact import NO_LOSS, in_words
+from splatview.edit.operations import Select
+from splatview.edit.operations.cleanup import REPAIRS, Repair
+from splatview.edit.selectors import IllSplats
+from splatview.scene.health import Finding
+from splatview.viewer import theme
+from splatview.viewer.editing import cleanup as repairing
+from splatview.viewer.editing.commands import apply
+from splatview.viewer.loading import Examination
+from splatview.viewer.panels import widgets
+from splatview.viewer.panels.clean import quality
+from splatview.viewer.state import Core
+
+# ---- What is ill in the scene: a click selects it, a button repairs it, and says before what that costs.
+
+
+def show_health(core: Core, findings: Sequence[Finding]) -> None:
+    """Those that concern any splat, of the scene as edits have made it, what they hide or delete included."""
+    widgets.section("Health")
+    ill = [finding for finding in findings if finding.count]
+    if not ill:
+        widgets.note("No splat is ill.")
+    prices = repairing.prices(core)
+    size = imgui.get_font_size()
+    for finding in ill:
+        imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
+        imgui.same_line(size * 4)
+        clicked, _ = imgui.selectable(finding.name, False)
+        widgets.tooltip(f"{finding.what} Click to select them.")
+        if clicked:
+            core.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
+        if finding.name not in REPAIRS:
+            continue
+        # On a line of its own, which a narrow panel holds too.
+        imgui.set_cursor_pos_x(size * 4)
+        if imgui.small_button(f"Repair##{finding.name}"):
+            core.post(partial(apply, operation=Repair(finding=finding.name)))
+        widgets.tooltip(f"As a step that can be undone: {REPAIRS[finding.name]}.")
+        price = prices.get(finding.name)
+        if price is not None:
+            imgui.same_line()
+            worst = "no change" if price.worst >= NO_LOSS else f"{price.worst:.0f} dB"
+            imgui.text_colored(quality(price), worst)
+            widgets.tooltip(f"The repair: {in_words(price)}. Above 45 dB nobody sees a difference.")
+    names = [finding.name for finding in ill if finding.name in REPAIRS]
+    if names and not prices and core.desk is not None:
+        widgets.button(
+            "What would repairs cost?",
+            f"Draws {repairing.VIEWS} views as they are and with each repair, and compares.",
+            partial(core.post, partial(repairing.measure, names=names)),
+            width=-1,
+        )
+
+
+def show(core: Core) -> None:
+    scene = core.scene
+    if scene is None:
+        widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
+        widgets.action_button(core, "Open...", "open")
+        return
+    gaussians = scene.gaussians
+    for path in scene.paths:
+        widgets.fact("File", path.name, str(path))
+    if not scene.paths:
+        widgets.fact("Scene", scene.name, "Made by the program itself; open a file to replace it.")
+    widgets.fact("Splats", f"{len(gaussians):,}", "Gaussians in the scene, ill ones included.")
+    widgets.fact(
+        "SH degree", str(gaussians.sh_degree), "Highest band of view-dependent colour that is stored."
+    )
+    widgets.fact("In memory", f"{gaussians.nbytes / 2**20:,.1f} MiB", "All arrays of the scene.")
+    if scene.extent is not None:
+        low, high = (", ".join(f"{v:.4g}" for v in side) for side in scene.extent)
+        widgets.fact("From", low, "Least x, y, z of all finite centres, world units.")
+        widgets.fact("To", high, "Greatest x, y, z of all finite centres, world units.")
+    widgets.fact(
+        "Middle",
+        ", ".join(f"{v:.4g}" for v in scene.centre),
+        "Of where the splats are as the scene was opened, outliers left out.",
+    )
+    widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
+
+    if core.examination is not None:
+        examination(core, core.examination)
+    if gaussians.comments:
+        widgets.section("Comments in the file")
+        for comment in gaussians.comments:
+            widgets.note(comment)
+
+
+def examination(core: Core, found: Examination) -> None:
+    """How many effects are computed, and splats that are ill: a click selects them."""
+    if not found.done:
+        widgets.note("Looking at the splats...")
+        return
+    receipt = core.effects.receipt(core)
+    on = sum(effect.in_force for effect in receipt)
+    tip = "The Effects panel tells which, why, and at which price."
+    widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)
+    show_health(core, found.findings)

@@ -1,0 +1,229 @@
+"""The panel that runs a training: its state, buttons, numbers, and its share of the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from imgui_bundle import ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from splatview.trainer.background import Status, pace_of
+from splatview.viewer import theme
+from splatview.viewer.commands import keys_of
+from splatview.viewer.panels import curves, recipe, widgets
+from splatview.viewer.panels import photos as compare
+from splatview.viewer.panels import photos as photo_list
+from splatview.viewer.preferences import RANGES, TrainingUpdates
+from splatview.viewer.state import Core
+from splatview.viewer.training import live as actions
+from splatview.viewer.training.live import Training, viewer_threads
+
+RUNNING = ImVec4(0.45, 0.80, 0.50, 1)
+
+STATES = {
+    "training": (icons.ICON_FA_PLAY, "Training", RUNNING),
+    "paused": (icons.ICON_FA_PAUSE, "Paused", theme.WARNING),
+    "done": (icons.ICON_FA_CIRCLE_CHECK, "Done", ImVec4(*theme.ACCENT, 1)),
+    "failed": (icons.ICON_FA_TRIANGLE_EXCLAMATION, "Failed", theme.ERROR),
+}
+
+UPDATES: dict[TrainingUpdates, str] = {"off": "Off", "low": "Low", "live": "Live"}
+
+
+def show(core: Core) -> None:
+    training = core.training
+    if training is None:
+        return
+    status = training.status
+    headline(status)
+    buttons(core, status)
+    if status.failure is not None:
+        widgets.note(status.failure, theme.ERROR)
+        widgets.note("The scene is kept as it was: export it, or try to go on.")
+    if not training.followed_by(core):
+        widgets.note("The view shows something else now; training goes on.", theme.WARNING)
+        widgets.button(
+            "Show the training", "Back to the scene in training.", partial(core.post, actions.show_training)
+        )
+    imgui.spacing()
+    numbers(training, status)
+    widgets.section("This machine")
+    shares(core, training)
+    widgets.section("Keep")
+    keep(core, training, status)
+    widgets.section("Recipe")
+    recipe.show(core)
+
+
+def headline(status: Status) -> None:
+    """The state in colour, what is being done, and how far the run is."""
+    icon, name, colour = STATES[status.state]
+    imgui.text_colored(colour, f"{icon}  {name}")
+    if status.activity:
+        imgui.same_line()
+        imgui.text_colored(theme.QUIET, f"{status.activity}...")
+    left = "" if status.state != "training" else time_left(status)
+    imgui.same_line(
+        imgui.get_content_region_avail().x - imgui.calc_text_size(left).x + imgui.get_style().window_padding.x
+    )
+    imgui.text_colored(theme.QUIET, left)
+    goal = status.settings.iterations
+    text = f"{status.iteration:,} of {goal:,} steps" if goal else f"{status.iteration:,} steps"
+    imgui.push_style_color(imgui.Col_.plot_histogram, ImVec4(colour.x, colour.y, colour.z, 0.55))
+    imgui.progress_bar(status.progress, (-1, imgui.get_font_size() * 1.5), f"{text}   {status.progress:.0%}")
+    imgui.pop_style_color()
+
+
+def time_left(status: Status) -> str:
+    left = status.seconds_left
+    return "" if left is None else f"{duration(left)} left"
+
+
+def duration(seconds: float) -> str:
+    """As people say it: 45 s, 12 min 5 s, 2 h 3 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def buttons(core: Core, status: Status) -> None:
+    """Three large ones, the first twice as wide."""
+    style = imgui.get_style()
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, (style.frame_padding.x, imgui.get_font_size() * 0.5))
+    room = imgui.get_content_region_avail().x - 2 * style.item_spacing.x
+    runs = status.state == "training"
+    name = f"{icons.ICON_FA_PAUSE}  Pause" if runs else f"{icons.ICON_FA_PLAY}  Resume"
+    r, g, b = theme.ACCENT
+    imgui.begin_disabled(status.progress >= 1)
+    for column, strength in (
+        (imgui.Col_.button, 0.55),
+        (imgui.Col_.button_hovered, 0.7),
+        (imgui.Col_.button_active, 0.8),
+    ):
+        imgui.push_style_color(column, ImVec4(r * strength, g * strength, b * strength, 1))
+    key = keys_of("pause_training")
+    tip = (
+        f"Stands still between two steps; pauses count against no budget ({key})"
+        if runs
+        else f"Goes on ({key})"
+    )
+    widgets.button(f"{name}###pause", tip, partial(core.post, actions.pause_or_resume), width=room * 0.42)
+    imgui.pop_style_color(3)
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_FORWARD_STEP}  Step###step",
+        f"One step, then a pause ({keys_of('step_training')})",
+        partial(core.post, actions.step_once),
+        width=room * 0.25,
+    )
+    imgui.end_disabled()
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_STOP}  Stop, save###stop",
+        "Pauses and writes scene and checkpoint. Resume goes on all the same.",
+        partial(core.post, actions.stop_and_save),
+        width=room * 0.33,
+    )
+    imgui.pop_style_var()
+
+
+def numbers(training: Training, status: Status) -> None:
+    limit = status.settings.max_splats
+    widgets.fact("Splats", f"{status.gaussians:,} of at most {limit:,}", "Gaussians in the scene now.")
+    rate = f"{status.rate:.1f}" if status.rate < 100 else f"{status.rate:.0f}"
+    widgets.fact("Steps a second", rate if status.rate > 0 else "-", "Over the last seconds, sleep included.")
+    widgets.fact("Trained for", duration(status.seconds), "Pauses left out.")
+    if status.loss == status.loss:
+        widgets.fact("Loss", f"{status.loss:.4f}", "0.8 L1 + 0.2 (1 - SSIM) of the last step's photos.")
+    evaluation = status.evaluation
+    if evaluation is not None:
+        widgets.fact(
+            "Held out",
+            f"{evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}",
+            f"Mean over {len(evaluation.scores)} photos not trained on, at step {status.evaluated_at:,}.",
+        )
+    if training.shown is not None and training.shown.iteration != status.iteration:
+        widgets.fact("Shown", f"step {training.shown.iteration:,}", "The snapshot that the view shows.")
+
+
+def shares(core: Core, training: Training) -> None:
+    preferences, cores = core.preferences, training.thread.cores
+    low, high = RANGES["training_share"]
+    wanted = preferences.training_share
+    tip = (
+        f"Of the {cores} cores, what training takes while you move the view; the viewer has the rest "
+        f"({viewer_threads(wanted, cores)} to draw with). Fractions are kept by sleeping between steps; "
+        "where both want a core, the window waits."
+    )
+    share = widgets.slider("Share of cores", 100 * wanted, 100 * low, 100 * high, tip, form="%.0f %%")
+    if share is not None:
+        core.prefer(training_share=min(max(share / 100, low), high))
+    idle = widgets.checkbox(
+        "All when idle",
+        preferences.training_takes_idle_cores,
+        "Training takes every core while nobody moves the view.",
+    )
+    if idle is not None:
+        core.prefer(training_takes_idle_cores=idle)
+    updates = widgets.combo(
+        "Show progress",
+        preferences.training_updates,
+        tuple(UPDATES),
+        "How often the growing scene is shown. Live: up to ten times a second; where the processor "
+        "draws, with a twentieth of the machine at most. Low: every two seconds at most. Off: when training "
+        "pauses.",
+        tuple(UPDATES.values()),
+    )
+    if updates is not None:
+        core.prefer(training_updates=updates)
+    if preferences.training_updates == "off":
+        widgets.button(
+            "Show it now", "The scene as it is after this step.", partial(core.post, actions.show_now)
+        )
+    pace = pace_of(training.thread.share, cores)
+    now = f"{pace.threads} of {cores} cores" + ("" if pace.duty > 0.999 else f", {pace.duty:.0%} of the time")
+    if training.status.state != "training":
+        now = "nothing"
+    widgets.fact("Training takes", now, "At this moment.")
+
+
+def keep(core: Core, training: Training, status: Status) -> None:
+    widgets.button(
+        f"{icons.ICON_FA_FILE_EXPORT}  Export .ply...###export",
+        "Writes the scene as it stands, for any viewer.",
+        partial(core.post, actions.export),
+    )
+    imgui.same_line()
+    widgets.button(
+        f"{icons.ICON_FA_FLOPPY_DISK}  Checkpoint###checkpoint",
+        f"Writes {training.thread.outputs.checkpoint}, from which --resume goes on bit for bit. "
+        "It is also written every minute.",
+        partial(core.post, actions.save_checkpoint),
+    )
+    outputs = training.thread.outputs
+    at = status.saved_at
+    when = "is saved when the window closes" if at is None else f"was last saved at step {at:,}"
+    widgets.note(f"{outputs.scene.name} {when}.")
+    widgets.tooltip(str(outputs.scene.resolve()))
+
+
+# ---- The panels that a window with a training has besides the usual ones.
+
+
+STRIP = "Strip"
+"""The dock under the picture."""
+
+PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
+    ("Training", "Upper", show),
+    ("Photos", "Lower", photo_list.show),
+    ("Curves", STRIP, curves.show),
+    ("Compare", STRIP, compare.show_comparison),
+)
+"""Name, dock and contents of each."""
+
+FIRST = ("Training", "Photos", "Curves")
+"""What is in front of each dock when the window opens for the first time."""

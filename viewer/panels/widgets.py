@@ -1,0 +1,145 @@
+"""Controls as all panels have them: label on the left, control on the right, a tooltip on both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+from imgui_bundle import ImVec4, imgui
+
+from splatview.viewer import theme
+from splatview.viewer.commands import ACTIONS, keys_of, text_of
+from splatview.viewer.state import Core
+
+Choice = TypeVar("Choice", bound=str)
+
+Triple = tuple[float, float, float]
+
+LABEL_SHARE = 0.38
+"""Of a panel's width that labels take."""
+
+VECTOR_LABEL_SHARE = 0.25
+"""The same beside three numbers, which need the room."""
+
+
+def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
+    """Begins a row: `text` on the left, in its `share` of the width; the next control fills the rest."""
+    width = imgui.get_content_region_avail().x
+    start = imgui.get_cursor_pos_x()
+    imgui.align_text_to_frame_padding()
+    imgui.text(text)
+    tooltip(tip)
+    imgui.same_line(start + width * share)
+    imgui.set_next_item_width(-1)
+
+
+def tooltip(tip: str) -> None:
+    """Of the last item, after a short rest on it."""
+    if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
+        imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
+        imgui.text_unformatted(tip)
+        imgui.pop_text_wrap_pos()
+        imgui.end_tooltip()
+
+
+def slider(
+    name: str,
+    value: float,
+    low: float,
+    high: float,
+    tip: str,
+    *,
+    form: str = "%.2f",
+    logarithmic: bool = False,
+) -> float | None:
+    """A row with a slider; the new value where the user changed it."""
+    label(name, tip)
+    flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
+    changed, value = imgui.slider_float(f"##{name}", value, low, high, form, flags)
+    tooltip(tip)
+    return value if changed else None
+
+
+def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
+    """A row with three finite numbers to type or to drag, by `speed` a pixel; where the user changed them
+    the new ones. They keep all their digits, of which `form` shows some."""
+    label(name, tip, share=VECTOR_LABEL_SHARE)
+    flags = imgui.SliderFlags_.no_round_to_format
+    changed, new = imgui.drag_float3(f"##{name}", list(values), speed, 0, 0, form, flags)
+    if not changed or not all(math.isfinite(value) for value in new):
+        return None
+    x, y, z = (_as_meant(old, value) for old, value in zip(values, new, strict=True))
+    return x, y, z
+
+
+def _as_meant(old: float, new: float) -> float:
+    """ImGui's numbers have 32 bits: the old one where it has not changed, else the shortest it may be."""
+    return old if np.float32(old) == np.float32(new) else float(str(np.float32(new)))
+
+
+def checkbox(name: str, value: bool, tip: str) -> bool | None:
+    label(name, tip)
+    changed, value = imgui.checkbox(f"##{name}", value)
+    tooltip(tip)
+    return value if changed else None
+
+
+def combo(
+    name: str, value: Choice, choices: Sequence[Choice], tip: str, names: Sequence[str] = ()
+) -> Choice | None:
+    """A row with a list to choose from; `names` are what the user reads, the choices themselves if empty."""
+    label(name, tip)
+    shown = list(names or choices)
+    changed, index = imgui.combo(f"##{name}", choices.index(value), shown)
+    tooltip(tip)
+    return choices[index] if changed else None
+
+
+def fact(name: str, value: str, tip: str = "") -> None:
+    """A row that states something."""
+    width = imgui.get_content_region_avail().x
+    start = imgui.get_cursor_pos_x()
+    imgui.text_colored(theme.QUIET, name)
+    tooltip(tip)
+    imgui.same_line(start + width * LABEL_SHARE)
+    imgui.push_text_wrap_pos(0)
+    imgui.text_unformatted(value)
+    imgui.pop_text_wrap_pos()
+    tooltip(tip)
+
+
+def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
+    """A wrapped line that explains."""
+    imgui.push_text_wrap_pos(0)
+    imgui.text_colored(colour, text)
+    imgui.pop_text_wrap_pos()
+
+
+def action_button(core: Core, name: str, action: str, *, width: float = 0) -> None:
+    """A button for an action of the shortcut table; its tooltip names the key."""
+    if imgui.button(name, (width, 0)):
+        core.post(ACTIONS[action])
+    key = keys_of(action)
+    tooltip(f"{text_of(action)} ({key})" if key else text_of(action))
+
+
+def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0) -> None:
+    if imgui.button(name, (width, 0)):
+        pressed()
+    tooltip(tip)
+
+
+def beside(name: str) -> None:
+    """Keeps a button of this name on the line of the last item, if it fits there."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(name, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
+        imgui.same_line()
+
+
+def section(name: str) -> None:
+    imgui.spacing()
+    imgui.separator_text(name)

@@ -1,0 +1,340 @@
+"""What the window knows and wants of accuracy: prices, the shortcuts taken, the frame budget. No ImGui."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from splatview.measure.governor import Governor, Shortcut, Watch, priced, unpriced
+from splatview.measure.knobs import Plan, apply_choices
+from splatview.measure.ladder import Ladder, Measured, is_clear
+from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
+from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.scene.attribute_formats import Attributes, stored
+from splatview.scene.edits import SceneEdits
+from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
+from splatview.viewer.quality.comparison import Comparing
+from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_name
+
+if TYPE_CHECKING:
+    from splatview.measure.work import Bill
+    from splatview.viewer.state import Core
+
+
+# ---- The open scene loaded anew as a shortcut stores it, while the window goes on. No ImGui in here.
+
+
+UPLOAD_SECONDS = 0.004
+"""Of a frame."""
+
+
+class Storing:
+    """Begins when made; the picture shows the form it had until the last step."""
+
+    def __init__(self, picture: Picture, gaussians: Gaussians, attributes: Attributes):
+        self.gaussians = gaussians
+        self.attributes: Attributes = attributes
+        self._picture = picture
+        self._form: list[Gaussians] = []
+        self._steps: Generator[float] | None = None
+        self._thread = threading.Thread(target=self._round, name="splatview-storing", daemon=True)
+        self._thread.start()
+
+    def _round(self) -> None:
+        self._form.append(stored(self.gaussians, self.attributes))
+
+    def advance(self) -> bool:
+        """Some milliseconds of it; whether all is done. For the GL thread.
+
+        Raises:
+            InputError: the picture's renderer cannot have the scene so.
+        """
+        if self._thread.is_alive():
+            return False
+        if self._steps is None:
+            self._steps = self._picture.load_steps(self._form[0], self.attributes)
+        until = time.perf_counter() + UPLOAD_SECONDS
+        return all(time.perf_counter() <= until for _ in self._steps)
+
+    def end(self) -> None:
+        """Gives it up; what was shown stays."""
+        self._thread.join()
+        if self._steps is not None:
+            self._steps.close()
+
+
+@dataclass(eq=False, kw_only=True)
+class Accuracy:
+    """Part of the window's `Core`; for the GL thread."""
+
+    wake: Callable[[], object] = lambda: None
+    """Makes an idle window draw its next frame. May be called from any thread."""
+    choices: dict[str, str] = field(default_factory=dict)
+    """Shortcuts taken: knob -> value as typed. Empty: exact, as far as the settings are."""
+    measurement: Measurement | None = None
+    """Under way."""
+    ladder: Ladder | None = None
+    """Prices in the open scene, as last measured."""
+    bill: Bill | None = None
+    """What a picture of it is in work."""
+    budget_ms: float | None = None
+    """What a frame may take while the camera moves; None: all that it takes."""
+    comparing: Comparing = field(default_factory=Comparing)
+    seconds: float = SECONDS
+    """How long measuring may take where frames are quick."""
+    rounds: int | None = None
+    """Instead, how often each shortcut is drawn."""
+    note: str = ""
+    """What the picture drawn last leaves out because the camera moves, or ""."""
+    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    stored: Attributes = "float32"
+    """How the renderer has the open scene now, and..."""
+    storing: Storing | None = None
+    """... how it is getting it."""
+    _kept: float = 1.0
+    _ranking: threading.Thread | None = None
+    """Finds out what a share of the splats would keep."""
+    _hidden: tuple[Any, Any, SceneEdits | None] | None = None
+    _camera: Camera | None = None
+    _gaussians: Gaussians | None = None
+    _name: str = ""
+    _frames_seen: int = 0
+    _full_ms: float = 0.0
+
+    # ---- commands
+
+    def measure(self, core: Core) -> None:
+        """Begins to measure the view that is seen, where nothing is being measured."""
+        if self.choices.get("attributes", "float32") != "float32":
+            core.complain("Take attributes back first: prices are measured on the scene as it is")
+        elif self.measurement is None and core.scene is not None and core.picture is not None:
+            self.measurement = Measurement(core, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
+
+    def cancel(self) -> None:
+        if self.measurement is not None:
+            self.measurement.cancel()
+
+    def choose(self, core: Core, knob: str, value: str) -> None:
+        """Takes a shortcut. Raises InputError where the renderer does not have it."""
+        if core.picture is None:
+            return
+        plan = apply_choices(Plan(), {knob: value}, renderer_name(core.picture))
+        problem = core.picture.refusal(plan.settings)
+        if problem is not None:
+            raise InputError(problem)
+        self.choices[knob] = value
+
+    def exact(self) -> None:
+        """Takes all shortcuts back."""
+        self.choices.clear()
+
+    def hold(self, core: Core, budget_ms: float | None) -> None:
+        """Sets the frame budget, or gives it up."""
+        self.budget_ms = budget_ms
+        if budget_ms is not None:
+            self.watch.governor.set_budget(budget_ms)
+            if not self.watch.governor.steps and self._full_ms > 0:
+                # Until prices are known.
+                self.watch.governor.follow(unpriced(self._full_ms))
+        if isinstance(core.picture, CpuPicture):
+            core.picture.hold_budget(budget_ms)
+
+    # ---- what is drawn
+
+    def plan(self, core: Core) -> Plan:
+        """The settings with the shortcuts taken."""
+        plan = Plan(settings=core.settings)
+        if self.choices and core.picture is not None:
+            plan = apply_choices(plan, self.choices, renderer_name(core.picture))
+        return plan
+
+    def next_frame(self, core: Core) -> tuple[Camera, RenderSettings]:
+        """By what the frame that comes is drawn."""
+        plan, camera, self.note = self.plan(core), core.camera, ""
+        moved = self._camera is not None and not self._camera.same_view(camera)
+        self._camera = camera
+        if core.picture is not None and self.governs(core):
+            step = self.watch.next(moved=moved)
+            if step is not None and not step.is_exact:
+                # One's own shortcuts stay, unless the budget asks for more of the same.
+                plan = apply_choices(plan, dict(step.choices), renderer_name(core.picture))
+                scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
+                plan = replace(plan, resolution=scale, kept=kept)
+                self.note = step.note
+        self._kept = plan.kept if core.mode == "splats" else 1.0
+        return scaled_camera(camera, core.preferences.resolution_scale * plan.resolution), plan.settings
+
+    def edits(self, core: Core) -> SceneEdits | None:
+        """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
+        edits = core.edits
+        if self._kept >= 1 or core.scene is None:
+            self._hidden = None
+            return edits
+        if not is_ranked(core.scene.gaussians):
+            self._rank(core.scene.gaussians)
+            return edits  # all, until it is known what can be left out
+        key = (core.scene.gaussians, self._kept, edits)
+        versions = edits and (edits.marks_version, edits.palette_version, edits.crops_version)
+        held = self._hidden
+        if held is None or any(a is not b for a, b in zip(held[0], key, strict=True)) or held[1] != versions:
+            held = (key, versions, with_rest_hidden(*key))
+            self._hidden = held
+        return held[2]
+
+    def _rank(self, gaussians: Gaussians) -> None:
+        if self._ranking is not None and self._ranking.is_alive():
+            return
+
+        def work() -> None:
+            rank(gaussians)
+            self.wake()
+
+        self._ranking = threading.Thread(target=work, name="splatview-rank", daemon=True)
+        self._ranking.start()
+
+    def governs(self, core: Core) -> bool:
+        """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
+        return (
+            self.budget_ms is not None
+            and core.picture is not None
+            and not isinstance(core.picture, CpuPicture)
+            and core.mode == "splats"
+        )
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the next frames will show something else, though nobody touches the window."""
+        governed = self.budget_ms is not None and not self.watch.resting
+        loading = self.measurement is not None or self.storing is not None
+        ranking = self._ranking is not None and self._ranking.is_alive()
+        return loading or governed or ranking or self.comparing.busy
+
+    # ---- between two frames
+
+    def advance(self, core: Core) -> None:
+        """Takes over what was measured, and learns from the latest frame."""
+        gaussians = core.scene.gaussians if core.scene else None
+        if self.measurement is not None and self.measurement.gaussians is not gaussians:
+            self.measurement.cancel()
+        if self._gaussians is not gaussians:
+            # Another scene, or the next moment of one that trains: prices and times are of the old one.
+            self._gaussians, self.ladder, self.bill = gaussians, None, None
+            self.stored = "float32"  # as scenes are loaded
+            self._full_ms = 0.0
+            self.watch.governor.follow(())
+        name = core.scene.name if core.scene else ""
+        if self._name != name:
+            self._name = name
+            self.choices.clear()
+        if self.measurement is not None and self.measurement.done:
+            self._collect(core, self.measurement)
+        self._store(core)
+        self._learn(core)
+
+    def _store(self, core: Core) -> None:
+        """Loads the scene in the form that was chosen, where it is in another."""
+        if core.scene is None or core.picture is None or core.loading is not None:
+            return
+        if core.desk is not None and core.desk.loading is not None:
+            return
+        wanted: Any = self.choices.get("attributes", "float32")
+        gaussians, made = core.scene.gaussians, self.storing
+        if made is not None and (made.gaussians is not gaussians or made.attributes != wanted):
+            made.end()
+            self.storing = made = None
+        if made is None and wanted != self.stored:
+            self.storing = made = Storing(core.picture, gaussians, wanted)
+        if made is None:
+            return
+        try:
+            done = made.advance()
+        except InputError as error:
+            self.choices.pop("attributes", None)
+            self.storing = None
+            core.complain(str(error))
+            return
+        if done:
+            self.storing, self.stored = None, made.attributes
+
+    def _collect(self, core: Core, made: Measurement) -> None:
+        self.measurement = None
+        if made.problem is not None:
+            core.complain(made.problem)
+        elif made.ladder is not None and core.scene is not None and made.gaussians is core.scene.gaussians:
+            self.ladder, self.bill = made.ladder, made.bill
+            self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
+            core.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
+
+    def _learn(self, core: Core) -> None:
+        stats = core.stats
+        if stats is None or stats.drawn == self._frames_seen or self.measurement is not None:
+            return
+        self._frames_seen = stats.drawn
+        milliseconds = sum(stats.ms.values())
+        if not milliseconds > 0:
+            return
+        if not self.governs(core):
+            self._full_ms = milliseconds
+        elif self.watch.governor.steps:
+            self.watch.took(milliseconds)
+        else:
+            self.watch.governor.follow(unpriced(milliseconds))
+
+    def end(self) -> None:
+        """The window closes."""
+        if self.measurement is not None:
+            self.measurement.cancel()
+            self.measurement.join()
+            self.measurement = None
+        if self.storing is not None:
+            self.storing.end()
+            self.storing = None
+        self.comparing.end()
+
+
+def price_of(one: Measured, ladder: Ladder) -> str:
+    """What a rung saves and costs, in a line: "saves 3.1 ms, 41.2 dB, largest error 0.031"."""
+    saved = ladder.baseline.ms * (1 - one.ratio)
+    if not is_clear(one):
+        time = "no faster"
+    else:
+        time = f"saves {saved:.1f} ms" if saved > 0 else f"costs {-saved:.1f} ms"
+    return f"{time}, {one.psnr:.1f} dB, largest error {one.max_error:.2g}"
+
+
+# ---- What the Accuracy panel asks for, run between two frames.
+
+
+def measure(core: Core) -> None:
+    """Begins to measure the view that is seen."""
+    core.accuracy.measure(core)
+
+
+def cancel(core: Core) -> None:
+    core.accuracy.cancel()
+
+
+def choose(core: Core, knob: str, value: str) -> None:
+    """Draws by a shortcut from now on."""
+    try:
+        core.accuracy.choose(core, knob, value)
+    except InputError as error:
+        core.complain(str(error))
+
+
+def leave(core: Core, knob: str) -> None:
+    """Takes one shortcut back."""
+    core.accuracy.choices.pop(knob, None)
+
+
+def exact(core: Core) -> None:
+    """Takes all shortcuts back."""
+    core.accuracy.exact()
+
+
+def hold(core: Core, budget_ms: float | None) -> None:
+    """Holds a frame budget, in ms; None: no longer."""
+    core.accuracy.hold(core, budget_ms)

@@ -1,0 +1,316 @@
+"""The window without the window: what is open, where the eye is, what was asked for.
+
+Panels draw from a `Core` and post commands to it; the frame loop runs them between two frames, on the
+GL thread. Nothing here imports ImGui, so all of it is tested without a display.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splatview.edit.journal import AbandonedJournal
+from splatview.renderers import FrameStats, VisualMode
+from splatview.renderers.types import Overlay
+from splatview.scene import Camera, RenderSettings
+from splatview.scene.camera import stepped_back
+from splatview.scene.edits import SceneEdits
+from splatview.viewer.background import Backdrop
+from splatview.viewer.depth_of_field import DepthOfField
+from splatview.viewer.editing.session import Desk
+from splatview.viewer.loading import Examination, LoadedScene, Loading
+from splatview.viewer.navigation import Transition, View
+from splatview.viewer.navigation.view import look_from
+from splatview.viewer.picture import Picture
+from splatview.viewer.preferences import Bookmark, Preferences
+from splatview.viewer.quality.effects import Effects
+from splatview.viewer.quality.state import Accuracy
+
+if TYPE_CHECKING:
+    from splatview.viewer.training.live import Training
+
+
+MESSAGES_KEPT = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One line of the messages panel."""
+
+    text: str
+    error: bool
+    at: float
+    """Seconds since the epoch."""
+
+
+@dataclass(kw_only=True)
+class Palette:
+    """The command palette: what is typed, and which line is chosen."""
+
+    query: str = ""
+    chosen: int = 0
+    fresh: bool = True
+    """Just opened: takes the keyboard."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Core:
+    """The window's whole state. Fields are plain: panels set the simple ones, commands the rest."""
+
+    preferences: Preferences
+    picture: Picture | None = None
+    """None until the GL context exists."""
+    scene: LoadedScene | None = None
+    loading: Loading | None = None
+    """A scene on its way; the old one stays until it is here."""
+    training: Training | None = None
+    """A training that this window watches."""
+    upload: Generator[float] | None = None
+    """Its last stage, advanced a little in every frame."""
+    examination: Examination | None = None
+    """What is found out about the scene after it is shown."""
+    examined: bool = True
+    """Whether that has been reported."""
+    examining: Examination | None = None
+    """The same of splats that an edit has changed, until it is done."""
+    desk: Desk | None = None
+    """Edits of the open scene; None where nothing is open."""
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    """Shortcuts taken, what they cost, and the frame budget."""
+    effects: Effects = field(default_factory=Effects)
+    """What the scene calls for, and at which price."""
+    backdrop: Backdrop = field(default_factory=Backdrop)
+    """What is behind the scene, where that is more than a colour."""
+    depth_of_field: DepthOfField = field(default_factory=DepthOfField)
+    """The lens before the view."""
+    stats: FrameStats | None = None
+    """Of the picture, read once a frame."""
+
+    view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
+    transition: Transition | None = None
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    mode: VisualMode = "splats"
+
+    cameras: list[Camera] = field(default_factory=list)
+    """Loaded camera list."""
+    camera_index: int = -1
+    through_lenses: bool = True
+    """Whether the views of cameras with a lens are shown through it."""
+    bookmarks: list[Bookmark] = field(default_factory=list)
+    bookmark_index: int = -1
+    bookmarks_read: frozenset[str] = frozenset()
+    """Entries of their file, when it was last looked at."""
+
+    picture_size: tuple[int, int] = (1, 1)
+    """Px of the visible area; the rendered picture is `preferences.resolution_scale` times that."""
+    frame_history: deque[dict[str, float]] = field(default_factory=lambda: deque(maxlen=120))
+    """Stage times in ms of the latest drawn frames."""
+    messages: deque[Message] = field(default_factory=lambda: deque(maxlen=MESSAGES_KEPT))
+    undrawn: str | None = None
+    """Why the picture could not be drawn in the last frame."""
+    problem: str | None = None
+    """An error that waits in a dialog for the user to read it."""
+    dialog: str | None = None
+    """Which dialog is open: "help", "screenshot", "palette", "restore" or none."""
+    palette: Palette = field(default_factory=Palette)
+    abandoned: list[AbandonedJournal] = field(default_factory=list)
+    """What earlier windows left unsaved, to be offered."""
+    restoring: AbandonedJournal | None = None
+    """Whose scene is on its way."""
+    screenshot_size: tuple[int, int] | None = None
+    """Px, as the screenshot dialog has it; None: the size that is seen."""
+    gpu_name: str = ""
+    process_mib: float | None = None
+    """Memory of this process, MiB, where the system tells."""
+    clipboard_write: str | None = None
+    """Text for the system's clipboard, taken by the frame loop."""
+    clipboard_read: Callable[[], str] = str
+    choose_files: Callable[..., None] = lambda *args, **kwargs: None
+    """Opens a file dialog; set by the window. (title, done(paths), kind)"""
+    panels_hidden: bool = False
+    open_panels: set[str] | None = None
+    """While panels are hidden: those to show again."""
+    quitting: bool = False
+    now: Callable[[], float] = time.monotonic
+    _failures: set[str] = field(default_factory=set)
+    _frames_noted: int = 0
+    _memory_due: float = 0.0
+    _posted: deque[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=deque)
+
+    # ---- commands
+
+    def post(self, command: Callable[..., None], *args: Any) -> None:
+        """Runs `command(core, *args)` before the next frame. May be called from any thread."""
+        self._posted.append((command, args))
+
+    def run_posted(self) -> int:
+        """Runs what was posted, what that posts included; returns how many commands ran.
+
+        A command that fails is told of, with a traceback on standard error, and the window goes on: the
+        user's unsaved state is worth more than a clean end.
+        """
+        ran = 0
+        while self._posted:
+            command, args = self._posted.popleft()
+            try:
+                command(self, *args)
+            except Exception as error:
+                traceback.print_exc()
+                self.complain(f"That failed inside the program: {type(error).__name__}: {error}")
+            ran += 1
+        return ran
+
+    def attempt(self, part: Callable[..., object], *args: Any, **options: Any) -> None:
+        """Runs a part of a frame; what fails is told of, and the frame goes on."""
+        try:
+            part(*args, **options)
+        except Exception as error:
+            self.fail(error)
+
+    def fail(self, error: Exception) -> None:
+        """Tells of a defect of ours in what is done in every frame; once, as the next frame will fail too."""
+        text = f"That failed inside the program: {type(error).__name__}: {error}"
+        if text not in self._failures:
+            self._failures.add(text)
+            traceback.print_exception(error)
+            self.complain(text)
+
+    # ---- messages
+
+    def tell(self, text: str) -> None:
+        """One line into the messages panel and the status bar."""
+        self.messages.append(Message(text=text, error=False, at=time.time()))
+
+    def complain(self, text: str) -> None:
+        """One line that the user must not miss: a dialog, and the messages panel."""
+        self.messages.append(Message(text=text, error=True, at=time.time()))
+        self.problem = text
+
+    # ---- the view
+
+    def go_to(self, view: View, *, smooth: bool = True) -> None:
+        """Changes the view, as a short motion where the user likes that."""
+        if smooth and self.preferences.smooth:
+            self.transition = Transition(start=self.view, end=view, began=self.now())
+        else:
+            self.transition = None
+            self.view = view
+
+    @property
+    def destination(self) -> View:
+        """Where the view is going: two quick key presses add up rather than cut each other off."""
+        return self.transition.end if self.transition else self.view
+
+    def steer(self, view: View) -> None:
+        """The user's hand on the view: ends any motion and takes effect at once."""
+        self.transition = None
+        self.view = view
+
+    def advance(self) -> None:
+        """Moves a running transition on to now."""
+        if self.transition:
+            now = self.now()
+            self.view = self.transition.at(now)
+            if self.transition.done(now):
+                self.transition = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the visible area at full resolution."""
+        camera = self.view.camera(*self.picture_size)
+        if not camera.orthographic:
+            return camera
+        if self.scene is None:
+            return stepped_back(camera, self.view.target, self.view.distance)
+        return stepped_back(camera, self.scene.centre, self.scene.radius)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something is on its way that the next frames should show."""
+        return (
+            self.loading is not None
+            or not self.examined
+            or self.examining is not None
+            or (self.picture is not None and self.picture.busy)
+            or (self.desk is not None and (self.desk.job is not None or self.desk.loading is not None))
+            or self.accuracy.waiting
+            or self.depth_of_field.waiting(self)
+            or self.effects.waiting
+        )
+
+    # ---- edits
+
+    @property
+    def can_edit(self) -> bool:
+        """Whether something is shown that tools can choose from."""
+        training = self.training
+        shown = training is not None and training.shown is not None and training.followed_by(self)
+        return self.desk is not None or shown
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a scene is open that no trainer changes: every edit can be done and kept."""
+        return self.desk is not None and self.desk.trainee is None
+
+    @property
+    def edits(self) -> SceneEdits | None:
+        """Those of the scene that the picture holds; None where nothing is edited."""
+        return self.desk.edits if self.desk else None
+
+    @property
+    def overlay(self) -> Overlay | None:
+        """How what they mark is lit up."""
+        return self.desk.overlay if self.desk else None
+
+    # ---- statistics
+
+    def note_statistics(self) -> None:
+        """Remembers what the latest drawn frame cost, and once a second the process's memory."""
+        if self.picture is None:
+            return
+        stats = self.stats = self.picture.stats
+        if stats.drawn != self._frames_noted and stats.ms:
+            self._frames_noted = stats.drawn
+            self.frame_history.append(dict(stats.ms))
+        if problem := self.picture.take_problem():
+            self.complain(problem)
+        if self.now() >= self._memory_due:
+            self._memory_due = self.now() + 1.0
+            self.process_mib = process_memory()
+
+    # ---- settings
+
+    def prefer(self, **changes: Any) -> None:
+        """Changes preferences; those that decide the picture take effect in `settings` too."""
+        self.preferences = replace(self.preferences, **changes)
+        if "background" in changes or "blend" in changes:
+            self.settings = replace(
+                self.settings, background=self.preferences.background, blend=self.preferences.blend
+            )
+        if "fov_y" in changes:
+            self.steer(replace(self.view, lens=replace(self.view.lens, fov_y=self.preferences.fov_y)))
+
+    @property
+    def scene_path(self) -> Path | None:
+        """The first file of the open scene: what bookmarks and pictures are put beside."""
+        return self.scene.paths[0] if self.scene and self.scene.paths else None
+
+
+Y_UP = np.array([0.0, 1.0, 0.0])
+
+
+def process_memory() -> float | None:
+    """Resident memory of this process in MiB; None where it cannot be told without more libraries."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -1,0 +1,1 @@
+"""Watching and editing a training while it runs."""

@@ -1,0 +1,258 @@
+"""Editing what is being trained: the view waits on one snapshot, and edits go to the trainer by the numbers
+of the splats. No ImGui in here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from splatview.edit.document import Document
+from splatview.edit.operations import AddCrop, Hide, Lock, Operation, RemoveCrop, Select
+from splatview.edit.selectors import IndexRuns
+from splatview.renderers.headless import RasterTools
+from splatview.scene import InputError
+from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, Crop
+from splatview.trainer.background import Snapshot, TrainingThread
+from splatview.trainer.run import Session
+from splatview.viewer.editing.session import Desk
+
+if TYPE_CHECKING:
+    from splatview.viewer.state import Core
+
+
+ON_THE_TRAINER = frozenset({"delete", "delete_cropped", "prune"})
+"""Operations whose deletions the trainer is told of."""
+
+ON_THE_PICTURE = frozenset(
+    {
+        *("select", "select_all", "select_none", "select_inverse", "grow", "shrink"),
+        *("hide", "show", "lock", "unlock", "isolate"),
+        *("add_crop", "change_crop", "enable_crop", "remove_crop"),
+    }
+)
+"""Operations that help to choose; the trainer never hears of them."""
+
+REFUSALS = {
+    "decimate": "Training would fill up to its number again: set the most splats in its recipe instead",
+}
+
+AT_REST = "That is for scenes at rest: stop and save the training, then open its file"
+
+NO_WAY_BACK = "What was deleted from the training comes back only by training"
+
+Rule = Literal["cut", "no_growth"]
+"""Field of `TrainSettings` that holds rules of this kind."""
+
+
+class Trainee:
+    """What edits of one snapshot mean to the trainer that it is of."""
+
+    def __init__(self, thread: TrainingThread, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        self.pinned = False
+        """The user wants the view to wait, whatever is in hand."""
+        self._thread = thread
+        self._told = np.zeros(len(snapshot.ids), bool)
+        self._answers: list[Future[str]] = []
+        self._cuts: list[Crop] = []
+        self.changed = False
+        """The trainer has done something that the next snapshot shows."""
+
+    def refusal(self, operation: Operation) -> str | None:
+        """Why it cannot be done in training."""
+        if operation.op in ON_THE_TRAINER or operation.op in ON_THE_PICTURE:
+            return None
+        return REFUSALS.get(operation.op, AT_REST)
+
+    @property
+    def final(self) -> str | None:
+        """Why steps can no longer be undone."""
+        return NO_WAY_BACK if self._told.any() or self._cuts else None
+
+    def edited(self, document: Document) -> None:
+        """The document was changed: tells the trainer which splats are to go."""
+        deleted = (document.marks & DELETED) != 0
+        new = deleted & ~self._told
+        if not new.any():
+            return
+        self._told = deleted
+        ids = self.snapshot.ids[new]
+
+        def delete(session: Session) -> str:
+            gone = session.trainer.delete(ids)
+            return f"{gone:,} splats deleted from the training"
+
+        self._answers.append(self._thread.post(delete, changes=True))
+
+    def cut_away(self, crops: Sequence[Crop]) -> None:
+        """Deletes what the crops cut away, and keeps it so."""
+        self._cuts.extend(crops)
+
+        def cut(session: Session) -> str:
+            gone = session.trainer.add_cut(crops)
+            return f"{gone:,} splats cut away from the training, and it stays so"
+
+        self._answers.append(self._thread.post(cut, changes=True))
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the trainer has yet to answer."""
+        return any(not answer.done() for answer in self._answers)
+
+    def answers(self, desk: Desk) -> None:
+        """Tells what the trainer has done; takes back what it could not do."""
+        for answer in [answer for answer in self._answers if answer.done()]:
+            self._answers.remove(answer)
+            if answer.exception() is None:
+                self.changed = True
+                desk.news = answer.result()
+            else:  # the thread has noted why
+                self._told[:] = False
+                self._cuts.clear()
+                while desk.document.counts.deleted and desk.document.undo():
+                    pass
+
+    def left_of(self, crops: Sequence[Crop]) -> list[Crop]:
+        """Those that have not become rules."""
+        return [crop for crop in crops if crop not in self._cuts]
+
+
+def hold(core: Core) -> Desk | None:
+    """The desk of the shown snapshot, made if there is none; None where the window shows no training."""
+    training = core.training
+    if core.desk is not None:
+        return core.desk
+    if training is None or training.shown is None or not training.followed_by(core):
+        return None
+    try:
+        core.desk = _desk(core, training.thread, training.shown)
+    except InputError as error:
+        core.tell(f"{error}; it can be looked at")
+    return core.desk
+
+
+def _desk(core: Core, thread: TrainingThread, snapshot: Snapshot) -> Desk:
+    name = core.scene.name if core.scene else "scene"
+    document = Document(snapshot.gaussians, name=name, tools=RasterTools())
+    return Desk(document=document, trainee=Trainee(thread, snapshot))
+
+
+def waits(core: Core) -> bool:
+    """Called every frame: whether the view is to stay with the snapshot that it shows."""
+    desk = core.desk
+    if desk is None or desk.trainee is None:
+        return False
+    trainee: Trainee = desk.trainee
+    trainee.answers(desk)
+    if trainee.waiting or desk.job is not None or desk.stroke is not None:
+        return True
+    if trainee.changed:
+        return False
+    if engaged(desk):
+        return True
+    let_go(core)
+    return False
+
+
+def engaged(desk: Desk) -> bool:
+    """Whether the user is at work on what the desk holds."""
+    counts, trainee = desk.document.counts, desk.trainee
+    return (
+        (trainee is not None and trainee.pinned)
+        or desk.tool != "none"
+        or desk.highlight is not None
+        or bool(desk.picked or desk.document.crops or desk.document.previewed)
+        or counts.selected + counts.hidden + counts.locked + counts.deleted > 0
+    )
+
+
+def let_go(core: Core) -> None:
+    """Snapshots flow again; what was only selected or hidden is forgotten."""
+    desk = core.desk
+    if desk is None or desk.trainee is None or core.training is None:
+        return
+    desk.close()
+    core.desk = None
+    core.training.thread.show_now()
+
+
+def succeed(core: Core, snapshot: Snapshot) -> None:
+    """The picture holds `snapshot` now: the desk of the one before makes way. The tool in hand, selection and
+    crops stay, where the splats are still there."""
+    old = core.desk
+    core.desk = None
+    if old is None:
+        return
+    old.close()
+    if old.trainee is None or core.training is None:
+        return
+    new = _desk(core, core.training.thread, snapshot)
+    new.tool, new.depth, new.overlay = old.tool, old.depth, old.overlay
+    new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
+    new.news, new.problem = old.news, old.problem
+    document, marks = new.document, old.document.marks
+    _, here, there = np.intersect1d(
+        snapshot.ids, old.trainee.snapshot.ids, assume_unique=True, return_indices=True
+    )
+    for flag, operation in ((LOCKED, Lock()), (HIDDEN, Hide()), (SELECTED, None)):
+        mask = np.zeros(len(snapshot.ids), bool)
+        mask[here[(marks[there] & (flag | DELETED)) == flag]] = True
+        if mask.any():
+            document.apply(Select(by=IndexRuns.of(mask)))
+            if operation is not None:
+                document.apply(operation)
+    for crop in old.trainee.left_of(old.document.crops):
+        document.apply(AddCrop(crop=crop))
+    core.desk = new
+
+
+# ---- what the user asks for
+
+
+def keep_waiting(core: Core) -> None:
+    """The view waits until it is let go."""
+    desk = hold(core)
+    if desk is not None and desk.trainee is not None:
+        desk.trainee.pinned = True
+
+
+def cut_away(core: Core) -> None:
+    """Takes out of the training what the crops in force cut away, for good."""
+    desk = core.desk
+    if desk is None or desk.trainee is None:
+        return
+    desk.document.cancel_preview()
+    crops = [crop for crop in desk.document.crops if crop.enabled]
+    if crops:
+        desk.trainee.cut_away(crops)
+
+
+def stop_growth(core: Core, index: int) -> None:
+    """From now on no splat is born in crop `index`, which is a crop no more."""
+    desk, training = core.desk, core.training
+    if desk is None or desk.trainee is None or training is None:
+        return
+    desk.document.cancel_preview()
+    region = replace(desk.document.crops[index], enabled=True)
+    training.thread.post(lambda session: session.trainer.add_region(region), changes=True)
+    if desk.apply(RemoveCrop(index=index)):
+        desk.news = f"Nothing grows in {region.name} any more"
+
+
+def remove_rule(core: Core, kind: Rule, number: int) -> None:
+    """Training is free again of the rule of this number."""
+    if core.training is None:
+        return
+    rule = getattr(core.training.status.settings, kind)[number]
+
+    def remove(session: Session) -> None:
+        rules = list(getattr(session.trainer.settings, kind))
+        if rule in rules:
+            rules.remove(rule)
+            session.trainer.change(**{kind: tuple(rules)})
+
+    core.training.thread.post(remove, changes=True)

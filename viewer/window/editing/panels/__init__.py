@@ -1,1 +1,0 @@
-"""What the Edit and History panels show, a module a section."""

@@ -1,1 +1,0 @@
-"""One module a panel: each draws from the `Core` and posts what the user asks for."""

@@ -1,1 +1,0 @@
-"""Watching a scene being trained: its snapshots in the view, the controls, curves and photos."""
