@@ -24,7 +24,7 @@ from splatview.cli.window import no_window
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
 from splatview.scene.effects import Effect
-from splatview.trainer.background import TrainingThread
+from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.distributed import (
     Alone,
     Group,
@@ -34,7 +34,7 @@ from splatview.trainer.distributed import (
     stopping_between_steps,
 )
 from splatview.trainer.evaluate import Evaluation
-from splatview.trainer.run import Outputs, Progress, Session
+from splatview.trainer.run import Outputs, Progress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.trainer import Trainer
 
@@ -128,7 +128,7 @@ def train_in_window(
     ready = prepare(options, console, Alone())
     console.print(opening(ready), highlight=False, soft_wrap=True)
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
-    session = Session(
+    session = TrainingRun(
         ready.trainer,
         ready.held_out,
         ready.outputs,
@@ -138,7 +138,7 @@ def train_in_window(
         notes=ready.notes,
         effects=ready.effects,
     )
-    thread = TrainingThread(session, cores=options.threads)
+    thread = BackgroundTraining(session, cores=options.threads)
     with _undisturbed():
         try:
             code = _watch(ready, thread, {"rescue": lambda: _save(console, ready, thread), **window})
@@ -149,7 +149,7 @@ def train_in_window(
     return code
 
 
-def _save(console: Console, ready: Run, thread: TrainingThread) -> None:
+def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     """Writes what was trained, and says where it is."""
     try:
         with console.status("Saving the scene"):
@@ -160,12 +160,12 @@ def _save(console: Console, ready: Run, thread: TrainingThread) -> None:
     _conclude(console, ready, thread)
 
 
-def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
+def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> int:
     from splatview.viewer.app import run_window
     from splatview.viewer.platform import give_way
-    from splatview.viewer.training.live import Training, watched_photos
+    from splatview.viewer.training.live import LiveTraining, watched_photos
 
-    training = Training(
+    training = LiveTraining(
         thread=thread,
         name=ready.capture.name,
         photos=watched_photos(ready.trainer.shots.all, ready.held_out),
@@ -176,7 +176,7 @@ def _watch(ready: Run, thread: TrainingThread, options: dict[str, Any]) -> int:
     return run_window([], training=training, **options)
 
 
-def _conclude(console: Console, ready: Run, thread: TrainingThread) -> None:
+def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     """Says where everything is."""
     status, outputs = thread.status, ready.outputs
     if status.state == "done":
@@ -357,7 +357,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
                 bar.console.print(evaluation_line(progress), highlight=False, soft_wrap=True)
             bar.update(task, completed=progress.step.progress, numbers=numbers(progress, session.evaluation))
 
-        session = Session(
+        session = TrainingRun(
             trainer,
             ready.held_out,
             outputs,

@@ -102,7 +102,7 @@ def forget_order() -> None:
     """The next picture that this thread renders is sorted anew, whatever the settings' `resort_frames`."""
     kept = _workspaces.of_thread.kept_order if hasattr(_workspaces, "of_thread") else None
     if kept is not None:
-        kept.resorting.forget()
+        kept.resort_policy.forget()
 
 
 def draw_frame(

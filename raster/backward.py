@@ -82,7 +82,7 @@ PIXELS = PIXEL_VECTORS * TILE_PIXELS
 
 
 @inline
-def start_pixels(pixels, left, top, first_pixel, background, lights, d_image):
+def start_pixels(pixels, left, top, first_pixel, background, transmittance, d_image):
     """Fills `pixels` (PIXELS,); transmittance and S are 0 until `revive`, and all is 0 beyond the border.
     lights as `forward` leaves them; d_image (H, W, 4)."""
     pixels[:] = 0
@@ -98,33 +98,35 @@ def start_pixels(pixels, left, top, first_pixel, background, lights, d_image):
                 for channel in range(3):
                     pixels[at + (2 + channel) * LANES] = d_pixel[channel]
                     by_light += d_pixel[channel] * background[channel]
-                pixels[at + 5 * LANES] = lights[first_pixel + block * LANES + lane] * by_light
+                pixels[at + 5 * LANES] = transmittance[first_pixel + block * LANES + lane] * by_light
 
 
 @inline
-def most_met(first_pixel, met_of, below):
+def most_met(first_pixel, n_contrib, below):
     """The most splats, fewer than `below`, that a pixel of a tile met."""
-    limit = met_of.dtype.type(below)
-    met = load(met_of, first_pixel)
+    limit = n_contrib.dtype.type(below)
+    met = load(n_contrib, first_pixel)
     most = keep_if_below(met, met, spread(limit))
     for at in range(first_pixel + LANES, first_pixel + TILE_PIXELS, LANES):
-        met = load(met_of, at)
+        met = load(n_contrib, at)
         most = maximum(most, keep_if_below(met, met, spread(limit)))
     return np.int64(greatest_lane(most))
 
 
 @inline
-def revive(pixels, first_pixel, met, lights, met_of, alive):
+def revive(pixels, first_pixel, met, transmittance, n_contrib, alive):
     """Gives the pixels that met just so many splats the light and S that they ended with. Widens alive
     (2·STRIPS,) int64, the first and last block by strip with light."""
     before, behind = pixels.dtype.type(met - 0.5), pixels.dtype.type(met + 0.5)
     for strip in range(STRIPS):
         for block in range(BLOCKS):
             at = (strip * BLOCKS + block) * LANES
-            ended = load(met_of, first_pixel + at)
+            ended = load(n_contrib, first_pixel + at)
             if any_within(ended, before, behind):
                 base = at * PIXEL_VECTORS
-                light = load(pixels, base) + if_within(load(lights, first_pixel + at), ended, before, behind)
+                light = load(pixels, base) + if_within(
+                    load(transmittance, first_pixel + at), ended, before, behind
+                )
                 shown = load(pixels, base + LANES)
                 shown = shown + if_within(load(pixels, base + 5 * LANES), ended, before, behind)
                 store(pixels, base, light)
@@ -214,11 +216,11 @@ def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixel
 
 
 @inline
-def add_background(pixels, first_pixel, lights, d_background):
+def add_background(pixels, first_pixel, transmittance, d_background):
     """Writes the sum of the light left times the gradient by colour over a tile to d_background (3,)."""
     red = green = blue = spread(pixels.dtype.type(0))
     for at in range(0, TILE_PIXELS, LANES):
-        light, base = load(lights, first_pixel + at), at * PIXEL_VECTORS
+        light, base = load(transmittance, first_pixel + at), at * PIXEL_VECTORS
         red = fma(light, load(pixels, base + 2 * LANES), red)
         green = fma(light, load(pixels, base + 3 * LANES), green)
         blue = fma(light, load(pixels, base + 4 * LANES), blue)
@@ -238,8 +240,8 @@ def differentiate_tiles(
     records,
     view,
     background,
-    lights,
-    met_of,
+    transmittance,
+    n_contrib,
     d_image,
     sums,
     walked,
@@ -249,7 +251,7 @@ def differentiate_tiles(
     tile's gradient by the background, d_background (tiles, 3) float64.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
-    lights and met_of as in `forward`; records (N, RECORD), background (3,), lights, met_of,
+    lights and n_contrib as in `forward`; records (N, RECORD), background (3,), lights, n_contrib,
     d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
@@ -259,11 +261,11 @@ def differentiate_tiles(
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         first_pixel = tile * TILE_PIXELS
-        start_pixels(pixels, left, top, first_pixel, background, lights, d_image)
+        start_pixels(pixels, left, top, first_pixel, background, transmittance, d_image)
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = BLOCKS, -1
         first, end = offsets[tile] - base, offsets[tile + 1] - base
-        until = min(most_met(first_pixel, met_of, np.inf), end - first)
+        until = min(most_met(first_pixel, n_contrib, np.inf), end - first)
         walked[tile] = until
         while until > 0:
             begin = (until - 1) // CHUNK * CHUNK
@@ -283,8 +285,8 @@ def differentiate_tiles(
             )
             touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
             while until > begin:
-                revive(pixels, first_pixel, until, lights, met_of, alive)
-                before = max(most_met(first_pixel, met_of, until), begin)
+                revive(pixels, first_pixel, until, transmittance, n_contrib, alive)
+                before = max(most_met(first_pixel, n_contrib, until), begin)
                 differentiate(
                     gathered,
                     before - begin,
@@ -298,7 +300,7 @@ def differentiate_tiles(
                     sums,
                 )
                 until = before
-        add_background(pixels, first_pixel, lights, d_background[tile])
+        add_background(pixels, first_pixel, transmittance, d_background[tile])
 
 
 @kernel

@@ -258,13 +258,13 @@ def weigh_tiles(
     gathered = aligned(gathered_columns(discs) * CHUNK, records.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, records.dtype)
-    lights, met_of = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
+    transmittance, n_contrib = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
     height, width = front_of.shape
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
-        lights[:] = 0
-        met_of[:] = 0
+        transmittance[:] = 0
+        n_contrib[:] = 0
         start_pixels(pixels, left, top, view)
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
@@ -302,16 +302,18 @@ def weigh_tiles(
                 discs,
             )
             position += count
-            some = retire(pixels, 0, retirement.stop_below, position - first, lights, met_of, alive)
+            some = retire(pixels, 0, retirement.stop_below, position - first, transmittance, n_contrib, alive)
         pairs[position:end] = 0
-        retire(pixels, 0, np.inf, position - first, lights, met_of, alive)
+        retire(pixels, 0, np.inf, position - first, transmittance, n_contrib, alive)
         for block in range(STRIPS * BLOCKS):
             x, y, columns, block_rows = block_in_image(block, left, top, width, height)
             for row in range(block_rows):
                 for column in range(columns):
                     lane = row * BLOCK_WIDTH + column
                     at = block * 4 * LANES + lane
-                    found = pixels[at + LANES] > 0 and 1 - lights[block * LANES + lane] >= least_coverage
+                    found = (
+                        pixels[at + LANES] > 0 and 1 - transmittance[block * LANES + lane] >= least_coverage
+                    )
                     # A float32 holds places below 2^24 exactly; none of any size is beyond the list.
                     place = min(first + np.int64(pixels[at + 2 * LANES]), end - 1)
                     front_of[y + row, x + column] = lists[place] if found else NO_SPLAT

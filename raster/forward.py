@@ -195,9 +195,9 @@ def block_in_image(block, left, top, width, height):
 
 
 @inline
-def retire(pixels, first_pixel, stop_below, met, lights, met_of, alive):
+def retire(pixels, first_pixel, stop_below, met, transmittance, n_contrib, alive):
     """Retires pixels with less light than `stop_below`, after `met` splats: their transmittance moves to
-    lights and `met` to met_of, flat arrays where the tile begins at first_pixel. Narrows alive (2·STRIPS,)
+    lights and `met` to n_contrib, flat arrays where the tile begins at first_pixel. Narrows alive (2·STRIPS,)
     int64, first and last block by strip, to blocks with light left; returns whether there is one."""
     some = False
     zero, below = pixels.dtype.type(0), pixels.dtype.type(stop_below)
@@ -208,7 +208,7 @@ def retire(pixels, first_pixel, stop_below, met, lights, met_of, alive):
             light = load(pixels, 4 * at)
             if any_within(light, zero, below):
                 retired = keep_if_below(light, light, spread(below))
-                put_aside(retired, first_pixel + at, met, lights, met_of)
+                put_aside(retired, first_pixel + at, met, transmittance, n_contrib)
                 light = light - retired
                 store(pixels, 4 * at, light)
             if any_above(light, zero):
@@ -219,11 +219,11 @@ def retire(pixels, first_pixel, stop_below, met, lights, met_of, alive):
 
 
 @inline
-def put_aside(retired, at, met, lights, met_of):
+def put_aside(retired, at, met, transmittance, n_contrib):
     """Notes the light of the pixels from `at` on where it is not 0, and how many splats they met."""
-    store(lights, at, load(lights, at) + retired)
+    store(transmittance, at, load(transmittance, at) + retired)
     count = keep_if_below(fill(retired, met), fill(retired, 0.0), retired)
-    store(met_of, at, load(met_of, at) + count)
+    store(n_contrib, at, load(n_contrib, at) + count)
 
 
 @inline
@@ -309,7 +309,7 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, p
 
 
 @inline
-def write_pixels(pixels, left, top, first_pixel, background, lights, image):
+def write_pixels(pixels, left, top, first_pixel, background, transmittance, image):
     """Writes the tile's part of image (H, W, 4): colour over the background, alpha."""
     for block in range(STRIPS * BLOCKS):
         x, y, columns, rows = block_in_image(block, left, top, image.shape[1], image.shape[0])
@@ -317,7 +317,7 @@ def write_pixels(pixels, left, top, first_pixel, background, lights, image):
             for column in range(columns):
                 lane = row * BLOCK_WIDTH + column
                 at = block * 4 * LANES + lane
-                light = lights[first_pixel + block * LANES + lane]
+                light = transmittance[first_pixel + block * LANES + lane]
                 pixel = image[y + row, x + column]
                 pixel[0] = pixels[at + LANES] + light * background[0]
                 pixel[1] = pixels[at + 2 * LANES] + light * background[1]
@@ -327,16 +327,28 @@ def write_pixels(pixels, left, top, first_pixel, background, lights, image):
 
 @kernel
 def draw_tiles(
-    start, stop, offsets, base, lists, records, discs, view, background, retirement, image, lights, met_of
+    start,
+    stop,
+    offsets,
+    base,
+    lists,
+    records,
+    discs,
+    view,
+    background,
+    retirement,
+    image,
+    transmittance,
+    n_contrib,
 ):
     """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks that
     were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    discs is a `DiscArrays` or None, retirement a `Retirement`. lights and met_of (tiles·TILE_PIXELS,) receive
+    discs is a `DiscArrays` or None, retirement a `Retirement`. lights and n_contrib (tiles·TILE_PIXELS,) receive
     the light that got through each pixel and how many splats of its tile's list it met, a vector a block,
     strip by strip; both are 0 beyond the image. records (N, RECORD), background (3,), image, lights and
-    met_of share one dtype.
+    n_contrib share one dtype.
     """
     gathered = aligned(gathered_columns(discs) * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
@@ -346,8 +358,8 @@ def draw_tiles(
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         first_pixel = tile * TILE_PIXELS
-        lights[first_pixel : first_pixel + TILE_PIXELS] = 0
-        met_of[first_pixel : first_pixel + TILE_PIXELS] = 0
+        transmittance[first_pixel : first_pixel + TILE_PIXELS] = 0
+        n_contrib[first_pixel : first_pixel + TILE_PIXELS] = 0
         start_pixels(pixels, left, top, view)
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
@@ -374,7 +386,9 @@ def draw_tiles(
                 gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, discs
             )
             position += count
-            some = retire(pixels, first_pixel, retirement.stop_below, position - first, lights, met_of, alive)
-        retire(pixels, first_pixel, np.inf, position - first, lights, met_of, alive)
-        write_pixels(pixels, left, top, first_pixel, background, lights, image)
+            some = retire(
+                pixels, first_pixel, retirement.stop_below, position - first, transmittance, n_contrib, alive
+            )
+        retire(pixels, first_pixel, np.inf, position - first, transmittance, n_contrib, alive)
+        write_pixels(pixels, left, top, first_pixel, background, transmittance, image)
     return blocks

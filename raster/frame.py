@@ -116,9 +116,9 @@ class Frame:
     """Drawn in per-pixel order: nor this."""
     image: np.ndarray
     """(H, W, 4), the caller's to keep."""
-    lights: np.ndarray
+    transmittance: np.ndarray
     """(tiles·TILE_PIXELS,), the light that got through each pixel, and..."""
-    met_of: np.ndarray
+    n_contrib: np.ndarray
     """... how many splats of its tile's list it met: see `forward.draw_tiles`."""
     records: np.ndarray
     """(N, RECORD), see `project`; only rows of visible splats mean anything."""
@@ -188,8 +188,8 @@ def draw(
             # Discs are met at depths of their own.
             slopes = slopes_of(bins.order) if arranged.discs is None else np.empty((0, 2))
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS if slopes is None else 0
-    lights = workspace.take("lights", (pixels,), dtype)
-    met_of = workspace.take("met_of", (pixels,), dtype)
+    transmittance = workspace.take("lights", (pixels,), dtype)
+    n_contrib = workspace.take("n_contrib", (pixels,), dtype)
     lists = np.empty(0, np.int32)
     evaluated = 0
     for band in bins.bands:
@@ -199,7 +199,7 @@ def draw(
             shared = (bins.offsets, int(bins.offsets[band[0]]), lists, arranged.records, arranged.discs, view)
             ranges = tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
             if slopes is None:
-                more = (background, retirement, image, lights, met_of)
+                more = (background, retirement, image, transmittance, n_contrib)
                 evaluated += LANES * sum(run(draw_tiles, ranges, (*shared, *more), threads))
             else:
                 more = (arranged.depths, slopes, background, retirement.stop_below, image)
@@ -214,8 +214,8 @@ def draw(
         edited=edits is not None,
         by_pixel=slopes is not None,
         image=image,
-        lights=lights,
-        met_of=met_of,
+        transmittance=transmittance,
+        n_contrib=n_contrib,
         records=arranged.records,
         discs=arranged.discs,
         pieces=arranged.pieces,

@@ -15,7 +15,7 @@ from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, even_r
 from splatview.raster.edits import EditArrays, moved, palette_row
 from splatview.raster.parameters import Parameters, View
 from splatview.scene import Camera, RenderSettings
-from splatview.scene.order_reuse import Resorting
+from splatview.scene.order_reuse import ResortPolicy
 
 # ---- An order by depth that serves more frames than the one it was made for.
 #
@@ -27,7 +27,7 @@ class KeptOrder:
     """Of the scene drawn last; part of a workspace."""
 
     def __init__(self) -> None:
-        self.resorting = Resorting()
+        self.resort_policy = ResortPolicy()
         self._of: tuple[object, ...] = ()
         self._order = np.empty(0, np.int32)
         self._centre, self._radius = np.zeros(3), 0.0
@@ -49,9 +49,9 @@ class KeptOrder:
         if len(self._of) != len(scene) or any(a is not b for a, b in zip(scene, self._of, strict=True)):
             self._of = scene
             self._centre, self._radius = box_of(splats.means)
-            self.resorting.forget()
+            self.resort_policy.forget()
         key = (settings.model.near, key_bits, None if edits is None else edits.palette.tobytes())
-        if self.resorting.due(camera, settings, key=key, centre=self._centre, radius=self._radius):
+        if self.resort_policy.due(camera, settings, key=key, centre=self._centre, radius=self._radius):
             self._order = depth_order(
                 splats, view, workspace, edits=edits, key_bits=key_bits, threads=threads
             )

@@ -33,6 +33,6 @@ def make_renderer(ctx: moderngl.Context, name: str = "quads", variants: Variants
         from splatview.renderers.gl.quads import QuadsRenderer
 
         return QuadsRenderer(ctx, variants=variants)
-    from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+    from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 
-    return LegacyQuadsRenderer(ctx, variants)
+    return QuadsGL33Renderer(ctx, variants)

@@ -13,7 +13,7 @@ import numpy as np
 from splatview import raster
 from splatview.raster.frame import kind_of
 from splatview.renderers import FrameStats
-from splatview.renderers.edit_snapshot import ShownEdits, shown_edits
+from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
 from splatview.renderers.moving_quality import (
     MOVING_MS,
     UNPRICED_SCALE,
@@ -27,8 +27,8 @@ from splatview.renderers.moving_quality import (
     time_of,
     work_of,
 )
-from splatview.renderers.precompile import Rehearsals, rehearsal_of
-from splatview.renderers.types import Overlay
+from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
+from splatview.renderers.types import Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import SceneEdits, bake
 
@@ -40,50 +40,50 @@ class CpuAhead:
 
     The edited scene, baked, gives the picture that edits give, by kernels that know of none. For other
     effects there is no such way: their first picture waits, as the very first picture does. Without
-    `rehearsals` all is compiled when it is needed.
+    `precompiler` all is compiled when it is needed.
     """
 
-    def __init__(self, rehearsals: Rehearsals | None) -> None:
-        self._rehearsals = rehearsals
+    def __init__(self, precompiler: ShaderPrecompiler | None) -> None:
+        self._precompiler = precompiler
         self._baked: tuple[Gaussians, SceneEdits, Gaussians] | None = None
 
     def must_wait(
-        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, shown: ShownEdits | None
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, shown: EditSnapshot | None
     ) -> str | None:
         """Has compiled what this picture lacks. Returns what to `wait` for, if it can only be drawn then."""
-        if self._rehearsals is None:
+        if self._precompiler is None:
             return None
         kind = kind_of(gaussians, camera, settings, edited=shown is not None)
-        if self._rehearsals.is_done([kind]):
+        if self._precompiler.is_done([kind]):
             return None
         pinhole = camera.lens is None and not camera.orthographic and settings.model.footprint != "disc"
         if shown is None and pinhole and not raster.will_compile():
             return None  # compiled with all the others
-        self._rehearsals.ask(
+        self._precompiler.ask(
             [kind],
             title_of(camera, settings, shown),
-            lambda: rehearsal_of(
+            lambda: precompile_job(
                 "cpu",
                 gaussians,
                 camera,
                 settings,
                 edits=None if shown is None else shown.source,
-                overlay=None if shown is None else shown.overlay,
+                highlight=None if shown is None else shown.highlight,
             ),
         )
         return kind if shown is None or not pinhole or raster.will_compile() else None
 
     def wait(self, kind: str) -> bool:
         """False where nothing is to be drawn any more."""
-        return self._rehearsals is None or self._rehearsals.wait([kind])
+        return self._precompiler is None or self._precompiler.wait([kind])
 
     def what_to_draw(
-        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, shown: ShownEdits | None
+        self, gaussians: Gaussians, camera: Camera, settings: RenderSettings, shown: EditSnapshot | None
     ) -> tuple[Gaussians, SceneEdits | None]:
         """The scene and the edits to draw it by."""
         if shown is None:
             return gaussians, None
-        if self._rehearsals is None or self._rehearsals.is_done(
+        if self._precompiler is None or self._precompiler.is_done(
             [kind_of(gaussians, camera, settings, edited=True)]
         ):
             self._baked = None
@@ -95,10 +95,10 @@ class CpuAhead:
     @property
     def title(self) -> str:
         """What is being compiled, or ""."""
-        return "" if self._rehearsals is None else self._rehearsals.title
+        return "" if self._precompiler is None else self._precompiler.title
 
 
-def title_of(camera: Camera, settings: RenderSettings, shown: ShownEdits | None) -> str:
+def title_of(camera: Camera, settings: RenderSettings, shown: EditSnapshot | None) -> str:
     effects = {
         "edits": shown is not None,
         "a lens": camera.lens is not None,
@@ -126,7 +126,7 @@ class _Wish:
     gaussians: Gaussians
     camera: Camera
     settings: RenderSettings
-    edits: ShownEdits | None
+    edits: EditSnapshot | None
     since: float
 
     def same_picture(self, other: _Wish) -> bool:
@@ -150,10 +150,10 @@ class CpuTexture:
         *,
         threads: int | None = None,
         on_ready: Callable[[], object] = lambda: None,
-        rehearsals: Rehearsals | None = None,
+        precompiler: ShaderPrecompiler | None = None,
     ):
         self._ctx = ctx
-        self._ahead = CpuAhead(rehearsals)
+        self._ahead = CpuAhead(precompiler)
         self.threads = threads
         """Cores to draw with; None: all. May be changed at any time."""
         self.cores: float | None = None
@@ -202,15 +202,15 @@ class CpuTexture:
         settings: RenderSettings,
         *,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         """Asks for a picture and shows the latest that is there. Never waits.
 
-        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark.
+        `edits` of the scene that is loaded are shown; `highlight` lights up what they mark.
         """
         if self._gaussians is None:
             return
-        shown = shown_edits(edits, overlay, self._wish.edits if self._wish else None)
+        shown = edit_snapshot(edits, highlight, self._wish.edits if self._wish else None)
         wish = _Wish(self._gaussians, camera, settings, shown, time.monotonic())
         with self._change:
             if self._wish is None or not self._wish.same_picture(wish):
@@ -239,12 +239,12 @@ class CpuTexture:
         settings: RenderSettings,
         *,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> np.ndarray:
         """The full picture (H, W, 4) float32, rendered while the caller waits."""
         if self._gaussians is None:
             return np.zeros((camera.height, camera.width, 4), np.float32)
-        shown = shown_edits(edits, overlay, None)
+        shown = edit_snapshot(edits, highlight, None)
         gaussians, drawn = self._ahead.what_to_draw(self._gaussians, camera, settings, shown)
         return raster.render(gaussians, camera, settings, edits=drawn, threads=self.threads)
 

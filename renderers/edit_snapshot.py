@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from splatview.raster.compiling import kernel
-from splatview.renderers.types import TINT_COUNT, Overlay, Tint
+from splatview.renderers.types import TINT_COUNT, Highlight, Tint
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, SceneEdits
 
 # ---- Tints as colour maps of further adjustments: for renderers that know adjustments and no overlay.
@@ -18,10 +18,10 @@ SHIFT, FLAG_SETS = PALETTE_SHIFT, TINT_COUNT
 """As constants that the compiler sees."""
 
 
-def tinted(edits: SceneEdits, overlay: Overlay) -> SceneEdits:
-    """The edits, and what `overlay` lights up; their flags stay. Marks are an array of their own, unless
+def tinted(edits: SceneEdits, highlight: Highlight) -> SceneEdits:
+    """The edits, and what `highlight` lights up; their flags stay. Marks are an array of their own, unless
     nothing is lit up."""
-    table = overlay.table
+    table = highlight.table
     used = np.zeros(len(edits.palette) * FLAG_SETS, bool)
     note_pairs(edits.marks, used)
     entries = np.arange(len(used), dtype=np.uint32) // FLAG_SETS
@@ -74,24 +74,24 @@ def rename(marks, entries, renamed):
 
 
 @dataclass(frozen=True, eq=False)
-class ShownEdits:
-    """One object as long as the picture is the same, see `shown_edits`."""
+class EditSnapshot:
+    """One object as long as the picture is the same, see `edit_snapshot`."""
 
     source: SceneEdits
     """The editor's, which goes on writing to its marks."""
-    overlay: Overlay | None
+    highlight: Highlight | None
     kept: SceneEdits
     """Likewise, with marks of its own."""
 
     @cached_property
     def drawn(self) -> SceneEdits:
         """What a renderer shows that knows no overlay."""
-        return self.kept if self.overlay is None else tinted(self.kept, self.overlay)
+        return self.kept if self.highlight is None else tinted(self.kept, self.highlight)
 
-    def shows(self, edits: SceneEdits, overlay: Overlay | None) -> bool:
+    def shows(self, edits: SceneEdits, highlight: Highlight | None) -> bool:
         """Whether these give the same picture, as far as can be told without reading marks."""
         mine = self.source
-        return self.overlay == overlay and (
+        return self.highlight == highlight and (
             mine is edits
             or (
                 (mine.marks is edits.marks and mine.marks_version == edits.marks_version)
@@ -101,16 +101,16 @@ class ShownEdits:
         )
 
 
-def shown_edits(
-    edits: SceneEdits | None, overlay: Overlay | None, before: ShownEdits | None
-) -> ShownEdits | None:
+def edit_snapshot(
+    edits: SceneEdits | None, highlight: Highlight | None, before: EditSnapshot | None
+) -> EditSnapshot | None:
     """What of `edits` shows in a picture; None: nothing, `before` if that is still it. Costs a copy of the
     marks (a third of a millisecond for a million splats) where they have changed."""
     if edits is None:
         return None
-    lit = overlay if overlay is not None and overlay.lights(edits) else None
+    lit = highlight if highlight is not None and highlight.transmittance(edits) else None
     if lit is None and not edits.in_force:
         return None
     if before is not None and before.shows(edits, lit):
         return before
-    return ShownEdits(edits, lit, replace(edits, marks=edits.marks.copy(), changes=()))
+    return EditSnapshot(edits, lit, replace(edits, marks=edits.marks.copy(), changes=()))

@@ -177,7 +177,7 @@ class Cpu:
 
     def forget_order(self) -> None:
         if self._workspace.kept_order is not None:
-            self._workspace.kept_order.resorting.forget()
+            self._workspace.kept_order.resort_policy.forget()
 
     def stats(self) -> tuple[int, dict[str, float]]:
         return self._last
@@ -450,7 +450,7 @@ def gl_renderers(names: tuple[str, ...], opened: list[Any]) -> list[CaseRenderer
     """The renderers by OpenGL on a context of their own; what has to be released goes to `opened`."""
     from splatview.renderers.gl.context import create_headless_context
     from splatview.renderers.gl.quads import QuadsRenderer
-    from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+    from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
     from splatview.renderers.gl.tiles import TilesRenderer
 
     context = create_headless_context()
@@ -459,7 +459,7 @@ def gl_renderers(names: tuple[str, ...], opened: list[Any]) -> list[CaseRenderer
     if "quads" in names and context.version_code >= 430:
         kinds.append(("quads", QuadsRenderer))
     if "quads-gl33" in names or ("quads" in names and context.version_code < 430):
-        kinds.append(("quads-gl33", LegacyQuadsRenderer))
+        kinds.append(("quads-gl33", QuadsGL33Renderer))
     if "tiles" in names and context.version_code >= 430:
         kinds.append(("tiles", TilesRenderer))
     made: list[CaseRenderer] = []

@@ -23,7 +23,7 @@ import numpy as np
 
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.programs import Variant, Variants, load
-from splatview.renderers.types import Overlay, VisualMode
+from splatview.renderers.types import Highlight, VisualMode
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.background import Panorama
 from splatview.scene.edits import IDENTITY, Crop, SceneEdits
@@ -53,7 +53,7 @@ NICENESS = 5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Rehearsal:
+class PrecompileJob:
     """What is drawn, and by what."""
 
     renderer: str
@@ -63,7 +63,7 @@ class Rehearsal:
     settings: RenderSettings
     mode: VisualMode = "splats"
     edits: SceneEdits | None = None
-    overlay: Overlay | None = None
+    highlight: Highlight | None = None
     variants: frozenset[Variant] = field(default_factory=frozenset)
     """Programs that must have been compiled in the end."""
     gl_version: tuple[int, int] | None = None
@@ -82,7 +82,7 @@ def few_splats() -> Gaussians:
     )
 
 
-def rehearsal_of(
+def precompile_job(
     renderer: str,
     gaussians: Gaussians,
     camera: Camera,
@@ -90,10 +90,10 @@ def rehearsal_of(
     *,
     mode: VisualMode = "splats",
     edits: SceneEdits | None = None,
-    overlay: Overlay | None = None,
+    highlight: Highlight | None = None,
     variants: frozenset[Variant] = frozenset(),
     gl_version: tuple[int, int] | None = None,
-) -> Rehearsal:
+) -> PrecompileJob:
     """Of the picture that these would give: few splats and pixels, with the same effects."""
     few = gaussians.take(np.arange(min(len(gaussians), SPLATS)))
     count = len(few)
@@ -116,53 +116,53 @@ def rehearsal_of(
             crops=(Crop(half_extents=(9.0, 9.0, 9.0)),) if edits.crops_in_force else (),
             flags=edits.flags,
         )
-    return Rehearsal(
+    return PrecompileJob(
         renderer=renderer,
         gaussians=few,
         camera=replace(camera.resized(*SIZE), world_to_camera=placed.world_to_camera),
         settings=settings,
         mode=mode,
         edits=edits,
-        overlay=overlay,
+        highlight=highlight,
         variants=variants,
         gl_version=gl_version,
     )
 
 
-def perform(rehearsal: Rehearsal) -> None:
-    if rehearsal.renderer == "cpu":
-        draw_by_cpu(rehearsal)
+def perform(job: PrecompileJob) -> None:
+    if job.renderer == "cpu":
+        draw_by_cpu(job)
     else:
-        draw_by_gl(rehearsal)
+        draw_by_gl(job)
 
 
-def draw_by_cpu(rehearsal: Rehearsal) -> None:
+def draw_by_cpu(job: PrecompileJob) -> None:
     from splatview import raster
     from splatview.renderers.edit_snapshot import tinted
 
-    edits = rehearsal.edits
+    edits = job.edits
     if edits is not None:
         lit = replace(edits, marks=np.full_like(edits.marks, edits.flags))
-        tinted(lit, rehearsal.overlay or Overlay())
-    raster.render(rehearsal.gaussians, rehearsal.camera, rehearsal.settings, edits=edits)
+        tinted(lit, job.highlight or Highlight())
+    raster.render(job.gaussians, job.camera, job.settings, edits=edits)
 
 
-def draw_by_gl(rehearsal: Rehearsal) -> None:
+def draw_by_gl(job: PrecompileJob) -> None:
     from splatview.renderers import make_renderer
 
-    ctx = hidden_context(rehearsal.gl_version)
+    ctx = hidden_context(job.gl_version)
     variants = Variants(ctx)
-    renderer = make_renderer(ctx, rehearsal.renderer, variants)
+    renderer = make_renderer(ctx, job.renderer, variants)
     renderer.render(
-        rehearsal.gaussians,
-        rehearsal.camera,
-        rehearsal.settings,
-        mode=rehearsal.mode,
-        edits=rehearsal.edits,
-        overlay=rehearsal.overlay,
+        job.gaussians,
+        job.camera,
+        job.settings,
+        mode=job.mode,
+        edits=job.edits,
+        highlight=job.highlight,
     )
     # So few splats may be stored otherwise than the scene they stand for.
-    for variant in rehearsal.variants - variants.made:
+    for variant in job.variants - variants.made:
         load(ctx, variant)
     ctx.finish()
     time.sleep(LINGER)
@@ -216,10 +216,10 @@ STARTER = "from splatview.renderers.precompile import main; main()"
 class _Task:
     keys: frozenset[str]
     title: str
-    rehearsal: Rehearsal
+    job: PrecompileJob
 
 
-class Rehearsals:
+class ShaderPrecompiler:
     """Knows by keys what is compiled. All methods may be called from any thread.
 
     `memory`: a file that keeps the keys of earlier sessions, as caches on disk outlive them. `on_change` is
@@ -232,7 +232,7 @@ class Rehearsals:
         memory: Path | None = None,
         gl_version: tuple[int, int] | None = None,
         on_change: Callable[[], object] = lambda: None,
-        perform: Callable[[Rehearsal], None] | None = None,
+        perform: Callable[[PrecompileJob], None] | None = None,
     ) -> None:
         self.gl_version = gl_version
         """Of the windows to draw in; None: without one."""
@@ -255,7 +255,7 @@ class Rehearsals:
         with self._change:
             return self._ended or self._done.issuperset(keys)
 
-    def ask(self, keys: Iterable[str], title: str, rehearsal: Callable[[], Rehearsal]) -> None:
+    def ask(self, keys: Iterable[str], title: str, job: Callable[[], PrecompileJob]) -> None:
         """Has `keys` compiled by a rehearsal, unless that has been asked for; `title` tells the user what
         is compiled."""
         with self._change:
@@ -263,8 +263,8 @@ class Rehearsals:
             if not missing or self._ended:
                 return
             self._asked |= missing
-            task = _Task(missing, title, rehearsal())
-            by_cpu = task.rehearsal.renderer == "cpu"
+            task = _Task(missing, title, job())
+            by_cpu = task.job.renderer == "cpu"
             if by_cpu not in self._tasks:
                 self._tasks[by_cpu] = queue.SimpleQueue()
                 threading.Thread(
@@ -319,7 +319,7 @@ class Rehearsals:
             self._on_change()
             problem: str | None = None
             try:
-                self._perform(task.rehearsal)
+                self._perform(task.job)
             except Exception as error:
                 if self._ended:
                     return
@@ -334,7 +334,7 @@ class Rehearsals:
                 self._change.notify_all()
             self._on_change()
 
-    def _in_a_process(self, rehearsal: Rehearsal) -> None:
+    def _in_a_process(self, job: PrecompileJob) -> None:
         def started(process: subprocess.Popen[bytes]) -> None:
             with self._change:
                 self._processes.add(process)
@@ -342,7 +342,7 @@ class Rehearsals:
                     process.terminate()
 
         try:
-            in_a_process(rehearsal, started)
+            in_a_process(job, started)
         finally:
             with self._change:
                 self._processes = {process for process in self._processes if process.poll() is None}
@@ -371,7 +371,7 @@ def remembered(memory: Path | None) -> set[str]:
 
 
 def in_a_process(
-    rehearsal: Rehearsal, on_start: Callable[[subprocess.Popen[bytes]], object] = lambda process: None
+    job: PrecompileJob, on_start: Callable[[subprocess.Popen[bytes]], object] = lambda process: None
 ) -> None:
     """Returns when it has been performed.
 
@@ -389,7 +389,7 @@ def in_a_process(
         raise RuntimeError(str(error)) from error
     on_start(process)
     try:
-        _, said = process.communicate(pickle.dumps(rehearsal), timeout=LONGEST)
+        _, said = process.communicate(pickle.dumps(job), timeout=LONGEST)
     except subprocess.TimeoutExpired as error:
         process.kill()
         process.communicate()
@@ -424,7 +424,7 @@ def probe_cache(ctx: moderngl.Context) -> CacheProbe:
     unknown, elsewhere = (never_seen(known) for _ in range(2))
     alone = compile_ms(ctx, unknown)
     try:
-        in_a_process(rehearsal_of("quads", few, camera, settings, variants=frozenset({elsewhere})))
+        in_a_process(precompile_job("quads", few, camera, settings, variants=frozenset({elsewhere})))
     except RuntimeError as error:
         return CacheProbe(works=False, why=f"a second process cannot draw: {error}")
     after = compile_ms(ctx, elsewhere)

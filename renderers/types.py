@@ -43,7 +43,7 @@ Tint = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Overlay:
+class Highlight:
     """Tints of marked splats; a strength of 0 leaves them as they are. Of several marks the first counts."""
 
     preview: Tint = (1.0, 0.08, 0.05, 0.7)
@@ -66,7 +66,7 @@ class Overlay:
                 table[(marks & flag) != 0] = tint
         return table
 
-    def lights(self, edits: SceneEdits) -> bool:
+    def transmittance(self, edits: SceneEdits) -> bool:
         """Whether some splats may be lit up."""
         return bool(self.flags & edits.flags)
 

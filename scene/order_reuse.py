@@ -14,7 +14,7 @@ from splatview.scene.camera import Camera
 from splatview.scene.image_model import RenderSettings
 
 
-class Resorting:
+class ResortPolicy:
     """Follows the frames of one renderer."""
 
     def __init__(self) -> None:

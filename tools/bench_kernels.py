@@ -123,8 +123,8 @@ def forward_rate(frame: Frame) -> float:
         frame.background,
         frame.retirement,
         image,
-        np.empty_like(frame.lights),
-        np.empty_like(frame.met_of),
+        np.empty_like(frame.transmittance),
+        np.empty_like(frame.n_contrib),
     )
     return frame.pixel_splats / _least_cpu_seconds(lambda: draw_tiles(0, tiles, *arguments))
 

@@ -27,7 +27,7 @@ from splatview.scene.effects import Effect
 from splatview.scene.formats import save_scene
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.evaluate import Evaluation
-from splatview.trainer.run import Session
+from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
 
 # ---- What a training thread shows of itself, and the share of the machine that it keeps to.
@@ -168,12 +168,12 @@ RATE_SECONDS = 3.0
 """Over about so long are steps a second averaged."""
 
 
-class TrainingThread:
+class BackgroundTraining:
     """Trains, pauses, saves and publishes. Everything but `close` returns at once, in any thread."""
 
     def __init__(
         self,
-        session: Session,
+        training_run: TrainingRun,
         *,
         share: float = 1.0,
         cores: int | None = None,
@@ -189,7 +189,7 @@ class TrainingThread:
         self.cores = cores or available_threads()
         self.snapshot_seconds = snapshot_seconds
         """May be set at any time."""
-        self.outputs = session.outputs
+        self.outputs = training_run.outputs
         self.history = History(("iteration", "seconds", "loss", "gaussians"))
         """One row a step."""
         self.evaluations = History(("iteration", "seconds", "psnr", "ssim"))
@@ -198,7 +198,7 @@ class TrainingThread:
         """What snapshots have cost so far."""
         self.published = 0
         """Snapshots made."""
-        self._session = session
+        self._training_run = training_run
         self.on_change = on_change
         """May be set at any time."""
         self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -211,7 +211,7 @@ class TrainingThread:
         self._step_due = self._snapshot_due = 0.0
         self._step_ended: float | None = None
         self._unseen = self._unsaved = False
-        trainer = session.trainer
+        trainer = training_run.trainer
         self.status = Status(
             state="training",
             settings=trainer.settings,
@@ -223,7 +223,7 @@ class TrainingThread:
             loss=math.nan,
         )
         """Replaced, never changed."""
-        session.on_note = self._notes.append
+        training_run.on_note = self._notes.append
         self._publish()
         self._begun = threading.Event()
         self._thread.start()
@@ -231,7 +231,7 @@ class TrainingThread:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """What the run computes and why."""
-        return self._session.effects
+        return self._training_run.effects
 
     def begin(self) -> None:
         """Starts to train."""
@@ -239,8 +239,8 @@ class TrainingThread:
 
     # ---- what others may ask for
 
-    def post(self, command: Callable[[Session], Answer], *, changes: bool = False) -> Future[Answer]:
-        """Runs `command(session)` in the thread, between two steps; the future holds its answer.
+    def post(self, command: Callable[[TrainingRun], Answer], *, changes: bool = False) -> Future[Answer]:
+        """Runs `command(training_run)` in the thread, between two steps; the future holds its answer.
 
         `changes`: the command changes the scene, so that a snapshot is published and the scene is saved
         when the window closes. A command that fails is noted; training goes on.
@@ -249,7 +249,7 @@ class TrainingThread:
 
         def obey() -> None:
             try:
-                result = command(self._session)
+                result = command(self._training_run)
             except Exception as error:
                 self._note(error)
                 answer.set_exception(error)
@@ -290,8 +290,8 @@ class TrainingThread:
     def change(self, **settings: Any) -> Future[None]:
         """Changes fields of `TrainSettings`. A value that makes no sense is noted and changes nothing."""
 
-        def apply(session: Session) -> None:
-            session.trainer.change(**settings)
+        def apply(training_run: TrainingRun) -> None:
+            training_run.trainer.change(**settings)
             self._tell()
 
         return self.post(apply)
@@ -299,13 +299,13 @@ class TrainingThread:
     def export(self, path: Path) -> Future[Path]:
         """Writes the scene as it stands, in the format of the suffix."""
 
-        def save(session: Session) -> Path:
+        def save(training_run: TrainingRun) -> Path:
             self._tell(activity="Saving")
             try:
-                save_scene(session.trainer.snapshot(), path)
+                save_scene(training_run.trainer.snapshot(), path)
             finally:
                 self._tell(activity="")
-            self._notes.append(f"Scene saved at step {session.trainer.counters.iteration:,}: {path}")
+            self._notes.append(f"Scene saved at step {training_run.trainer.counters.iteration:,}: {path}")
             return path
 
         return self.post(save)
@@ -314,9 +314,11 @@ class TrainingThread:
         """Writes a checkpoint, where the run has its own if no other place is named."""
         place = path or self.outputs.checkpoint
 
-        def save(session: Session) -> Path:
-            save_checkpoint(session.trainer, place, session.notes)
-            self._notes.append(f"Checkpoint saved at step {session.trainer.counters.iteration:,}: {place}")
+        def save(training_run: TrainingRun) -> Path:
+            save_checkpoint(training_run.trainer, place, training_run.notes)
+            self._notes.append(
+                f"Checkpoint saved at step {training_run.trainer.counters.iteration:,}: {place}"
+            )
             return place
 
         return self.post(save)
@@ -324,12 +326,12 @@ class TrainingThread:
     def evaluate(self) -> Future[Evaluation | None]:
         """Measures the held-out photos now; None where there are none."""
 
-        def measure(session: Session) -> Evaluation | None:
-            if not session.held_out:
+        def measure(training_run: TrainingRun) -> Evaluation | None:
+            if not training_run.held_out:
                 return None
             self._tell(activity="Measuring held-out photos")
             try:
-                evaluation = session.evaluate()
+                evaluation = training_run.evaluate()
             finally:
                 self._tell(activity="")
             self._note_evaluation(evaluation)
@@ -347,7 +349,7 @@ class TrainingThread:
             self._commands.put(self._end)
             self._begun.set()
             self._thread.join()
-        self._session.close()
+        self._training_run.close()
         # However the thread ended, the trainer is this thread's now.
         if self._unsaved:
             self._keep()
@@ -405,7 +407,7 @@ class TrainingThread:
         except Exception as error:
             traceback.print_exc()
             self._steps_wanted = 0
-            self._session.stopwatch.pause()
+            self._training_run.stopwatch.pause()
             self._unseen = True
             self._tell(state="failed", failure=one_line(error), rate=0.0)
             try:
@@ -415,11 +417,11 @@ class TrainingThread:
             self.on_change()
 
     def _take_step(self) -> None:
-        trainer = self._session.trainer
+        trainer = self._training_run.trainer
         pace = pace_of(self.share, self.cores)
         trainer.threads = pace.threads
         begun = time.perf_counter()
-        progress = self._session.step()
+        progress = self._training_run.step()
         ended = time.perf_counter()
         self._step_due = ended + (ended - begun) * (1 / pace.duty - 1)
         self._unseen = self._unsaved = True
@@ -433,7 +435,7 @@ class TrainingThread:
         elif self._steps_wanted > 0:
             self._steps_wanted -= 1
             if self._steps_wanted == 0:
-                self._session.stopwatch.pause()
+                self._training_run.stopwatch.pause()
                 self._publish()
                 self.on_change()
         elif (
@@ -457,7 +459,7 @@ class TrainingThread:
         if self.published and not self._unseen:
             return
         begun = time.perf_counter()
-        trainer = self._session.trainer
+        trainer = self._training_run.trainer
         counters = trainer.counters
         self._slot.append(
             Snapshot(
@@ -475,7 +477,7 @@ class TrainingThread:
 
     def _tell(self, **changes: Any) -> None:
         """Publishes where the run stands."""
-        trainer = self._session.trainer
+        trainer = self._training_run.trainer
         self.status = replace(
             self.status,
             settings=trainer.settings,
@@ -493,37 +495,37 @@ class TrainingThread:
         self._notes.append(one_line(error))
 
     def _note_evaluation(self, evaluation: Evaluation) -> None:
-        counters = self._session.trainer.counters
+        counters = self._training_run.trainer.counters
         self.evaluations.add(counters.iteration, counters.seconds, evaluation.psnr, evaluation.ssim)
         self._tell(evaluation=evaluation, evaluated_at=counters.iteration)
 
     def _pause(self) -> None:
         self._steps_wanted = 0
-        self._session.stopwatch.pause()
+        self._training_run.stopwatch.pause()
         if self.status.state == "training":
             self._tell(state="paused", rate=0.0)
         self._publish()
         self.on_change()
 
     def _resume(self) -> None:
-        if self._session.trainer.done:
+        if self._training_run.trainer.done:
             self._notes.append("The run is over: make it longer to train on")
             return
         self._step_ended = None
         self._step_due = 0.0
-        self._session.stopwatch.resume()
+        self._training_run.stopwatch.resume()
         self._tell(state="training", failure=None, rate=0.0)
         self.on_change()
 
     def _want_step(self) -> None:
         if self.status.state == "training":
             self._pause()
-        if self._session.trainer.done or self.status.state == "failed":
+        if self._training_run.trainer.done or self.status.state == "failed":
             return
         self._step_ended = None
         self._step_due = 0.0
         self._steps_wanted += 1
-        self._session.stopwatch.resume()
+        self._training_run.stopwatch.resume()
 
     def _stop(self) -> None:
         self._pause()
@@ -533,14 +535,14 @@ class TrainingThread:
     def _finish(self) -> None:
         """The run is over: everything that a run without a window writes, is written."""
         self._steps_wanted = 0
-        self._session.stopwatch.pause()
+        self._training_run.stopwatch.pause()
         self._publish()
         self._tell(state="done", rate=0.0)
         self.on_change()
         try:
             self._keep()
             self._tell(activity="Measuring held-out photos")
-            evaluation = self._session.final_evaluation()
+            evaluation = self._training_run.final_evaluation()
             if evaluation is not None:
                 self._notes.append(
                     f"Held out: {evaluation.psnr:.2f} dB; side by side in {self.outputs.pictures}"
@@ -556,14 +558,14 @@ class TrainingThread:
         self._tell(activity="Saving")
         try:
             if self.status.state == "failed":
-                self._session.save_scene()
+                self._training_run.save_scene()
             else:
-                self._session.keep()
+                self._training_run.keep()
         finally:
             # Where it went elsewhere, it is saved all the same.
             self._unsaved = False
             self._tell(activity="")
-        iteration = self._session.trainer.counters.iteration
+        iteration = self._training_run.trainer.counters.iteration
         self._tell(saved_at=iteration)
         self._notes.append(f"Saved at step {iteration:,}: {self.outputs.scene}")
 

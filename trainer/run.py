@@ -1,6 +1,6 @@
 """A whole run, whoever drives it: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end.
 
-Without a window `run` does it all; with one, `thread.TrainingThread` calls the parts between which a user
+Without a window `run` does it all; with one, `thread.BackgroundTraining` calls the parts between which a user
 may pause.
 """
 
@@ -114,7 +114,7 @@ class Stopwatch:
             self._paused = None
 
 
-class Session:
+class TrainingRun:
     """Takes a trainer through its run and keeps what it learns safe on the way."""
 
     def __init__(

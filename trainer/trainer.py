@@ -31,8 +31,8 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.loss import photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, comments_for, fresh
-from splatview.trainer.strategies.default import ClassicControl
-from splatview.trainer.strategies.mcmc import SampledControl
+from splatview.trainer.strategies.default import DefaultStrategy
+from splatview.trainer.strategies.mcmc import MCMCStrategy
 from splatview.trainer.strategies.ops import some_dropped
 from splatview.trainer.views import Shot, Shots
 
@@ -114,9 +114,9 @@ class Trainer:
         """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
         self.control: DensityControl
         if settings.strategy == "mcmc":
-            self.control = SampledControl(settings, self.extent, len(parameters.means))
+            self.control = MCMCStrategy(settings, self.extent, len(parameters.means))
         else:
-            self.control = ClassicControl(settings, self.extent)
+            self.control = DefaultStrategy(settings, self.extent)
         self.control.begin(len(self.splats))
         self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
         self._workspace = Workspace()

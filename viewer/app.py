@@ -1,4 +1,4 @@
-"""The window itself: hello_imgui's runner around a `Core`, a picture and the panels."""
+"""The window itself: hello_imgui's runner around a `AppState`, a picture and the panels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imgui_bundle import (
 )
 
 from splatview.renderers.gl.context import describe
-from splatview.renderers.precompile import Rehearsals
+from splatview.renderers.precompile import ShaderPrecompiler
 from splatview.scene.user_dirs import cache_folder, config_folder
 from splatview.viewer import commands as keys
 from splatview.viewer import layout, theme
@@ -32,13 +32,13 @@ from splatview.viewer.open import open_paths
 from splatview.viewer.picture import GpuPicture, Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
-from splatview.viewer.state import Core
-from splatview.viewer.training.live import Training
+from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
 
 # ---- Files dropped on the window: ImGui does not hand them on, so GLFW is asked directly.
 
 
-def install_drop_handler(core: Core) -> None:
+def install_drop_handler(app: AppState) -> None:
     """Opens what is dropped. To be called once hello_imgui has its window.
 
     Neither hello_imgui nor ImGui's GLFW backend has a drop callback of its own that would have to be
@@ -46,7 +46,7 @@ def install_drop_handler(core: Core) -> None:
     """
 
     def dropped(_window: Any, names: Sequence[str]) -> None:
-        core.post(open_paths, [Path(name) for name in names])
+        app.post(open_paths, [Path(name) for name in names])
 
     # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
     glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]
@@ -76,35 +76,37 @@ ACTIVE_SECONDS = 0.5
 
 ATTENDED_SECONDS = 1.5
 """After the last touch of mouse or keys; from then on a window beside a training is drawn only as often as
-`Training.idle_fps` says and when a new picture has come, and takes no frames to be smooth."""
+`LiveTraining.idle_fps` says and when a new picture has come, and takes no frames to be smooth."""
 
 DRIVEN_AT_MOST = 24 * 3600.0
 """Seconds, of a window that a program drives: whoever starts it says how long, so ImGui must not end it."""
 
 
 class Window:
-    """Ties the frame loop's callbacks to one `Core`."""
+    """Ties the frame loop's callbacks to one `AppState`."""
 
-    def __init__(self, paths: Sequence[Path], *, renderer: str = "auto", training: Training | None = None):
+    def __init__(
+        self, paths: Sequence[Path], *, renderer: str = "auto", training: LiveTraining | None = None
+    ):
         preferences, complaint = load_preferences()
-        self.core = Core(preferences=preferences, training=training)
-        self.core.prefer(background=preferences.background, blend=preferences.blend)
-        self.core.prefer(fov_y=preferences.fov_y)
+        self.app = AppState(preferences=preferences, training=training)
+        self.app.prefer(background=preferences.background, blend=preferences.blend)
+        self.app.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs()
-        self.core.choose_files = self.dialogs.ask
+        self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._title = ""
         self._is_software = False
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
         self._renderer = renderer
-        self._rehearsals: Rehearsals | None = None
+        self._precompiler: ShaderPrecompiler | None = None
         self._saved: Preferences = preferences
         self._save_due = 0.0
         self._touched = 0.0
         self._last_view: object = None
         if complaint:
-            self.core.tell(complaint)
+            self.app.tell(complaint)
 
     # ---- hello_imgui's callbacks, in the order in which they are called
 
@@ -113,47 +115,47 @@ class Window:
         try:
             self._ctx = moderngl.create_context()
             version = self._ctx.version_code
-            self._rehearsals = Rehearsals(
+            self._precompiler = ShaderPrecompiler(
                 memory=cache_folder() / "compiled.txt",
                 gl_version=(version // 100, version // 10 % 10),
                 on_change=glfw.post_empty_event,
             )
-            self.core.picture = self._picture(self._ctx)
+            self.app.picture = self._picture(self._ctx)
         except Exception as error:
             # An exception that leaves this callback would take the process down without a word.
             self.failure = error
             return
         info = describe(self._ctx)
-        self.core.gpu_name = info.renderer
-        self.core.accuracy.wake = self.core.effects.wake = glfw.post_empty_event
+        self.app.gpu_name = info.renderer
+        self.app.accuracy.wake = self.app.effects.wake = glfw.post_empty_event
         self._is_software = info.is_software
-        install_drop_handler(self.core)
-        self.core.clipboard_read = imgui.get_clipboard_text
-        if self.core.training is not None:
-            self.core.training.start(self.core, on_change=glfw.post_empty_event)
+        install_drop_handler(self.app)
+        self.app.clipboard_read = imgui.get_clipboard_text
+        if self.app.training is not None:
+            self.app.training.start(self.app, on_change=glfw.post_empty_event)
         elif self._paths:
-            opening.open_paths(self.core, self._paths)
+            opening.open_paths(self.app, self._paths)
         else:
-            opening.begin_demo(self.core)
-        if self.core.training is None:
-            look_for_abandoned(self.core)
+            opening.begin_demo(self.app)
+        if self.app.training is None:
+            look_for_abandoned(self.app)
 
     def _picture(self, ctx: moderngl.Context) -> Picture:
         """What draws; says so where that is not what one would expect."""
         try:
             picture = choose_picture(
-                ctx, self._renderer, on_ready=glfw.post_empty_event, rehearsals=self._rehearsals
+                ctx, self._renderer, on_ready=glfw.post_empty_event, precompiler=self._precompiler
             )
         except Exception as error:
             if self._renderer != "auto":
                 raise
             why = " ".join(str(error).split())
-            self.core.complain(
+            self.app.complain(
                 f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
             )
-            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, rehearsals=self._rehearsals)
+            return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, precompiler=self._precompiler)
         if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
-            self.core.tell(
+            self.app.tell(
                 "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
                 " order a moment late while the view moves"
             )
@@ -161,62 +163,62 @@ class Window:
 
     def before_frame(self) -> None:
         """Everything that changes the state happens here, between two frames."""
-        core = self.core
+        app = self.app
         params = hello_imgui.get_runner_params()
-        if core.picture is None:
+        if app.picture is None:
             params.app_shall_exit = True
             return
         unattended = self._unattended()
-        if self._is_software and core.loading is None and not unattended:
-            core.picture.wait(PICTURE_SECONDS)
+        if self._is_software and app.loading is None and not unattended:
+            app.picture.wait(PICTURE_SECONDS)
             glfw.poll_events()  # what the mouse did meanwhile
-        core.attempt(opening.continue_loading, core)
-        core.attempt(opening.report_examination, core)
-        core.run_posted()
-        if core.training is not None:
+        app.attempt(opening.continue_loading, app)
+        app.attempt(opening.report_examination, app)
+        app.run_posted()
+        if app.training is not None:
             window = glfw_window_hello_imgui()
-            core.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
-            core.attempt(core.training.advance, core)
-        core.attempt(continue_editing, core)
-        core.attempt(continue_restoring, core)
-        core.attempt(core.advance)
-        core.attempt(core.note_statistics)
-        core.attempt(core.accuracy.advance, core)
-        core.attempt(core.effects.advance, core)
-        if core.clipboard_write is not None:
-            imgui.set_clipboard_text(core.clipboard_write)
-            core.clipboard_write = None
-        if core.scene_path is not None and self.dialogs.folder is None:
-            self.dialogs.folder = core.scene_path.parent
-        self._show_title(layout.title(core))
-        layout.hide_or_show_panels(core)
+            app.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
+            app.attempt(app.training.advance, app)
+        app.attempt(continue_editing, app)
+        app.attempt(continue_restoring, app)
+        app.attempt(app.advance)
+        app.attempt(app.note_statistics)
+        app.attempt(app.accuracy.advance, app)
+        app.attempt(app.effects.advance, app)
+        if app.clipboard_write is not None:
+            imgui.set_clipboard_text(app.clipboard_write)
+            app.clipboard_write = None
+        if app.scene_path is not None and self.dialogs.folder is None:
+            self.dialogs.folder = app.scene_path.parent
+        self._show_title(layout.title(app))
+        layout.hide_or_show_panels(app)
         flying = keys.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
-        turning = self._is_software and core.loading is None and core.picture.busy and not unattended
+        turning = self._is_software and app.loading is None and app.picture.busy and not unattended
         if self._is_software:
             params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
-        params.fps_idling.enable_idling = not (core.transition or flying or turning)
-        idle = IDLE_FPS if core.training is None else core.training.idle_fps(core)
-        params.fps_idling.fps_idle = WAITING_FPS if core.waiting or self.dialogs.open else idle
+        params.fps_idling.enable_idling = not (app.transition or flying or turning)
+        idle = IDLE_FPS if app.training is None else app.training.idle_fps(app)
+        params.fps_idling.fps_idle = WAITING_FPS if app.waiting or self.dialogs.open else idle
         params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS
-        if core.now() >= self._save_due:
-            self._save_due = core.now() + SAVE_SECONDS
+        if app.now() >= self._save_due:
+            self._save_due = app.now() + SAVE_SECONDS
             if problem := self._save_preferences():
-                core.tell(problem)
-        if core.quitting:
+                app.tell(problem)
+        if app.quitting:
             params.app_shall_exit = True
 
     def _unattended(self) -> bool:
         """Whether a training runs, its cores draw the window too, and nobody has touched that for a while."""
-        core, io = self.core, imgui.get_io()
+        app, io = self.app, imgui.get_io()
         mouse = io.mouse_delta.x != 0 or io.mouse_delta.y != 0 or io.mouse_wheel != 0 or any(io.mouse_down)
-        if mouse or imgui.is_any_item_active() or core.view is not self._last_view:
-            self._touched, self._last_view = core.now(), core.view
-        if not self._is_software or core.training is None or core.training.status.state != "training":
+        if mouse or imgui.is_any_item_active() or app.view is not self._last_view:
+            self._touched, self._last_view = app.now(), app.view
+        if not self._is_software or app.training is None or app.training.status.state != "training":
             return False
-        if core.waiting or self.dialogs.open or core.loading is not None or core.transition is not None:
+        if app.waiting or self.dialogs.open or app.loading is not None or app.transition is not None:
             return False
-        return core.now() - self._touched > ATTENDED_SECONDS
+        return app.now() - self._touched > ATTENDED_SECONDS
 
     def _show_title(self, title: str) -> None:
         if title != self._title:
@@ -225,45 +227,45 @@ class Window:
 
     def frame(self) -> None:
         """Drawn over the docks: dialogs, and the keys that work everywhere."""
-        keys.post_pressed(self.core)
-        layout.show_floating(self.core, self.dialogs)
+        keys.post_pressed(self.app)
+        layout.show_floating(self.app, self.dialogs)
         if self._ctx is not None:
             # ImGui draws next, into whatever is bound.
             self._ctx.screen.use()
 
     def stop(self) -> None:
         """The context still exists: end what runs, keep what is to be kept."""
-        core = self.core
-        core.attempt(opening.cancel_loading, core, quiet=True)
+        app = self.app
+        app.attempt(opening.cancel_loading, app, quiet=True)
         # What is to be kept comes first: what is released may fail, and nobody would miss it.
-        core.attempt(lambda: core.prefer(closed_panels=layout.closed_panels(core)))
+        app.attempt(lambda: app.prefer(closed_panels=layout.closed_panels(app)))
         self.keep()
-        core.attempt(self.dialogs.close)
-        if core.training is not None:
-            core.attempt(core.training.stop)
-        core.attempt(core.accuracy.end)
-        core.attempt(core.effects.end)
-        core.attempt(self.end_rehearsals)
-        if core.picture is not None:
-            core.attempt(core.picture.release)
-            core.picture = None
+        app.attempt(self.dialogs.close)
+        if app.training is not None:
+            app.attempt(app.training.stop)
+        app.attempt(app.accuracy.end)
+        app.attempt(app.effects.end)
+        app.attempt(self.end_precompiler)
+        if app.picture is not None:
+            app.attempt(app.picture.release)
+            app.picture = None
 
-    def end_rehearsals(self) -> None:
+    def end_precompiler(self) -> None:
         """Shaders that are being compiled beside the window are not waited for."""
-        if self._rehearsals is not None:
-            self._rehearsals.release()
+        if self._precompiler is not None:
+            self._precompiler.release()
 
     def keep(self) -> None:
         """Puts edits and preferences away, saying on standard error what the window can no longer show."""
-        for said in (put_away(self.core), self._save_preferences()):
+        for said in (put_away(self.app), self._save_preferences()):
             if said:
                 print(f"splatview: {said}", file=sys.stderr)
 
     def _save_preferences(self) -> str | None:
         """Saves them if they have changed; one line where that fails."""
-        if self.core.preferences == self._saved:
+        if self.app.preferences == self._saved:
             return None
-        self._saved = self.core.preferences
+        self._saved = self.app.preferences
         try:
             save_preferences(self._saved)
         except OSError as error:
@@ -276,8 +278,8 @@ def run_window(
     *,
     size: tuple[int, int] = (1280, 800),
     renderer: str = "auto",
-    training: Training | None = None,
-    drive: Callable[[Core, Any], None] | None = None,
+    training: LiveTraining | None = None,
+    drive: Callable[[AppState, Any], None] | None = None,
     rescue: Callable[[], None] = lambda: None,
 ) -> int:
     """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
@@ -285,7 +287,7 @@ def run_window(
     With a `training` it shows that one instead, and begins it; ending it is left to the caller.
 
     `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
-    `renderer`: one of `picture.RENDERERS`. `drive(core, ctx)` is for tests: it runs beside the frame loop
+    `renderer`: one of `picture.RENDERERS`. `drive(app, ctx)` is for tests: it runs beside the frame loop
     with ImGui's test-engine context, and the window closes when it returns. `rescue` saves what the caller
     answers for where the display ends: then the process ends with it, and this does not return.
 
@@ -297,7 +299,7 @@ def run_window(
     """
     major, minor = best_gl_version()
     window = Window(paths, renderer=renderer, training=training)
-    params = layout.runner_params(window.core, size)
+    params = layout.runner_params(window.app, size)
     options = params.renderer_backend_options.open_gl_options
     options.major_version, options.minor_version = major, minor
     options.use_core_profile = options.use_forward_compat = True
@@ -310,19 +312,19 @@ def run_window(
     callbacks.setup_imgui_style = theme.apply
     callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
-    callbacks.pre_new_frame = partial(window.core.attempt, window.before_frame)
-    callbacks.post_render_dockable_windows = guarded(window.core, window.frame)
+    callbacks.pre_new_frame = partial(window.app.attempt, window.before_frame)
+    callbacks.post_render_dockable_windows = guarded(window.app, window.frame)
     callbacks.before_exit = window.stop
-    run = _Driven(params, window.core, drive) if drive else None
+    run = _Driven(params, window.app, drive) if drive else None
     implot.create_context()
 
     def rescue_all() -> None:
         window.keep()
         rescue()
-        window.end_rehearsals()
+        window.end_precompiler()
 
     try:
-        with closing_on_signals(window.core), rescued_from_display(rescue_all):
+        with closing_on_signals(window.app), rescued_from_display(rescue_all):
             hello_imgui.run(params)
     finally:
         implot.destroy_context()
@@ -341,9 +343,11 @@ def configure_imgui() -> None:
 class _Driven:
     """Runs a test against the window with ImGui's test engine, then closes it."""
 
-    def __init__(self, params: hello_imgui.RunnerParams, core: Core, drive: Callable[[Core, Any], None]):
+    def __init__(
+        self, params: hello_imgui.RunnerParams, app: AppState, drive: Callable[[AppState, Any], None]
+    ):
         self.succeeded = False
-        self._core, self._drive, self._params = core, drive, params
+        self._app, self._drive, self._params = app, drive, params
         params.use_imgui_test_engine = True
         params.callbacks.register_tests = self._register
 
@@ -362,11 +366,11 @@ class _Driven:
 
     def _run(self, ctx: Any) -> None:
         try:
-            self._drive(self._core, ctx)
+            self._drive(self._app, ctx)
             self.succeeded = not ctx.is_error()
         except BaseException:
             import traceback
 
             traceback.print_exc()
         finally:
-            self._core.quitting = True
+            self._app.quitting = True

@@ -13,7 +13,7 @@ from splatview.scene.background import Background, Gradient, Panorama
 from splatview.scene.formats.panorama import load_panorama
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 class Backdrop:
@@ -23,29 +23,29 @@ class Backdrop:
         self._panorama: Panorama | None = None
         self._failed = ""
 
-    def follow(self, core: Core) -> None:
+    def follow(self, app: AppState) -> None:
         """Brings the settings' background up to date with preferences and the up axis; costs nothing where
         they have not changed. A picture that cannot be read is told of once, and a colour takes its place."""
-        if core.preferences.background_kind == "colour" and isinstance(core.settings.background, tuple):
+        if app.preferences.background_kind == "colour" and isinstance(app.settings.background, tuple):
             return  # which a training may have chosen
-        wanted = self._wanted(core)
-        if wanted != core.settings.background:
-            core.settings = replace(core.settings, background=wanted)
+        wanted = self._wanted(app)
+        if wanted != app.settings.background:
+            app.settings = replace(app.settings, background=wanted)
 
-    def _wanted(self, core: Core) -> Background:
-        preferences = core.preferences
-        x, y, z = (float(part) for part in np.round(core.view.up, 6))
+    def _wanted(self, app: AppState) -> Background:
+        preferences = app.preferences
+        x, y, z = (float(part) for part in np.round(app.view.up, 6))
         if preferences.background_kind == "gradient":
             return Gradient(top=preferences.sky, bottom=preferences.ground, up=(x, y, z))
         if preferences.background_kind == "panorama":
-            panorama = self._loaded(core, preferences.panorama)
+            panorama = self._loaded(app, preferences.panorama)
             if panorama is not None:
                 if panorama.up != (x, y, z):
                     self._panorama = panorama = replace(panorama, up=(x, y, z))
                 return panorama
         return preferences.background
 
-    def _loaded(self, core: Core, path: str) -> Panorama | None:
+    def _loaded(self, app: AppState, path: str) -> Panorama | None:
         if self._panorama is not None and self._panorama.name == path:
             return self._panorama
         if not path or path == self._failed:
@@ -54,30 +54,30 @@ class Backdrop:
             self._panorama = load_panorama(Path(path))
         except InputError as error:
             self._failed = path
-            core.complain(str(error))
+            app.complain(str(error))
             return None
         return self._panorama
 
-    def choose(self, core: Core, path: Path) -> None:
+    def choose(self, app: AppState, path: Path) -> None:
         """Takes the picture at `path`, read anew; where it cannot be read, all stays as it is."""
         try:
             self._panorama = load_panorama(path.absolute())
         except InputError as error:
-            core.complain(str(error))
+            app.complain(str(error))
             return
         self._failed = ""
-        core.prefer(background_kind="panorama", panorama=str(path.absolute()))
+        app.prefer(background_kind="panorama", panorama=str(path.absolute()))
         height, width = self._panorama.pixels.shape[:2]
-        core.tell(f"Background: {path} ({width}x{height})")
+        app.tell(f"Background: {path} ({width}x{height})")
 
 
-def take_picture(core: Core, path: Path) -> None:
-    core.backdrop.choose(core, path)
+def take_picture(app: AppState, path: Path) -> None:
+    app.backdrop.choose(app, path)
 
 
-def ask_for_picture(core: Core) -> None:
-    core.choose_files(
+def ask_for_picture(app: AppState) -> None:
+    app.choose_files(
         "Open an equirectangular picture",
-        lambda paths: core.post(take_picture, paths[0]),
+        lambda paths: app.post(take_picture, paths[0]),
         kind="picture",
     )

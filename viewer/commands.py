@@ -1,6 +1,6 @@
 """What the user can ask for by name: keys, menus, buttons and the help page all end here.
 
-Every function takes the `Core` first and is posted to it, so it runs on the GL thread between frames.
+Every function takes the `AppState` first and is posted to it, so it runs on the GL thread between frames.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from splatview.viewer.navigation.framing import axis
 from splatview.viewer.navigation.view import MAX_FOV, MIN_FOV
 from splatview.viewer.open import bounds
 from splatview.viewer.preferences import Bookmark, NavigationMode, load_bookmarks, save_bookmarks
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 from splatview.viewer.training.live_edits import let_go
 
@@ -43,39 +43,39 @@ FOV_STEP = 1.1
 # ---- camera
 
 
-def frame_all(core: Core) -> None:
+def frame_all(app: AppState) -> None:
     """Shows the whole scene from where the eye is turned; what is deleted or hidden does not count."""
-    _frame(core, bounds(core))
+    _frame(app, bounds(app))
 
 
-def frame_selection(core: Core) -> None:
+def frame_selection(app: AppState) -> None:
     """Shows what is selected, else the whole scene."""
-    _frame(core, bounds(core, selected=True) or bounds(core))
+    _frame(app, bounds(app, selected=True) or bounds(app))
 
 
-def _frame(core: Core, found: tuple[np.ndarray, float] | None) -> None:
+def _frame(app: AppState, found: tuple[np.ndarray, float] | None) -> None:
     if found is not None:
-        width, height = core.picture_size
-        core.go_to(frame(core.destination, *found, aspect=width / height))
+        width, height = app.picture_size
+        app.go_to(frame(app.destination, *found, aspect=width / height))
 
 
-def look_along(core: Core, name: str) -> None:
-    core.go_to(axis_view(core.destination, name))
+def look_along(app: AppState, name: str) -> None:
+    app.go_to(axis_view(app.destination, name))
 
 
-def make_level(core: Core) -> None:
-    core.go_to(level(core.destination))
+def make_level(app: AppState) -> None:
+    app.go_to(level(app.destination))
 
 
-def set_up(core: Core, name: str) -> None:
+def set_up(app: AppState, name: str) -> None:
     """Makes the world axis `name` the up axis, and the horizon level about it."""
-    core.go_to(with_up(core.destination, axis(name)))
-    core.tell(f"Up is {name}")
+    app.go_to(with_up(app.destination, axis(name)))
+    app.tell(f"Up is {name}")
 
 
-def next_up(core: Core) -> None:
-    now = up_name(core.destination)
-    set_up(core, UP_NAMES[(UP_NAMES.index(now) + 1) % len(UP_NAMES)] if now else UP_NAMES[0])
+def next_up(app: AppState) -> None:
+    now = up_name(app.destination)
+    set_up(app, UP_NAMES[(UP_NAMES.index(now) + 1) % len(UP_NAMES)] if now else UP_NAMES[0])
 
 
 def up_name(view: View) -> str | None:
@@ -83,155 +83,155 @@ def up_name(view: View) -> str | None:
     return next((name for name in UP_NAMES if float(axis(name) @ view.up) > 1 - 1e-6), None)
 
 
-def up_from_view(core: Core) -> None:
-    core.steer(replace(core.destination, up=-core.destination.R_camera_world[1]))
-    core.tell("Up is what is up in this view")
+def up_from_view(app: AppState) -> None:
+    app.steer(replace(app.destination, up=-app.destination.R_camera_world[1]))
+    app.tell("Up is what is up in this view")
 
 
-def change_fov(core: Core, factor: float) -> None:
-    lens = core.destination.lens
+def change_fov(app: AppState, factor: float) -> None:
+    lens = app.destination.lens
     fov_y = min(max(lens.fov_y * factor, MIN_FOV), MAX_FOV)
-    core.go_to(replace(core.destination, lens=replace(lens, fov_y=fov_y)))
+    app.go_to(replace(app.destination, lens=replace(lens, fov_y=fov_y)))
 
 
-def toggle_orthographic(core: Core) -> None:
+def toggle_orthographic(app: AppState) -> None:
     """Parallel rays or a pinhole's; what is at the target's distance stays as large."""
-    lens = replace(core.destination.lens, orthographic=not core.destination.lens.orthographic)
-    core.steer(replace(core.destination, lens=lens))
-    core.tell("Orthographic: rays are parallel" if lens.orthographic else "Perspective: rays meet in the eye")
+    lens = replace(app.destination.lens, orthographic=not app.destination.lens.orthographic)
+    app.steer(replace(app.destination, lens=lens))
+    app.tell("Orthographic: rays are parallel" if lens.orthographic else "Perspective: rays meet in the eye")
 
 
-def toggle_lenses(core: Core) -> None:
+def toggle_lenses(app: AppState) -> None:
     """Shows the views of loaded cameras through their lenses, or as pinholes would."""
-    core.through_lenses = not core.through_lenses
-    chosen = core.cameras[core.camera_index] if 0 <= core.camera_index < len(core.cameras) else None
-    lens = core.destination.lens
-    if not core.through_lenses:
-        core.steer(replace(core.destination, lens=replace(lens, distortion=None)))
-        core.tell("Without lenses: views are those of pinholes")
+    app.through_lenses = not app.through_lenses
+    chosen = app.cameras[app.camera_index] if 0 <= app.camera_index < len(app.cameras) else None
+    lens = app.destination.lens
+    if not app.through_lenses:
+        app.steer(replace(app.destination, lens=replace(lens, distortion=None)))
+        app.tell("Without lenses: views are those of pinholes")
     elif chosen is not None and chosen.lens is not None:
-        core.steer(replace(core.destination, lens=replace(lens, distortion=chosen.lens, orthographic=False)))
-        core.tell(f"Through the camera's lens, {chosen.lens.model}")
+        app.steer(replace(app.destination, lens=replace(lens, distortion=chosen.lens, orthographic=False)))
+        app.tell(f"Through the camera's lens, {chosen.lens.model}")
     else:
-        core.tell("Through lenses, where the chosen camera has one")
+        app.tell("Through lenses, where the chosen camera has one")
 
 
-def focus_at(core: Core, x: float, y: float) -> None:
+def focus_at(app: AppState, x: float, y: float) -> None:
     """Turns about the surface at (x, y) px of the visible area; without one there, nothing happens."""
-    if not core.scene:
+    if not app.scene:
         return
-    found = pick(core.scene.gaussians, core.camera, core.settings, x, y, edits=core.edits)
+    found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
     if found is None:
-        core.tell("Nothing to turn about there: the pixel shows the background")
+        app.tell("Nothing to turn about there: the pixel shows the background")
         return
-    core.go_to(focus(core.view, found.point))
-    core.tell(f"Turning about splat {found.index:,}, {found.depth:.4g} units ahead")
+    app.go_to(focus(app.view, found.point))
+    app.tell(f"Turning about splat {found.index:,}, {found.depth:.4g} units ahead")
 
 
 # ---- bookmarks
 
 
-def add_bookmark(core: Core) -> None:
-    numbers = {bookmark.name for bookmark in core.bookmarks}
+def add_bookmark(app: AppState) -> None:
+    numbers = {bookmark.name for bookmark in app.bookmarks}
     number = next(n for n in range(1, len(numbers) + 2) if f"View {n}" not in numbers)
-    core.bookmarks.append(Bookmark(name=f"View {number}", view=core.destination))
-    core.bookmark_index = len(core.bookmarks) - 1
-    keep_bookmarks(core)
+    app.bookmarks.append(Bookmark(name=f"View {number}", view=app.destination))
+    app.bookmark_index = len(app.bookmarks) - 1
+    keep_bookmarks(app)
 
 
-def rename_bookmark(core: Core, index: int, name: str) -> None:
+def rename_bookmark(app: AppState, index: int, name: str) -> None:
     if name.strip():
-        core.bookmarks[index] = replace(core.bookmarks[index], name=name.strip())
-        keep_bookmarks(core)
+        app.bookmarks[index] = replace(app.bookmarks[index], name=name.strip())
+        keep_bookmarks(app)
 
 
-def delete_bookmark(core: Core, index: int) -> None:
-    del core.bookmarks[index]
-    core.bookmark_index = -1
-    keep_bookmarks(core)
+def delete_bookmark(app: AppState, index: int) -> None:
+    del app.bookmarks[index]
+    app.bookmark_index = -1
+    keep_bookmarks(app)
 
 
-def go_to_bookmark(core: Core, index: int) -> None:
-    if not core.bookmarks:
-        core.tell("There are no bookmarks yet")
+def go_to_bookmark(app: AppState, index: int) -> None:
+    if not app.bookmarks:
+        app.tell("There are no bookmarks yet")
         return
-    core.bookmark_index = index % len(core.bookmarks)
-    core.go_to(core.bookmarks[core.bookmark_index].view)
-    core.tell(f"Bookmark: {core.bookmarks[core.bookmark_index].name}")
+    app.bookmark_index = index % len(app.bookmarks)
+    app.go_to(app.bookmarks[app.bookmark_index].view)
+    app.tell(f"Bookmark: {app.bookmarks[app.bookmark_index].name}")
 
 
-def keep_bookmarks(core: Core) -> None:
+def keep_bookmarks(app: AppState) -> None:
     """Saves them, and says where."""
-    if core.scene_path is None:
-        core.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
+    if app.scene_path is None:
+        app.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
         return
     try:
         # What another window on the scene has added since stays, and a file that is damaged is not lost.
-        core.bookmarks += [
+        app.bookmarks += [
             bookmark
-            for bookmark in load_bookmarks(core.scene_path)
-            if bookmark.entry not in core.bookmarks_read
+            for bookmark in load_bookmarks(app.scene_path)
+            if bookmark.entry not in app.bookmarks_read
         ]
-        path = save_bookmarks(core.scene_path, core.bookmarks)
-        core.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(core.scene_path))
+        path = save_bookmarks(app.scene_path, app.bookmarks)
+        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
     except (OSError, InputError) as error:
-        core.complain(f"The bookmarks cannot be saved: {error}")
+        app.complain(f"The bookmarks cannot be saved: {error}")
         return
-    core.tell(f"Bookmarks saved in {path}")
+    app.tell(f"Bookmarks saved in {path}")
 
 
 # ---- modes and the window
 
 
-def navigate(core: Core, mode: NavigationMode) -> None:
-    core.prefer(navigation=mode)
+def navigate(app: AppState, mode: NavigationMode) -> None:
+    app.prefer(navigation=mode)
     if mode != "trackball":
-        core.go_to(level(core.destination))
+        app.go_to(level(app.destination))
 
 
-def next_navigation(core: Core) -> None:
-    index = NAVIGATION_MODES.index(core.preferences.navigation)
-    navigate(core, NAVIGATION_MODES[(index + 1) % len(NAVIGATION_MODES)])
+def next_navigation(app: AppState) -> None:
+    index = NAVIGATION_MODES.index(app.preferences.navigation)
+    navigate(app, NAVIGATION_MODES[(index + 1) % len(NAVIGATION_MODES)])
 
 
-def set_mode(core: Core, mode: VisualMode) -> None:
-    if core.picture and mode not in core.picture.modes:
-        core.tell(f"{core.picture.name} cannot show {mode}")
+def set_mode(app: AppState, mode: VisualMode) -> None:
+    if app.picture and mode not in app.picture.modes:
+        app.tell(f"{app.picture.name} cannot show {mode}")
         return
-    core.mode = mode
+    app.mode = mode
 
 
-def toggle_dialog(core: Core, name: str) -> None:
-    core.dialog = None if core.dialog == name else name
+def toggle_dialog(app: AppState, name: str) -> None:
+    app.dialog = None if app.dialog == name else name
 
 
-def toggle_panels(core: Core) -> None:
-    core.panels_hidden = not core.panels_hidden
+def toggle_panels(app: AppState) -> None:
+    app.panels_hidden = not app.panels_hidden
 
 
-def cancel(core: Core) -> None:
+def cancel(app: AppState) -> None:
     """The way back from whatever is open or under way."""
-    if core.problem:
-        core.problem = None
-    elif core.dialog:
-        core.dialog = None
-    elif core.depth_of_field.picking:
-        core.depth_of_field.picking = False
-    elif core.loading:
-        opening.cancel_loading(core)
-    elif core.desk and core.desk.job:
-        cancel_job(core)
-    elif core.desk and core.desk.tool != "none":
-        take_tool(core, "none")
-    elif core.desk and core.desk.trainee:
-        let_go(core)
+    if app.problem:
+        app.problem = None
+    elif app.dialog:
+        app.dialog = None
+    elif app.depth_of_field.picking:
+        app.depth_of_field.picking = False
+    elif app.loading:
+        opening.cancel_loading(app)
+    elif app.session and app.session.job:
+        cancel_job(app)
+    elif app.session and app.session.tool != "none":
+        take_tool(app, "none")
+    elif app.session and app.session.target:
+        let_go(app)
 
 
-def quit_window(core: Core) -> None:
-    core.quitting = True
+def quit_window(app: AppState) -> None:
+    app.quitting = True
 
 
-ACTIONS: dict[str, Callable[[Core], None]] = {
+ACTIONS: dict[str, Callable[[AppState], None]] = {
     "open": opening.choose_scene,
     "reload": opening.reload,
     "open_cameras": opening.choose_cameras,
@@ -253,7 +253,7 @@ ACTIONS: dict[str, Callable[[Core], None]] = {
     "next_camera": partial(camera_list.step_camera, step=1),
     "previous_camera": partial(camera_list.step_camera, step=-1),
     "add_bookmark": add_bookmark,
-    "next_bookmark": lambda core: go_to_bookmark(core, core.bookmark_index + 1),
+    "next_bookmark": lambda app: go_to_bookmark(app, app.bookmark_index + 1),
     "copy_camera": camera_list.copy_camera,
     "paste_camera": camera_list.paste_camera,
     **{f"navigate_{mode}": partial(navigate, mode=mode) for mode in NAVIGATION_MODES},
@@ -459,7 +459,7 @@ def _key(name: str) -> imgui.Key:
     return getattr(imgui.Key, f"_{name}" if name.isdigit() else name.lower())
 
 
-def post_pressed(core: Core) -> None:
+def post_pressed(app: AppState) -> None:
     """Posts the action of every shortcut pressed in this frame.
 
     None while the user is typing, and only the way out while a menu or question is open.
@@ -471,7 +471,7 @@ def post_pressed(core: Core) -> None:
         if asked and shortcut.action != "cancel":
             continue
         if not shortcut.held and any(imgui.is_key_chord_pressed(chord(key)) for key in shortcut.keys):
-            core.post(ACTIONS[shortcut.action])
+            app.post(ACTIONS[shortcut.action])
 
 
 def held_step() -> tuple[float, float, float] | None:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import moderngl
 
-from splatview.renderers.edit_snapshot import ShownEdits, shown_edits
+from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
 from splatview.renderers.gl.resolve import PictureMean
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, camera_at, check_camera
 from splatview.viewer.navigation import pick
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 SAMPLES = 256
@@ -50,60 +50,60 @@ class DepthOfField:
     def __post_init__(self) -> None:
         self._mean: PictureMean | None = None
         self._key: tuple | None = None
-        self._edits: ShownEdits | None = None
+        self._edits: EditSnapshot | None = None
         self._since = 0.0
         self._open = False
 
-    def aperture(self, core: Core) -> Aperture | None:
+    def aperture(self, app: AppState) -> Aperture | None:
         """The lens in force; None: a pinhole."""
-        if not self.on or core.mode != "splats" or core.scene is None:
+        if not self.on or app.mode != "splats" or app.scene is None:
             return None
-        return Aperture(diameter=self.share * core.view.distance, focus=self.focus or core.view.distance)
+        return Aperture(diameter=self.share * app.view.distance, focus=self.focus or app.view.distance)
 
-    def next_camera(self, core: Core, camera: Camera, settings: RenderSettings) -> Camera:
+    def next_camera(self, app: AppState, camera: Camera, settings: RenderSettings) -> Camera:
         """By what the frame that comes is drawn instead of by `camera`."""
-        aperture = self.aperture(core)
-        if aperture is None or core.picture is None or not is_pinhole(camera):
-            self.close(core)
+        aperture = self.aperture(app)
+        if aperture is None or app.picture is None or not is_pinhole(camera):
+            self.close(app)
             return camera
-        self._edits = shown_edits(core.edits, core.overlay, self._edits)
-        gaussians = core.scene.gaussians if core.scene else None
+        self._edits = edit_snapshot(app.edits, app.highlight, self._edits)
+        gaussians = app.scene.gaussians if app.scene else None
         kept = self._key
         same = kept is not None and camera.same_view(kept[0])
         key = (kept[0] if same and kept else camera, settings, aperture, gaussians, self._edits)
         if kept is None or not _equal(key, kept):
-            self._key, self._since, self.samples = key, core.now(), 0
+            self._key, self._since, self.samples = key, app.now(), 0
         # A picture of the pinhole is there first; it is also the lens's middle.
-        self._open = core.now() - self._since >= REST_SECONDS and (self.samples > 0 or not core.picture.busy)
-        core.picture.sharp = self._open
+        self._open = app.now() - self._since >= REST_SECONDS and (self.samples > 0 or not app.picture.busy)
+        app.picture.sharp = self._open
         return camera_at(camera, aperture, min(self.samples, SAMPLES - 1)) if self._open else camera
 
-    def shown(self, core: Core) -> moderngl.Texture | None:
+    def shown(self, app: AppState) -> moderngl.Texture | None:
         """The mean with the picture just drawn in it, if that is finished; None: show the picture itself."""
-        if not self._open or core.picture is None:
+        if not self._open or app.picture is None:
             return None
-        if self.samples < SAMPLES and not core.picture.busy:
+        if self.samples < SAMPLES and not app.picture.busy:
             if self._mean is None:
-                self._mean = PictureMean(core.picture.texture.ctx)
+                self._mean = PictureMean(app.picture.texture.ctx)
             if self.samples == 0:
                 self._mean.start()
-            self._mean.add(core.picture.texture)
+            self._mean.add(app.picture.texture)
             self.samples = self._mean.count
         return self._mean.texture if self._mean is not None and self.samples else None
 
-    def waiting(self, core: Core) -> bool:
+    def waiting(self, app: AppState) -> bool:
         """Whether the next frames will show a better picture."""
-        return self._key is not None and self.aperture(core) is not None and self.samples < SAMPLES
+        return self._key is not None and self.aperture(app) is not None and self.samples < SAMPLES
 
     @property
     def badge(self) -> str:
         """How far the picture has come, or ""."""
         return f"lens: {self.samples} of {SAMPLES} pictures" if 0 < self.samples < SAMPLES else ""
 
-    def close(self, core: Core) -> None:
+    def close(self, app: AppState) -> None:
         """Gives back what the mean takes; pictures of a camera that moves may be coarse again."""
-        if self._open and core.picture is not None:
-            core.picture.sharp = False
+        if self._open and app.picture is not None:
+            app.picture.sharp = False
         self._key, self._edits, self.samples, self._open = None, None, 0, False
         if self._mean is not None:
             self._mean.release()
@@ -127,26 +127,26 @@ def is_pinhole(camera: Camera) -> bool:
     return True
 
 
-def focus_on(core: Core, x: float, y: float) -> None:
+def focus_on(app: AppState, x: float, y: float) -> None:
     """Makes the surface at (x, y) px of the visible area sharp."""
-    core.depth_of_field.picking = False
-    if not core.scene:
+    app.depth_of_field.picking = False
+    if not app.scene:
         return
-    found = pick(core.scene.gaussians, core.camera, core.settings, x, y, edits=core.edits)
+    found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
     if found is None:
-        core.tell("Nothing to focus on there: the pixel shows the background")
+        app.tell("Nothing to focus on there: the pixel shows the background")
         return
-    core.depth_of_field.focus = found.depth
-    core.depth_of_field.on = True
-    core.tell(f"In focus: splat {found.index:,}, {found.depth:.4g} units ahead")
+    app.depth_of_field.focus = found.depth
+    app.depth_of_field.on = True
+    app.tell(f"In focus: splat {found.index:,}, {found.depth:.4g} units ahead")
 
 
-def switch(core: Core) -> None:
-    core.depth_of_field.on = not core.depth_of_field.on
-    core.tell(f"Depth of field {'on' if core.depth_of_field.on else 'off'}")
+def switch(app: AppState) -> None:
+    app.depth_of_field.on = not app.depth_of_field.on
+    app.tell(f"Depth of field {'on' if app.depth_of_field.on else 'off'}")
 
 
-def focus_by_click(core: Core) -> None:
+def focus_by_click(app: AppState) -> None:
     """Waits for the click."""
-    core.depth_of_field.picking = True
-    core.depth_of_field.on = True
+    app.depth_of_field.picking = True
+    app.depth_of_field.on = True

@@ -15,7 +15,7 @@ from splatview.viewer import save as saving
 from splatview.viewer import theme
 from splatview.viewer.commands import MOUSE, SHORTCUTS
 from splatview.viewer.panels import widgets
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
 def centred(width_em: float) -> None:
@@ -35,23 +35,23 @@ LOADING_SHOWN_AFTER = 0.3
 """Seconds: what is quicker than this would only flicker."""
 
 
-def loading(core: Core) -> None:
+def loading(app: AppState) -> None:
     """Progress of the scene on its way, with a button to stop it."""
-    if core.loading is None or core.now() - core.loading.began < LOADING_SHOWN_AFTER:
+    if app.loading is None or app.now() - app.loading.began < LOADING_SHOWN_AFTER:
         return
     centred(24)
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
-    imgui.text_unformatted(f"{core.loading.stage} {core.loading.name}")
-    progress = core.loading.progress
+    imgui.text_unformatted(f"{app.loading.stage} {app.loading.name}")
+    progress = app.loading.progress
     share, text = (-imgui.get_time(), "") if progress is None else (progress, f"{progress:.0%}")
     imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
-    widgets.action_button(core, "Cancel", "cancel")
+    widgets.action_button(app, "Cancel", "cancel")
     imgui.end()
 
 
-def problem(core: Core) -> None:
+def problem(app: AppState) -> None:
     """An error that the user is to read; the scene behind it is as it was."""
-    if core.problem is None:
+    if app.problem is None:
         return
     name = "That did not work"
     if not imgui.is_popup_open(name):
@@ -59,11 +59,11 @@ def problem(core: Core) -> None:
     centred(30)
     if imgui.begin_popup_modal(name, None, DIALOG_FLAGS)[0]:
         imgui.push_text_wrap_pos(0)
-        imgui.text_unformatted(core.problem)
+        imgui.text_unformatted(app.problem)
         imgui.pop_text_wrap_pos()
         imgui.spacing()
         if imgui.button("OK", (imgui.get_font_size() * 6, 0)) or imgui.is_key_pressed(imgui.Key.enter):
-            core.problem = None
+            app.problem = None
             imgui.close_current_popup()
         imgui.set_item_default_focus()
         imgui.end_popup()
@@ -78,9 +78,9 @@ HELP_COLUMNS = (
 """Groups of the shortcut table, and the mouse, as the help page sets them."""
 
 
-def help_page(core: Core) -> None:
+def help_page(app: AppState) -> None:
     """All keys, from the one table that binds them."""
-    if core.dialog != "help":
+    if app.dialog != "help":
         return
     centred(84)
     opened = imgui.begin("Keys and mouse", True, DIALOG_FLAGS)[1]
@@ -93,7 +93,7 @@ def help_page(core: Core) -> None:
         imgui.end_table()
     imgui.end()
     if not opened:
-        core.dialog = None
+        app.dialog = None
 
 
 def key_table(name: str, rows: Iterable[tuple[str, str]]) -> None:
@@ -111,42 +111,42 @@ def key_table(name: str, rows: Iterable[tuple[str, str]]) -> None:
         imgui.end_table()
 
 
-def screenshot(core: Core) -> None:
+def screenshot(app: AppState) -> None:
     """Size and place of a picture to save."""
-    if core.dialog != "screenshot":
+    if app.dialog != "screenshot":
         return
     centred(24)
     opened = imgui.begin("Save a picture", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
-    width, height = core.screenshot_size or core.picture_size
+    width, height = app.screenshot_size or app.picture_size
     widgets.label("Size", "Pixels of the saved picture; the window shows its middle.")
     changed, size = imgui.input_int2("##size", [width, height])
     if changed:
         width, height = (min(max(int(side), 1), saving.MAX_SIDE) for side in size)
-        core.screenshot_size = (width, height)
+        app.screenshot_size = (width, height)
     for name, factor in (("As seen", 1), ("2 x", 2), ("4 x", 4)):
         if factor > 1:
             imgui.same_line()
         if imgui.button(name):
-            w, h = core.picture_size
-            core.screenshot_size = (min(w * factor, saving.MAX_SIDE), min(h * factor, saving.MAX_SIDE))
+            w, h = app.picture_size
+            app.screenshot_size = (min(w * factor, saving.MAX_SIDE), min(h * factor, saving.MAX_SIDE))
     imgui.spacing()
     if imgui.button("Beside the scene"):
-        path = saving.next_free(saving.picture_folder(core) / f"{saving.picture_stem(core)}.png")
-        core.post(saving.save_picture, saving.resized(core.camera, width, height), path)
-        core.dialog = None
+        path = saving.next_free(saving.picture_folder(app) / f"{saving.picture_stem(app)}.png")
+        app.post(saving.save_picture, saving.resized(app.camera, width, height), path)
+        app.dialog = None
     imgui.same_line()
     if imgui.button("Choose a place..."):
-        camera = saving.resized(core.camera, width, height)
-        core.choose_files(
+        camera = saving.resized(app.camera, width, height)
+        app.choose_files(
             "Save the picture",
-            lambda paths: core.post(saving.save_picture, camera, paths[0].with_suffix(".png")),
+            lambda paths: app.post(saving.save_picture, camera, paths[0].with_suffix(".png")),
             kind="save_picture",
-            name=f"{saving.picture_stem(core)}.png",
+            name=f"{saving.picture_stem(app)}.png",
         )
-        core.dialog = None
+        app.dialog = None
     imgui.end()
     if not opened:
-        core.dialog = None
+        app.dialog = None
 
 
 # ---- The system's file dialogs, and a plain one to type a path into where there is none.

@@ -17,13 +17,13 @@ from splatview.viewer.panels import history as restore
 from splatview.viewer.panels import statistics as messages
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 LAYOUT_FILE = "layout.ini"
 TRAINING_LAYOUT_FILE = "training-layout.ini"
 """A window that trains has other panels, and its own arrangement of them."""
 
-PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
+PANELS: tuple[tuple[str, str, Callable[[AppState], None]], ...] = (
     ("Scene", "Upper", scene.show),
     ("Edit", "Upper", edit.show),
     ("Picture", "Upper", rendering.show),
@@ -41,11 +41,11 @@ VIEW = "View"
 """The dock in the middle, which holds the picture."""
 
 
-def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams:
+def runner_params(app: AppState, size: tuple[int, int]) -> hello_imgui.RunnerParams:
     """hello_imgui's parameters but for the callbacks that `app` sets."""
     params = hello_imgui.RunnerParams()
     window = params.app_window_params
-    window.window_title = title(core)
+    window.window_title = title(app)
     window.window_geometry.size = size
     window.restore_previous_geometry = True
 
@@ -58,23 +58,23 @@ def runner_params(core: Core, size: tuple[int, int]) -> hello_imgui.RunnerParams
     style.remember_theme = style.remember_status_bar_settings = False
 
     params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
-    layout = LAYOUT_FILE if core.training is None else TRAINING_LAYOUT_FILE
+    layout = LAYOUT_FILE if app.training is None else TRAINING_LAYOUT_FILE
     params.ini_filename = str(config_folder() / layout)
     params.ini_filename_use_app_window_title = False
     try:
         config_folder().mkdir(parents=True, exist_ok=True)
     except OSError as error:
         params.ini_disable = True
-        core.tell(f"{config_folder()}: cannot be made ({error.strerror}); the layout will not be kept")
+        app.tell(f"{config_folder()}: cannot be made ({error.strerror}); the layout will not be kept")
 
     params.callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
-    params.callbacks.show_menus = guarded(core, partial(menus.show, core))
-    params.callbacks.show_status = guarded(core, partial(overlays.status_bar, core))
-    params.docking_params = docking(core)
+    params.callbacks.show_menus = guarded(app, partial(menus.show, app))
+    params.callbacks.show_status = guarded(app, partial(overlays.status_bar, app))
+    params.docking_params = docking(app)
     return params
 
 
-def docking(core: Core) -> hello_imgui.DockingParams:
+def docking(app: AppState) -> hello_imgui.DockingParams:
     """The picture on the left, two stacks of panels on the right."""
     split = hello_imgui.DockingSplit
     params = hello_imgui.DockingParams()
@@ -82,46 +82,48 @@ def docking(core: Core) -> hello_imgui.DockingParams:
     tidy = imgui.internal.DockNodeFlagsPrivate_
     flags = tidy.no_window_menu_button | tidy.no_close_button
     params.docking_splits = [
-        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27 if core.training is None else 0.30, flags),
+        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27 if app.training is None else 0.30, flags),
         split("Upper", "Lower", imgui.Dir.down, 0.34, flags),
     ]
     panels = PANELS
-    if core.training is not None:
+    if app.training is not None:
         params.docking_splits = [
             *params.docking_splits,
             split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.33, flags),
         ]
         panels = (*training_panels.PANELS, *PANELS)
     view = hello_imgui.DockableWindow(
-        VIEW, "MainDockSpace", guarded(core, partial(show_view, core)), can_be_closed_=False
+        VIEW, "MainDockSpace", guarded(app, partial(show_view, app)), can_be_closed_=False
     )
     # hello_imgui would add padding around the picture; the window is begun by hand instead.
     view.call_begin_end = False
     view.include_in_view_menu = False
     # Assigned at once: the binding hands out copies of its lists.
-    params.dockable_windows = [view, *(panel(core, *entry) for entry in panels)]
+    params.dockable_windows = [view, *(panel(app, *entry) for entry in panels)]
     params.main_dock_space_node_flags = imgui.DockNodeFlags_.auto_hide_tab_bar
     return params
 
 
-def panel(core: Core, name: str, dock: str, contents: Callable[[Core], None]) -> hello_imgui.DockableWindow:
-    made = hello_imgui.DockableWindow(name, dock, guarded(core, partial(contents, core)))
-    made.is_visible = name not in core.preferences.closed_panels
-    made.focus_window_at_next_frame = core.training is not None and name in training_panels.FIRST
+def panel(
+    app: AppState, name: str, dock: str, contents: Callable[[AppState], None]
+) -> hello_imgui.DockableWindow:
+    made = hello_imgui.DockableWindow(name, dock, guarded(app, partial(contents, app)))
+    made.is_visible = name not in app.preferences.closed_panels
+    made.focus_window_at_next_frame = app.training is not None and name in training_panels.FIRST
     # hello_imgui would also remember that all were hidden for a moment.
     made.remember_is_visible = False
     return made
 
 
-def closed_panels(core: Core) -> tuple[str, ...]:
+def closed_panels(app: AppState) -> tuple[str, ...]:
     """Names of the panels that the user has closed, hidden ones not counted."""
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
-    if core.open_panels is not None:
-        return tuple(window.label for window in windows if window.label not in core.open_panels)
+    if app.open_panels is not None:
+        return tuple(window.label for window in windows if window.label not in app.open_panels)
     return tuple(window.label for window in windows if not window.is_visible)
 
 
-def show_view(core: Core) -> None:
+def show_view(app: AppState) -> None:
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
     flags = (
         imgui.WindowFlags_.no_scrollbar
@@ -132,34 +134,34 @@ def show_view(core: Core) -> None:
     visible = imgui.begin(VIEW, None, flags)[0]
     imgui.pop_style_var()
     if visible:
-        viewport.show(core)
-        overlays.over_picture(core)
+        viewport.show(app)
+        overlays.over_picture(app)
     imgui.end()
 
 
-def show_floating(core: Core, files: FileDialogs) -> None:
+def show_floating(app: AppState, files: FileDialogs) -> None:
     """Dialogs above everything."""
-    dialogs.loading(core)
-    dialogs.problem(core)
-    dialogs.help_page(core)
-    dialogs.screenshot(core)
-    palette.show_palette(core)
-    restore.show_restore(core)
+    dialogs.loading(app)
+    dialogs.problem(app)
+    dialogs.help_page(app)
+    dialogs.screenshot(app)
+    palette.show_palette(app)
+    restore.show_restore(app)
     files.show()
 
 
-def title(core: Core) -> str:
-    return f"{core.scene.name} - splatview" if core.scene else "splatview"
+def title(app: AppState) -> str:
+    return f"{app.scene.name} - splatview" if app.scene else "splatview"
 
 
-def hide_or_show_panels(core: Core) -> None:
-    """Makes what is visible follow `core.panels_hidden`; what the user had closed stays closed."""
+def hide_or_show_panels(app: AppState) -> None:
+    """Makes what is visible follow `app.panels_hidden`; what the user had closed stays closed."""
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
-    if core.panels_hidden and core.open_panels is None:
-        core.open_panels = {window.label for window in windows if window.is_visible}
+    if app.panels_hidden and app.open_panels is None:
+        app.open_panels = {window.label for window in windows if window.is_visible}
         for window in windows:
             window.is_visible = False
-    elif not core.panels_hidden and core.open_panels is not None:
+    elif not app.panels_hidden and app.open_panels is not None:
         for window in windows:
-            window.is_visible = window.label in core.open_panels
-        core.open_panels = None
+            window.is_visible = window.label in app.open_panels
+        app.open_panels = None

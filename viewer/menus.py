@@ -22,175 +22,175 @@ from splatview.viewer.commands import (
 )
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 
 
-def show(core: Core) -> None:
+def show(app: AppState) -> None:
     if imgui.begin_menu("File"):
-        file_menu(core)
+        file_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Edit"):
-        edit_menu(core)
+        edit_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Select"):
-        select_menu(core)
+        select_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Camera"):
-        camera_menu(core)
+        camera_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Picture"):
         for mode in VISUAL_MODES:
-            item(core, f"mode_{mode}", selected=core.mode == mode)
+            item(app, f"mode_{mode}", selected=app.mode == mode)
         imgui.end_menu()
-    if core.training is not None and imgui.begin_menu("Training"):
-        training_menu(core)
+    if app.training is not None and imgui.begin_menu("Training"):
+        training_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Window"):
-        window_menu(core)
+        window_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Help"):
-        item(core, "toggle_help", "Keys and mouse")
-        item(core, "toggle_palette")
+        item(app, "toggle_help", "Keys and mouse")
+        item(app, "toggle_palette")
         imgui.end_menu()
 
 
-def item(core: Core, action: str, name: str = "", *, selected: bool = False, enabled: bool = True) -> None:
+def item(app: AppState, action: str, name: str = "", *, selected: bool = False, enabled: bool = True) -> None:
     """A menu entry with its key; `name` where the table's text would be too long."""
     clicked, _ = imgui.menu_item(name or text_of(action), keys_of(action), selected, enabled)
     if clicked:
-        core.post(ACTIONS[action])
+        app.post(ACTIONS[action])
 
 
-def file_menu(core: Core) -> None:
-    item(core, "open", "Open...")
-    item(core, "add", "Add to the scene...", enabled=core.scene is not None)
-    if imgui.begin_menu("Recent", bool(core.preferences.recent)):
-        for name in core.preferences.recent:
+def file_menu(app: AppState) -> None:
+    item(app, "open", "Open...")
+    item(app, "add", "Add to the scene...", enabled=app.scene is not None)
+    if imgui.begin_menu("Recent", bool(app.preferences.recent)):
+        for name in app.preferences.recent:
             if imgui.menu_item(f"{Path(name).name}##{name}", "", False)[0]:
-                core.post(opening.open_paths, [Path(name)])
+                app.post(opening.open_paths, [Path(name)])
             if imgui.is_item_hovered():
                 imgui.set_tooltip(name)
         imgui.separator()
         if imgui.menu_item("Forget these", "", False)[0]:
-            core.prefer(recent=())
+            app.prefer(recent=())
         imgui.end_menu()
-    item(core, "merge", "Merge as an edit...", enabled=core.at_rest)
-    item(core, "reload", enabled=core.scene_path is not None)
+    item(app, "merge", "Merge as an edit...", enabled=app.at_rest)
+    item(app, "reload", enabled=app.scene_path is not None)
     imgui.separator()
-    item(core, "export", "Export the edited scene...", enabled=core.can_edit)
-    item(core, "split", "Selection to its own file...", enabled=core.at_rest)
-    item(core, "save_recipe", "Save recipe...", enabled=core.at_rest)
-    item(core, "replay_recipe", "Replay recipe...", enabled=core.at_rest)
+    item(app, "export", "Export the edited scene...", enabled=app.can_edit)
+    item(app, "split", "Selection to its own file...", enabled=app.at_rest)
+    item(app, "save_recipe", "Save recipe...", enabled=app.at_rest)
+    item(app, "replay_recipe", "Replay recipe...", enabled=app.at_rest)
     imgui.separator()
     if imgui.menu_item("Demo scene", "", False)[0]:
-        core.post(opening.begin_demo)
+        app.post(opening.begin_demo)
     imgui.separator()
-    item(core, "open_cameras", "Load cameras...")
+    item(app, "open_cameras", "Load cameras...")
     imgui.separator()
-    item(core, "screenshot", "Save a picture")
-    item(core, "screenshot_as", "Save a picture as...")
+    item(app, "screenshot", "Save a picture")
+    item(app, "screenshot_as", "Save a picture as...")
     imgui.separator()
-    item(core, "quit")
+    item(app, "quit")
 
 
-def edit_menu(core: Core) -> None:
-    desk = core.desk
-    history = desk.document.history if desk else None
-    selected = desk is not None and desk.document.counts.selected > 0
-    item(core, "undo", enabled=history is not None and history.can_undo)
-    item(core, "redo", enabled=history is not None and history.can_redo)
+def edit_menu(app: AppState) -> None:
+    session = app.session
+    history = session.document.history if session else None
+    selected = session is not None and session.document.counts.selected > 0
+    item(app, "undo", enabled=history is not None and history.can_undo)
+    item(app, "redo", enabled=history is not None and history.can_redo)
     imgui.separator()
     for action in ("delete", "hide", "isolate", "lock"):
-        item(core, action, enabled=selected)
-    item(core, "duplicate", enabled=selected and core.at_rest)
-    item(core, "show", enabled=desk is not None and desk.document.counts.hidden > 0)
-    item(core, "unlock", enabled=desk is not None and desk.document.counts.locked > 0)
+        item(app, action, enabled=selected)
+    item(app, "duplicate", enabled=selected and app.at_rest)
+    item(app, "show", enabled=session is not None and session.document.counts.hidden > 0)
+    item(app, "unlock", enabled=session is not None and session.document.counts.locked > 0)
     imgui.separator()
     item(
-        core,
+        app,
         "tool_measure",
-        selected=desk is not None and desk.tool == "measure",
-        enabled=core.can_edit,
+        selected=session is not None and session.tool == "measure",
+        enabled=app.can_edit,
     )
 
 
-def select_menu(core: Core) -> None:
-    desk = core.desk
+def select_menu(app: AppState) -> None:
+    session = app.session
     for action in ("select_all", "select_none", "select_inverse"):
-        item(core, action, enabled=core.can_edit)
+        item(app, action, enabled=app.can_edit)
     imgui.separator()
     for tool in ("rectangle", "brush", "lasso", "polygon", "flood", "colour"):
-        item(core, f"tool_{tool}", selected=desk is not None and desk.tool == tool, enabled=core.can_edit)
+        item(app, f"tool_{tool}", selected=session is not None and session.tool == tool, enabled=app.can_edit)
     imgui.separator()
-    front = desk is not None and desk.depth == "front"
-    item(core, "next_depth", "Only the front surface", selected=front, enabled=core.can_edit)
+    front = session is not None and session.depth == "front"
+    item(app, "next_depth", "Only the front surface", selected=front, enabled=app.can_edit)
 
 
-def camera_menu(core: Core) -> None:
-    item(core, "frame_selection")
-    item(core, "frame_all")
+def camera_menu(app: AppState) -> None:
+    item(app, "frame_selection")
+    item(app, "frame_all")
     if imgui.begin_menu("Look from"):
         for name in AXIS_NAMES:
-            item(core, f"look_from_{name}", name)
+            item(app, f"look_from_{name}", name)
         imgui.end_menu()
-    item(core, "level")
+    item(app, "level")
     imgui.separator()
     for mode in NAVIGATION_MODES:
         item(
-            core,
+            app,
             f"navigate_{mode}",
             mode.capitalize(),
-            selected=core.preferences.navigation == mode,
+            selected=app.preferences.navigation == mode,
         )
     imgui.separator()
     if imgui.begin_menu("Up axis"):
-        now = up_name(core.view)
+        now = up_name(app.view)
         for name in UP_NAMES:
             if imgui.menu_item(name, "", now == name)[0]:
-                core.post(set_up, name)
+                app.post(set_up, name)
         imgui.separator()
-        item(core, "next_up", "Next")
-        item(core, "up_from_view", "What is up in the picture")
+        item(app, "next_up", "Next")
+        item(app, "up_from_view", "What is up in the picture")
         imgui.end_menu()
-    item(core, "toggle_orthographic", "Orthographic", selected=core.destination.lens.orthographic)
-    has_lenses = any(camera.lens is not None for camera in core.cameras)
-    item(core, "toggle_lenses", "Camera lenses", selected=core.through_lenses, enabled=has_lenses)
-    item(core, "depth_of_field", "Depth of field", selected=core.depth_of_field.on)
-    item(core, "focus_by_click", "Focus by click")
-    item(core, "narrower")
-    item(core, "wider")
+    item(app, "toggle_orthographic", "Orthographic", selected=app.destination.lens.orthographic)
+    has_lenses = any(camera.lens is not None for camera in app.cameras)
+    item(app, "toggle_lenses", "Camera lenses", selected=app.through_lenses, enabled=has_lenses)
+    item(app, "depth_of_field", "Depth of field", selected=app.depth_of_field.on)
+    item(app, "focus_by_click", "Focus by click")
+    item(app, "narrower")
+    item(app, "wider")
     imgui.separator()
-    item(core, "add_bookmark")
-    item(core, "next_bookmark", enabled=bool(core.bookmarks))
-    item(core, "previous_camera", enabled=bool(core.cameras))
-    item(core, "next_camera", enabled=bool(core.cameras))
+    item(app, "add_bookmark")
+    item(app, "next_bookmark", enabled=bool(app.bookmarks))
+    item(app, "previous_camera", enabled=bool(app.cameras))
+    item(app, "next_camera", enabled=bool(app.cameras))
     imgui.separator()
-    item(core, "copy_camera")
-    item(core, "paste_camera")
+    item(app, "copy_camera")
+    item(app, "paste_camera")
 
 
-def training_menu(core: Core) -> None:
-    assert core.training is not None
-    running = core.training.status.state == "training"
-    item(core, "pause_training", "Pause" if running else "Resume")
-    item(core, "step_training", "One step")
+def training_menu(app: AppState) -> None:
+    assert app.training is not None
+    running = app.training.status.state == "training"
+    item(app, "pause_training", "Pause" if running else "Resume")
+    item(app, "step_training", "One step")
     if imgui.menu_item("Stop and save", "", False)[0]:
-        core.post(training.stop_and_save)
+        app.post(training.stop_and_save)
     imgui.separator()
     if imgui.menu_item("Export .ply...", "", False)[0]:
-        core.post(training.export)
+        app.post(training.export)
     if imgui.menu_item("Save a checkpoint", "", False)[0]:
-        core.post(training.save_checkpoint)
+        app.post(training.save_checkpoint)
     imgui.separator()
     if imgui.menu_item("Measure the held-out photos", "", False)[0]:
-        core.post(training.evaluate)
-    if imgui.menu_item("Show the scene in training", "", False, not core.training.followed_by(core))[0]:
-        core.post(training.show_training)
+        app.post(training.evaluate)
+    if imgui.menu_item("Show the scene in training", "", False, not app.training.followed_by(app))[0]:
+        app.post(training.show_training)
 
 
-def window_menu(core: Core) -> None:
-    item(core, "toggle_panels", "Only the picture", selected=core.panels_hidden)
+def window_menu(app: AppState) -> None:
+    item(app, "toggle_panels", "Only the picture", selected=app.panels_hidden)
     imgui.separator()
     params = hello_imgui.get_runner_params()
     for window in params.docking_params.dockable_windows:
@@ -198,7 +198,7 @@ def window_menu(core: Core) -> None:
             window.is_visible = not window.is_visible
     imgui.separator()
     if imgui.menu_item("Put the panels back", "", False)[0]:
-        core.panels_hidden, core.open_panels = False, None
+        app.panels_hidden, app.open_panels = False, None
         params.docking_params.layout_reset = True
 
 
@@ -248,10 +248,10 @@ def _letters_in_order(word: str, text: str) -> bool:
     return len(word) > 1 and all(letter in letters for letter in word)
 
 
-def show_palette(core: Core) -> None:
+def show_palette(app: AppState) -> None:
     """The palette, while it is open."""
-    palette = core.palette
-    if core.dialog != "palette":
+    palette = app.palette
+    if app.dialog != "palette":
         palette.query, palette.chosen, palette.fresh = "", 0, True
         return
     centred(34)
@@ -288,10 +288,10 @@ def show_palette(core: Core) -> None:
         opened = False
     palette.fresh = False
     if run is not None:
-        core.dialog = None
-        core.post(ACTIONS[run.action])
+        app.dialog = None
+        app.post(ACTIONS[run.action])
     elif not opened:
-        core.dialog = None
+        app.dialog = None
 
 
 def _arrows() -> bool:

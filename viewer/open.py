@@ -21,49 +21,49 @@ from splatview.viewer.editing.session import take_up
 from splatview.viewer.loading import Examination, LoadedScene, load_demo, load_files
 from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.preferences import load_bookmarks, with_recent, without_missing
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- Going to cameras that come from elsewhere: a loaded list, the clipboard.
 
 
-def go_to_camera(core: Core, index: int) -> None:
+def go_to_camera(app: AppState, index: int) -> None:
     """Jumps to the loaded camera `index`, counted round the list."""
-    if not core.cameras:
-        core.tell("No cameras are loaded: File > Load a list of cameras")
+    if not app.cameras:
+        app.tell("No cameras are loaded: File > Load a list of cameras")
         return
-    core.camera_index = index % len(core.cameras)
-    camera = core.cameras[core.camera_index]
-    take_position(core, camera)
-    core.tell(f"Camera {core.camera_index + 1} of {len(core.cameras)}: {camera.name or 'unnamed'}")
+    app.camera_index = index % len(app.cameras)
+    camera = app.cameras[app.camera_index]
+    take_position(app, camera)
+    app.tell(f"Camera {app.camera_index + 1} of {len(app.cameras)}: {camera.name or 'unnamed'}")
 
 
-def step_camera(core: Core, step: int) -> None:
+def step_camera(app: AppState, step: int) -> None:
     """Next or previous: the first step goes to the first or last camera."""
-    go_to_camera(core, core.camera_index + step if core.camera_index >= 0 or step > 0 else -1)
+    go_to_camera(app, app.camera_index + step if app.camera_index >= 0 or step > 0 else -1)
 
 
-def take_position(core: Core, camera: Camera) -> None:
+def take_position(app: AppState, camera: Camera) -> None:
     """Looks as `camera` does; the turning point keeps its distance, the up axis stays."""
-    width, height = core.picture_size
-    view = core.destination
-    if not core.through_lenses:
+    width, height = app.picture_size
+    view = app.destination
+    if not app.through_lenses:
         camera = replace(camera, lens=None)
-    core.go_to(view_from_camera(camera, distance=view.distance, up=view.up, width=width, height=height))
+    app.go_to(view_from_camera(camera, distance=view.distance, up=view.up, width=width, height=height))
 
 
-def copy_camera(core: Core) -> None:
+def copy_camera(app: AppState) -> None:
     """Puts the view on the clipboard in the form that `splatview render --camera` reads."""
-    core.clipboard_write = camera_text(core.camera)
-    core.tell("The camera is on the clipboard")
+    app.clipboard_write = camera_text(app.camera)
+    app.tell("The camera is on the clipboard")
 
 
-def paste_camera(core: Core) -> None:
+def paste_camera(app: AppState) -> None:
     try:
-        camera = camera_from_text(core.clipboard_read())
+        camera = camera_from_text(app.clipboard_read())
     except ValueError as error:
-        core.tell(f"There is no camera on the clipboard: {error}")
+        app.tell(f"There is no camera on the clipboard: {error}")
         return
-    take_position(core, camera)
+    take_position(app, camera)
 
 
 def camera_text(camera: Camera) -> str:
@@ -110,125 +110,125 @@ LEAST_CAMERAS_FOR_UP = 3
 """Fewer photos may all have been taken at a slant."""
 
 
-def open_paths(core: Core, paths: Sequence[Path]) -> None:
+def open_paths(app: AppState, paths: Sequence[Path]) -> None:
     """Opens what was dropped or chosen: scenes (several are merged), camera lists, a COLMAP folder."""
     scenes = []
     for path in paths:
         if path.suffix.lower() in CAMERA_SUFFIXES or path.is_dir():
-            open_camera_list(core, path)
+            open_camera_list(app, path)
         else:
             scenes.append(path)
     if scenes:
-        begin(core, scenes)
+        begin(app, scenes)
 
 
-def begin(core: Core, paths: Sequence[Path], *, add: bool = False) -> None:
+def begin(app: AppState, paths: Sequence[Path], *, add: bool = False) -> None:
     """Starts to load; a load under way is cancelled, and the shown scene stays until the new one is here."""
-    cancel_loading(core, quiet=True)
-    core.loading = load_files([Path(path) for path in paths], added_to=core.scene if add else None)
+    cancel_loading(app, quiet=True)
+    app.loading = load_files([Path(path) for path in paths], added_to=app.scene if add else None)
 
 
-def begin_demo(core: Core) -> None:
-    cancel_loading(core, quiet=True)
-    core.loading = load_demo()
+def begin_demo(app: AppState) -> None:
+    cancel_loading(app, quiet=True)
+    app.loading = load_demo()
 
 
-def reload(core: Core) -> None:
+def reload(app: AppState) -> None:
     """Reads the open files again, as training writes them say; the view stays."""
-    if core.scene and core.scene.paths:
-        begin(core, core.scene.paths)
+    if app.scene and app.scene.paths:
+        begin(app, app.scene.paths)
 
 
-def cancel_loading(core: Core, *, quiet: bool = False) -> None:
+def cancel_loading(app: AppState, *, quiet: bool = False) -> None:
     """Stops reading or uploading; the shown scene stays."""
-    if not quiet and core.loading:
-        core.tell(f"Cancelled loading {core.loading.name}")
-    if core.loading:
-        core.loading.cancel()
-        core.loading = None
-    if core.upload:
-        core.upload.close()
-        core.upload = None
+    if not quiet and app.loading:
+        app.tell(f"Cancelled loading {app.loading.name}")
+    if app.loading:
+        app.loading.cancel()
+        app.loading = None
+    if app.upload:
+        app.upload.close()
+        app.upload = None
 
 
-def continue_loading(core: Core) -> None:
+def continue_loading(app: AppState) -> None:
     """Called every frame: takes over a scene that has been read, for a few milliseconds of uploading."""
-    loading = core.loading
+    loading = app.loading
     if loading is None or not loading.done:
         return
     if loading.error is not None or loading.result is None:
-        core.loading = None
+        app.loading = None
         if loading.error is not None:
-            core.complain(loading.error)
-            core.preferences = without_missing(core.preferences)
+            app.complain(loading.error)
+            app.preferences = without_missing(app.preferences)
         return
-    if core.upload is None and core.picture is not None:
+    if app.upload is None and app.picture is not None:
         loading.stage = "Uploading"
-        core.upload = core.picture.load_steps(loading.result.gaussians)
-    if upload_for(core, UPLOAD_SECONDS):
-        core.upload = core.loading = None
-        adopt(core, loading.result)
+        app.upload = app.picture.load_steps(loading.result.gaussians)
+    if upload_for(app, UPLOAD_SECONDS):
+        app.upload = app.loading = None
+        adopt(app, loading.result)
 
 
-def upload_for(core: Core, seconds: float) -> bool:
+def upload_for(app: AppState, seconds: float) -> bool:
     """Uploads for about so long; True when all is done. A scene that does not fit is told of and dropped."""
     until = time.perf_counter() + seconds
     try:
-        while core.upload is not None and core.loading is not None:
-            core.loading.progress = next(core.upload)
+        while app.upload is not None and app.loading is not None:
+            app.loading.progress = next(app.upload)
             if time.perf_counter() >= until:
                 return False
     except StopIteration:
         return True
     except InputError as error:
-        core.complain(f"{core.loading.name if core.loading else 'The scene'}: {error}")
-        core.upload = core.loading = None
+        app.complain(f"{app.loading.name if app.loading else 'The scene'}: {error}")
+        app.upload = app.loading = None
         return False
     return True
 
 
-def adopt(core: Core, scene: LoadedScene) -> None:
+def adopt(app: AppState, scene: LoadedScene) -> None:
     """Makes `scene`, which the picture holds already, the open one."""
-    same_place = core.scene is not None and scene.paths[:1] == core.scene.paths[:1]
-    core.scene = scene
-    take_up(core, scene)
+    same_place = app.scene is not None and scene.paths[:1] == app.scene.paths[:1]
+    app.scene = scene
+    take_up(app, scene)
     if not same_place:
-        core.settings = replace(
-            scene.settings, background=core.preferences.background, blend=core.preferences.blend
+        app.settings = replace(
+            scene.settings, background=app.preferences.background, blend=app.preferences.blend
         )
-        look_at_all_of(core, scene)
-        core.bookmarks, core.bookmark_index, core.bookmarks_read = [], -1, frozenset()
-        core.cameras, core.camera_index = [], -1
+        look_at_all_of(app, scene)
+        app.bookmarks, app.bookmark_index, app.bookmarks_read = [], -1, frozenset()
+        app.cameras, app.camera_index = [], -1
         try:
-            core.bookmarks = load_bookmarks(scene.paths[0]) if scene.paths else []
-            core.bookmarks_read = frozenset(bookmark.entry for bookmark in core.bookmarks)
+            app.bookmarks = load_bookmarks(scene.paths[0]) if scene.paths else []
+            app.bookmarks_read = frozenset(bookmark.entry for bookmark in app.bookmarks)
         except InputError as error:
-            core.complain(str(error))
+            app.complain(str(error))
     for path in reversed(scene.paths):
-        core.preferences = with_recent(core.preferences, path)
-    core.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
-    core.examination, core.examined, core.examining = Examination(scene.gaussians), False, None
+        app.preferences = with_recent(app.preferences, path)
+    app.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
+    app.examination, app.examined, app.examining = Examination(scene.gaussians), False, None
 
 
-def report_examination(core: Core) -> None:
+def report_examination(app: AppState) -> None:
     """Called every frame: says once which splats of a new scene are left out."""
-    if core.examination is None or core.examined or not core.examination.done:
+    if app.examination is None or app.examined or not app.examination.done:
         return
-    core.examined = True
-    for finding in core.examination.findings:
+    app.examined = True
+    for finding in app.examination.findings:
         if finding.count and finding.culled:
-            core.tell(f"{finding.count:,} splats are left out: {finding.name}")
+            app.tell(f"{finding.count:,} splats are left out: {finding.name}")
 
 
-def look_at_all_of(core: Core, scene: LoadedScene) -> None:
+def look_at_all_of(app: AppState, scene: LoadedScene) -> None:
     """The first view of a scene, upright as it seems to be."""
-    width, height = core.picture_size
+    width, height = app.picture_size
     if scene.paths:
-        camera = frame_camera(scene.gaussians, width, height, fov_y=core.preferences.fov_y)
+        camera = frame_camera(scene.gaussians, width, height, fov_y=app.preferences.fov_y)
     else:
         camera = demo_camera(width, height)
     distance = max(float((scene.centre - camera.eye) @ camera.forward), 1e-3 * scene.radius)
-    core.steer(view_from_camera(camera, distance=distance, up=nearest_axis(-camera.R_camera_world[1])))
+    app.steer(view_from_camera(camera, distance=distance, up=nearest_axis(-camera.R_camera_world[1])))
 
 
 def nearest_axis(direction: np.ndarray) -> np.ndarray:
@@ -239,19 +239,19 @@ def nearest_axis(direction: np.ndarray) -> np.ndarray:
     return axis
 
 
-def open_camera_list(core: Core, path: Path) -> None:
+def open_camera_list(app: AppState, path: Path) -> None:
     """Loads the cameras of `path` and jumps to the first."""
     try:
-        cameras = load_cameras(path, on_note=lambda line: core.tell(f"{path.name}: {line}"))
+        cameras = load_cameras(path, on_note=lambda line: app.tell(f"{path.name}: {line}"))
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
         return
-    core.cameras, core.camera_index = cameras, -1
-    core.tell(f"{path.name}: {len(cameras)} cameras")
+    app.cameras, app.camera_index = cameras, -1
+    app.tell(f"{path.name}: {len(cameras)} cameras")
     up = common_up(cameras)
     if up is not None:
-        core.steer(replace(core.destination, up=up))
-    go_to_camera(core, 0)
+        app.steer(replace(app.destination, up=up))
+    go_to_camera(app, 0)
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
@@ -261,14 +261,14 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
     return mean / length if len(cameras) >= LEAST_CAMERAS_FOR_UP and length > 0.5 else None
 
 
-def choose_scene(core: Core) -> None:
-    core.choose_files("Open a scene", lambda paths: core.post(open_paths, paths), kind="scene")
+def choose_scene(app: AppState) -> None:
+    app.choose_files("Open a scene", lambda paths: app.post(open_paths, paths), kind="scene")
 
 
-def choose_cameras(core: Core) -> None:
-    core.choose_files(
+def choose_cameras(app: AppState) -> None:
+    app.choose_files(
         "Load cameras",
-        lambda paths: [core.post(open_camera_list, path) for path in paths],
+        lambda paths: [app.post(open_camera_list, path) for path in paths],
         kind="cameras",
     )
 
@@ -276,10 +276,10 @@ def choose_cameras(core: Core) -> None:
 # ---- Where the splats are that the user sees, as edits have left them.
 
 
-def bounds(core: Core, *, selected: bool = False) -> tuple[np.ndarray, float] | None:
+def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float] | None:
     """Centre (3,) float64 and radius > 0, world, of the bulk of all splats that are shown, or of the selected
     ones. None where there are none."""
-    scene, edits = core.scene, core.edits
+    scene, edits = app.scene, app.edits
     if scene is None or (selected and edits is None):
         return None
     if edits is None:

@@ -20,7 +20,7 @@ from splatview.viewer.panels import split_view as on_picture
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.camera import NAVIGATION_NAMES
 from splatview.viewer.panels.rendering import MODE_NAMES, MODE_TIP
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- The axis cross in the picture's corner: shows how the world lies, and turns to an axis on a click.
 
@@ -59,7 +59,7 @@ def ball_at(ends: list[Ball], x: float, y: float, radius: float) -> Ball | None:
     return under[-1] if under else None
 
 
-def show_axis_gizmo(core: Core, corner: ImVec2) -> None:
+def show_axis_gizmo(app: AppState, corner: ImVec2) -> None:
     """Draws the cross with its top right corner at `corner`, screen coordinates."""
     em = imgui.get_font_size()
     arm, radius = ARM_EM * em, BALL_EM * em
@@ -67,7 +67,7 @@ def show_axis_gizmo(core: Core, corner: ImVec2) -> None:
     imgui.set_cursor_screen_pos(ImVec2(corner.x - side, corner.y))
     clicked = imgui.invisible_button("axes", ImVec2(side, side))
     middle = ImVec2(corner.x - side / 2, corner.y + side / 2)
-    ends = balls(core.view.R_camera_world, arm)
+    ends = balls(app.view.R_camera_world, arm)
     hovered = None
     if imgui.is_item_hovered():
         mouse = imgui.get_mouse_pos()
@@ -78,7 +78,7 @@ def show_axis_gizmo(core: Core, corner: ImVec2) -> None:
     for ball in ends:
         draw_ball(draw, middle, ball, radius, bright=ball is hovered)
     if clicked and hovered:
-        core.post(ACTIONS[f"look_from_{hovered.name}"])
+        app.post(ACTIONS[f"look_from_{hovered.name}"])
 
 
 def draw_ball(draw: imgui.ImDrawList, middle: ImVec2, ball: Ball, radius: float, *, bright: bool) -> None:
@@ -122,29 +122,29 @@ GRAB = 0.4
 """Font heights from a line within which the mouse is on its camera."""
 
 
-def wanted(core: Core) -> bool:
+def wanted(app: AppState) -> bool:
     """Whether the loaded cameras, or those of the photos in training, are to be drawn."""
-    if core.training is not None and core.cameras is core.training.cameras:
-        return core.preferences.show_photos
-    return core.preferences.show_cameras and bool(core.cameras)
+    if app.training is not None and app.cameras is app.training.cameras:
+        return app.preferences.show_photos
+    return app.preferences.show_cameras and bool(app.cameras)
 
 
-def show_frusta(core: Core, corner: ImVec2) -> None:
+def show_frusta(app: AppState, corner: ImVec2) -> None:
     """Draws the pyramids over the picture whose top left is at `corner`, screen coordinates; a click on
     one goes to its camera."""
     scale = imgui.get_io().display_framebuffer_scale
-    radius = core.scene.radius if core.scene else core.view.distance
-    step = -(-len(core.cameras) // MOST)
-    training = core.training if core.training and core.cameras is core.training.cameras else None
+    radius = app.scene.radius if app.scene else app.view.distance
+    step = -(-len(app.cameras) // MOST)
+    training = app.training if app.training and app.cameras is app.training.cameras else None
     size = radius * (SIZE if training is None else PHOTO_SIZE)
-    drawn = pyramids(core.cameras[::step], core.camera, size)
+    drawn = pyramids(app.cameras[::step], app.camera, size)
     lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
     mouse = imgui.get_mouse_pos()
-    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point(core) else None
+    under = nearest(lines, (mouse.x, mouse.y), GRAB * imgui.get_font_size()) if may_point(app) else None
     draw = imgui.get_window_draw_list()
     for place, (index, _) in enumerate(drawn):
         index *= step
-        if index == core.camera_index or place == under:
+        if index == app.camera_index or place == under:
             colour = ImVec4(*theme.ACCENT, 1)
         elif training is not None and training.photos[index].held_out:
             colour = ImVec4(*theme.HELD_OUT, 0.75)
@@ -157,15 +157,15 @@ def show_frusta(core: Core, corner: ImVec2) -> None:
         return
     index = drawn[under][0] * step
     held_out = " (held out)" if training is not None and training.photos[index].held_out else ""
-    imgui.set_tooltip(f"{core.cameras[index].name or f'Camera {index + 1}'}{held_out}")
+    imgui.set_tooltip(f"{app.cameras[index].name or f'Camera {index + 1}'}{held_out}")
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     if imgui.is_mouse_released(imgui.MouseButton_.left) and not (dragged.x or dragged.y):
-        core.post(go_to_camera, index)
+        app.post(go_to_camera, index)
 
 
-def may_point(core: Core) -> bool:
+def may_point(app: AppState) -> bool:
     """Whether the mouse is over the picture itself, turns nothing and holds no tool."""
-    if core.desk is not None and core.desk.tool != "none":
+    if app.session is not None and app.session.tool != "none":
         return False
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     return imgui.is_window_hovered() and not (dragged.x or dragged.y)
@@ -221,45 +221,45 @@ HINTS = {
 }
 
 
-def over_picture(core: Core) -> None:
+def over_picture(app: AppState) -> None:
     """The tools in the picture's corner, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
-    if wanted(core):
-        show_frusta(core, corner)
+    if wanted(app):
+        show_frusta(app, corner)
     margin = imgui.get_font_size() * 0.6
     imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 2))
     for i, mode in enumerate(NAVIGATION_MODES):
         if i:
             imgui.same_line()
-        chosen = core.preferences.navigation == mode
+        chosen = app.preferences.navigation == mode
         fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
         imgui.push_style_color(imgui.Col_.button, fill)
-        widgets.action_button(core, NAVIGATION_NAMES[mode], f"navigate_{mode}")
+        widgets.action_button(app, NAVIGATION_NAMES[mode], f"navigate_{mode}")
         imgui.pop_style_color()
     imgui.pop_style_var()
     imgui.same_line()
-    mode_chooser(core)
+    mode_chooser(app)
     width = imgui.get_window_width()
-    show_axis_gizmo(core, ImVec2(corner.x + width - margin, corner.y + margin))
-    if core.picture is not None and core.picture.status:
+    show_axis_gizmo(app, ImVec2(corner.x + width - margin, corner.y + margin))
+    if app.picture is not None and app.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
         imgui.begin_group()
-        imgui.text_colored(theme.WARNING, core.picture.status)
-        imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(core.picture.status).x, margin), "")
+        imgui.text_colored(theme.WARNING, app.picture.status)
+        imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(app.picture.status).x, margin), "")
         imgui.end_group()
-    if core.picture is not None and core.picture.note:
-        badge(core.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
+    if app.picture is not None and app.picture.note:
+        badge(app.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin
-    moving = core.picture is not None and bool(core.picture.note)
-    on_picture.badges(core, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
-    if text := core.depth_of_field.badge:
+    moving = app.picture is not None and bool(app.picture.note)
+    on_picture.badges(app, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
+    if text := app.depth_of_field.badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()
         on_picture.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
-    waiting = rules.waiting_note(core)
+    waiting = rules.waiting_note(app)
     if waiting:
         note_below(f"{waiting} {keys_of('cancel')} lets go.")
-    if core.scene is None and core.loading is None:
+    if app.scene is None and app.loading is None:
         text = f"Drop a scene here, or press {keys_of('open')}"
         size, area = imgui.calc_text_size(text), imgui.get_window_size()
         place = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + (area.y - size.y) / 2)
@@ -294,30 +294,30 @@ def badge(note: str, at: ImVec2) -> None:
     draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
 
 
-def mode_chooser(core: Core) -> None:
+def mode_chooser(app: AppState) -> None:
     """What is shown, as one small list; bright where it is not the picture itself."""
-    usual = core.mode == "splats"
+    usual = app.mode == "splats"
     fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     imgui.set_next_item_width(imgui.get_font_size() * 7)
     names = [MODE_NAMES[mode] for mode in VISUAL_MODES]
-    changed, index = imgui.combo("##mode", VISUAL_MODES.index(core.mode), names)
+    changed, index = imgui.combo("##mode", VISUAL_MODES.index(app.mode), names)
     imgui.pop_style_color(2)
     widgets.tooltip(MODE_TIP)
     if changed:
-        core.post(set_mode, VISUAL_MODES[index])
+        app.post(set_mode, VISUAL_MODES[index])
 
 
-def status_bar(core: Core) -> None:
-    if core.messages:
-        latest = core.messages[-1]
+def status_bar(app: AppState) -> None:
+    if app.messages:
+        latest = app.messages[-1]
         if latest.error:
             imgui.text_colored(theme.ERROR, latest.text)
         else:
             imgui.text_unformatted(latest.text)
     imgui.same_line()
-    hint = HINTS[core.preferences.navigation]
+    hint = HINTS[app.preferences.navigation]
     start = imgui.get_window_width() - imgui.calc_text_size(hint).x - imgui.get_font_size()
     if start < imgui.get_cursor_pos_x():
         imgui.new_line()

@@ -12,9 +12,9 @@ from splatview import raster
 from splatview.renderers import FrameStats, VisualMode, make_renderer
 from splatview.renderers.cpu_async import CpuTexture
 from splatview.renderers.gl.context import describe
-from splatview.renderers.gl.shader_fallback import StandingIn, mode_key
-from splatview.renderers.precompile import Rehearsals, rehearsal_of
-from splatview.renderers.types import Overlay, refusal
+from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key
+from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
+from splatview.renderers.types import Highlight, refusal
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits
@@ -60,7 +60,7 @@ class Picture(Protocol):
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
         Its values fit into `attributes` (`scene.stored`), and a GPU stores them so.
 
-        Raises InputError where it does not fit into memory. Closing the generator keeps the old scene.
+        Raises InputError where it does not fit into memory. OcclusionPass the generator keeps the old scene.
         """
         ...
 
@@ -70,11 +70,11 @@ class Picture(Protocol):
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         """Brings the texture up to date; costs nothing where nothing has changed.
 
-        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark.
+        `edits` of the scene that is loaded are shown; `highlight` lights up what they mark.
         """
         ...
 
@@ -84,7 +84,7 @@ class Picture(Protocol):
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> np.ndarray:
         """The finished picture (H, W, 4) float32, whatever the window shows meanwhile."""
         ...
@@ -136,15 +136,17 @@ class GpuPicture:
     cores: float | None = None
     sharp: bool = False
 
-    def __init__(self, ctx: moderngl.Context, name: str = "quads", *, rehearsals: Rehearsals | None = None):
-        """`rehearsals` compile programs in the background; without, they are compiled when needed."""
-        self._rehearsals = rehearsals
-        self._standing_in = None if rehearsals is None else StandingIn(ctx, rehearsals)
-        self._renderer = make_renderer(ctx, name, self._standing_in)
+    def __init__(
+        self, ctx: moderngl.Context, name: str = "quads", *, precompiler: ShaderPrecompiler | None = None
+    ):
+        """`precompiler` compile programs in the background; without, they are compiled when needed."""
+        self._precompiler = precompiler
+        self._fallback = None if precompiler is None else FallbackShaders(ctx, precompiler)
+        self._renderer = make_renderer(ctx, name, self._fallback)
         self._renderer_name = name
         self.name = f"{name} (OpenGL {'4.3' if ctx.version_code >= 430 else '3.3'})"
-        if self._standing_in is not None:
-            self._standing_in.prepare(self._renderer)
+        if self._fallback is not None:
+            self._fallback.prepare(self._renderer)
         self._version_code = ctx.version_code
         self._gaussians = EMPTY
         self._renderer.load(EMPTY)
@@ -153,8 +155,8 @@ class GpuPicture:
         return refusal(self._version_code, settings)
 
     def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
-        if self._standing_in is not None:
-            for _ in self._standing_in.while_loading():
+        if self._fallback is not None:
+            for _ in self._fallback.while_loading():
                 yield 0.0
         try:
             yield from self._renderer.load_steps(gaussians, attributes)
@@ -173,12 +175,12 @@ class GpuPicture:
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
-        self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
-        if self._standing_in is not None:
-            drawn = self._gaussians, camera, settings, mode, edits, overlay
-            self._standing_in.after_drawing(self._renderer_name, *drawn)
+        self._renderer.draw(camera, settings, mode=mode, edits=edits, highlight=highlight)
+        if self._fallback is not None:
+            drawn = self._gaussians, camera, settings, mode, edits, highlight
+            self._fallback.after_drawing(self._renderer_name, *drawn)
 
     def read(
         self,
@@ -186,9 +188,9 @@ class GpuPicture:
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> np.ndarray:
-        self._renderer.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        self._renderer.draw(camera, settings, mode=mode, edits=edits, highlight=highlight)
         return self._renderer.read()
 
     def forget_order(self) -> None:
@@ -208,7 +210,7 @@ class GpuPicture:
 
     @property
     def status(self) -> str:
-        return compiling(self._rehearsals)
+        return compiling(self._precompiler)
 
     @property
     def note(self) -> str:
@@ -218,7 +220,7 @@ class GpuPicture:
         """Nothing is drawn behind the window's back."""
 
     def take_problem(self) -> str | None:
-        return None if self._rehearsals is None else self._rehearsals.take_problem()
+        return None if self._precompiler is None else self._precompiler.take_problem()
 
     def release(self) -> None:
         self._renderer.release()
@@ -238,12 +240,12 @@ class CpuPicture:
         ctx: moderngl.Context,
         *,
         on_ready: Callable[[], object] = lambda: None,
-        rehearsals: Rehearsals | None = None,
+        precompiler: ShaderPrecompiler | None = None,
     ):
-        """`rehearsals` compile kernels and programs in the background; without, when they are needed."""
+        """`precompiler` compile kernels and programs in the background; without, when they are needed."""
         self._ctx = ctx
-        self._rehearsals = rehearsals
-        self._cpu = CpuTexture(ctx, on_ready=on_ready, rehearsals=rehearsals)
+        self._precompiler = precompiler
+        self._cpu = CpuTexture(ctx, on_ready=on_ready, precompiler=precompiler)
         self._cpu.load(EMPTY)
         self._gpu: GpuPicture | None = None
         self._gaussians = EMPTY
@@ -297,14 +299,14 @@ class CpuPicture:
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         self._by_gpu = mode != "splats" and self._mode_compiled(camera, settings, mode)
         self._mode_to_come = mode != "splats" and not self._by_gpu
         if self._by_gpu:
-            self._loaded_gpu().draw(camera, settings, mode, edits, overlay)
+            self._loaded_gpu().draw(camera, settings, mode, edits, highlight)
         else:
-            self._cpu.draw(camera, settings, edits=edits, overlay=overlay)
+            self._cpu.draw(camera, settings, edits=edits, highlight=highlight)
 
     def read(
         self,
@@ -312,31 +314,31 @@ class CpuPicture:
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> np.ndarray:
         if mode != "splats":
-            return self._loaded_gpu().read(camera, settings, mode, edits, overlay)
-        return self._cpu.read(camera, settings, edits=edits, overlay=overlay)
+            return self._loaded_gpu().read(camera, settings, mode, edits, highlight)
+        return self._cpu.read(camera, settings, edits=edits, highlight=highlight)
 
     def _mode_compiled(self, camera: Camera, settings: RenderSettings, mode: VisualMode) -> bool:
         """Whether the GL renderer can show `mode` without stopping the window for its programs; until then
         splats are shown."""
-        if self._rehearsals is None or not len(self._gaussians):
+        if self._precompiler is None or not len(self._gaussians):
             return True
         key = mode_key(self._ctx, mode)
-        self._rehearsals.ask(
+        self._precompiler.ask(
             [key],
             mode,
-            lambda: rehearsal_of(
+            lambda: precompile_job(
                 "quads",
                 self._gaussians,
                 camera,
                 settings,
                 mode=mode,
-                gl_version=self._rehearsals.gl_version if self._rehearsals else None,
+                gl_version=self._precompiler.gl_version if self._precompiler else None,
             ),
         )
-        return self._rehearsals.is_done([key])
+        return self._precompiler.is_done([key])
 
     def _loaded_gpu(self) -> GpuPicture:
         if self._gpu is None:
@@ -364,7 +366,7 @@ class CpuPicture:
     @property
     def status(self) -> str:
         own = "" if self._by_gpu else self._cpu.status
-        return own or compiling(self._rehearsals)
+        return own or compiling(self._precompiler)
 
     @property
     def note(self) -> str:
@@ -376,8 +378,8 @@ class CpuPicture:
 
     def take_problem(self) -> str | None:
         problem, self._cpu.problem = self._cpu.problem, None
-        if problem is None and self._rehearsals is not None:
-            return self._rehearsals.take_problem()
+        if problem is None and self._precompiler is not None:
+            return self._precompiler.take_problem()
         return problem
 
     def release(self) -> None:
@@ -391,10 +393,10 @@ def choose_picture(
     renderer: str,
     *,
     on_ready: Callable[[], object] = lambda: None,
-    rehearsals: Rehearsals | None = None,
+    precompiler: ShaderPrecompiler | None = None,
 ) -> Picture:
     """What draws: `renderer` is of RENDERERS; "auto" takes the CPU where GL is only software, else `quads`.
-    `on_ready` is called, in any thread, when a picture has come that was waited for. `rehearsals` compile in
+    `on_ready` is called, in any thread, when a picture has come that was waited for. `precompiler` compile in
     the background what pictures need; whoever made them ends them.
 
     Raises:
@@ -403,13 +405,13 @@ def choose_picture(
     if renderer not in RENDERERS:
         raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
     if renderer == "cpu" or (renderer == "auto" and describe(ctx).is_software):
-        return CpuPicture(ctx, on_ready=on_ready, rehearsals=rehearsals)
-    return GpuPicture(ctx, "tiles" if renderer == "tiles" else "quads", rehearsals=rehearsals)
+        return CpuPicture(ctx, on_ready=on_ready, precompiler=precompiler)
+    return GpuPicture(ctx, "tiles" if renderer == "tiles" else "quads", precompiler=precompiler)
 
 
-def compiling(rehearsals: Rehearsals | None) -> str:
+def compiling(precompiler: ShaderPrecompiler | None) -> str:
     """What the user is told meanwhile."""
-    title = "" if rehearsals is None else rehearsals.title
+    title = "" if precompiler is None else precompiler.title
     return f"Compiling for this machine: {title}" if title else ""
 
 

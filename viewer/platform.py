@@ -15,7 +15,7 @@ from typing import Any
 
 from imgui_bundle import imgui
 
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 import imgui_bundle  # noqa: F401 - isort: skip  (sets which libglfw is used)
 import glfw
@@ -29,7 +29,7 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 """Names of those that ask for an end; the last is a terminal or a connection that is closed."""
 
 
-def guarded(core: Core, show: Callable[[], object]) -> Callable[[], None]:
+def guarded(app: AppState, show: Callable[[], object]) -> Callable[[], None]:
     """`show`, which draws with ImGui. Where it fails, ImGui is put back to where it was before and the user
     is told: an exception that left here would end the process, in the middle of a frame and without a word.
     """
@@ -41,7 +41,7 @@ def guarded(core: Core, show: Callable[[], object]) -> Callable[[], None]:
             show()
         except Exception as error:
             put_back(before)
-            core.fail(error)
+            app.fail(error)
 
     return run
 
@@ -61,7 +61,7 @@ def put_back(before: imgui.internal.ErrorRecoveryState) -> None:
 
 
 @contextmanager
-def closing_on_signals(core: Core) -> Iterator[None]:
+def closing_on_signals(app: AppState) -> Iterator[None]:
     """Within, Ctrl-C and requests to end close the window as a click does: an exception in the middle of a
     frame would end the process before edits and preferences are put away. A second Ctrl-C does so."""
     if threading.current_thread() is not threading.main_thread():
@@ -69,9 +69,9 @@ def closing_on_signals(core: Core) -> Iterator[None]:
         return
 
     def close(number: int, _: Any) -> None:
-        if core.quitting and number == signal.SIGINT:
+        if app.quitting and number == signal.SIGINT:
             raise KeyboardInterrupt
-        core.quitting = True
+        app.quitting = True
 
     numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
     # Who ignores one, as nohup does, has a reason.

@@ -14,27 +14,27 @@ from splatview.scene import Camera, InputError
 from splatview.scene.depth_of_field import mean_picture
 from splatview.scene.formats import save_camera
 from splatview.viewer.depth_of_field import SAVED_SAMPLES, is_pinhole
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 MAX_SIDE = 8192
 """Px: larger than this and common GL implementations refuse the target."""
 
 
-def screenshot(core: Core) -> None:
+def screenshot(app: AppState) -> None:
     """Saves what is seen, without panels, beside the scene; never over an existing file."""
-    save_picture(core, core.camera, next_free(picture_folder(core) / f"{picture_stem(core)}.png"))
+    save_picture(app, app.camera, next_free(picture_folder(app) / f"{picture_stem(app)}.png"))
 
 
-def save_picture(core: Core, camera: Camera, path: Path) -> None:
+def save_picture(app: AppState, camera: Camera, path: Path) -> None:
     """Renders `camera` at full quality into the PNG `path`, and says where it is."""
-    if core.picture is None:
+    if app.picture is None:
         return
     try:
-        edits = core.desk.document.edits if core.desk else None
-        picture, aperture = core.picture, core.depth_of_field.aperture(core)
+        edits = app.session.document.edits if app.session else None
+        picture, aperture = app.picture, app.depth_of_field.aperture(app)
 
         def read(camera: Camera) -> np.ndarray:
-            return picture.read(camera, core.settings, core.mode, edits=edits)
+            return picture.read(camera, app.settings, app.mode, edits=edits)
 
         if aperture is None or not is_pinhole(camera):
             image = read(camera)
@@ -42,11 +42,11 @@ def save_picture(core: Core, camera: Camera, path: Path) -> None:
             image = mean_picture(read, camera, aperture, SAVED_SAMPLES)
         write_png(path, image)
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
     except OSError as error:
-        core.complain(f"{path}: cannot be written ({error.strerror or error})")
+        app.complain(f"{path}: cannot be written ({error.strerror or error})")
     else:
-        core.tell(f"Picture saved: {path}")
+        app.tell(f"Picture saved: {path}")
 
 
 def resized(camera: Camera, width: int, height: int) -> Camera:
@@ -64,13 +64,13 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     )
 
 
-def picture_folder(core: Core) -> Path:
+def picture_folder(app: AppState) -> Path:
     """Beside the scene, or where the program was started."""
-    return core.scene_path.parent if core.scene_path else Path.cwd()
+    return app.scene_path.parent if app.scene_path else Path.cwd()
 
 
-def picture_stem(core: Core) -> str:
-    return core.scene_path.stem if core.scene_path else "splatview"
+def picture_stem(app: AppState) -> str:
+    return app.scene_path.stem if app.scene_path else "splatview"
 
 
 def next_free(path: Path) -> Path:
@@ -99,13 +99,13 @@ def write_png(path: Path, image: np.ndarray) -> None:
         raise
 
 
-def save_current_camera(core: Core, path: Path) -> None:
+def save_current_camera(app: AppState, path: Path) -> None:
     """Writes the view as CAM.json, for `splatview render --camera`."""
     try:
-        save_camera(core.camera, path)
+        save_camera(app.camera, path)
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
     except OSError as error:
-        core.complain(f"{path}: cannot be written ({error.strerror or error})")
+        app.complain(f"{path}: cannot be written ({error.strerror or error})")
     else:
-        core.tell(f"Camera saved: {path}")
+        app.tell(f"Camera saved: {path}")

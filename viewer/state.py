@@ -1,6 +1,6 @@
 """The window without the window: what is open, where the eye is, what was asked for.
 
-Panels draw from a `Core` and post commands to it; the frame loop runs them between two frames, on the
+Panels draw from a `AppState` and post commands to it; the frame loop runs them between two frames, on the
 GL thread. Nothing here imports ImGui, so all of it is tested without a display.
 """
 
@@ -19,13 +19,13 @@ import numpy as np
 
 from splatview.edit.journal import AbandonedJournal
 from splatview.renderers import FrameStats, VisualMode
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
 from splatview.viewer.background import Backdrop
 from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.loading import Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -35,7 +35,7 @@ from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
 
 if TYPE_CHECKING:
-    from splatview.viewer.training.live import Training
+    from splatview.viewer.training.live import LiveTraining
 
 
 MESSAGES_KEPT = 200
@@ -62,7 +62,7 @@ class Palette:
 
 
 @dataclass(eq=False, kw_only=True)
-class Core:
+class AppState:
     """The window's whole state. Fields are plain: panels set the simple ones, commands the rest."""
 
     preferences: Preferences
@@ -71,7 +71,7 @@ class Core:
     scene: LoadedScene | None = None
     loading: Loading | None = None
     """A scene on its way; the old one stays until it is here."""
-    training: Training | None = None
+    training: LiveTraining | None = None
     """A training that this window watches."""
     upload: Generator[float] | None = None
     """Its last stage, advanced a little in every frame."""
@@ -81,7 +81,7 @@ class Core:
     """Whether that has been reported."""
     examining: Examination | None = None
     """The same of splats that an edit has changed, until it is done."""
-    desk: Desk | None = None
+    session: EditSession | None = None
     """Edits of the open scene; None where nothing is open."""
     accuracy: Accuracy = field(default_factory=Accuracy)
     """Shortcuts taken, what they cost, and the frame budget."""
@@ -148,7 +148,7 @@ class Core:
     # ---- commands
 
     def post(self, command: Callable[..., None], *args: Any) -> None:
-        """Runs `command(core, *args)` before the next frame. May be called from any thread."""
+        """Runs `command(app, *args)` before the next frame. May be called from any thread."""
         self._posted.append((command, args))
 
     def run_posted(self) -> int:
@@ -240,7 +240,10 @@ class Core:
             or not self.examined
             or self.examining is not None
             or (self.picture is not None and self.picture.busy)
-            or (self.desk is not None and (self.desk.job is not None or self.desk.loading is not None))
+            or (
+                self.session is not None
+                and (self.session.job is not None or self.session.loading is not None)
+            )
             or self.accuracy.waiting
             or self.depth_of_field.waiting(self)
             or self.effects.waiting
@@ -253,22 +256,22 @@ class Core:
         """Whether something is shown that tools can choose from."""
         training = self.training
         shown = training is not None and training.shown is not None and training.followed_by(self)
-        return self.desk is not None or shown
+        return self.session is not None or shown
 
     @property
     def at_rest(self) -> bool:
         """Whether a scene is open that no trainer changes: every edit can be done and kept."""
-        return self.desk is not None and self.desk.trainee is None
+        return self.session is not None and self.session.target is None
 
     @property
     def edits(self) -> SceneEdits | None:
         """Those of the scene that the picture holds; None where nothing is edited."""
-        return self.desk.edits if self.desk else None
+        return self.session.edits if self.session else None
 
     @property
-    def overlay(self) -> Overlay | None:
+    def highlight(self) -> Highlight | None:
         """How what they mark is lit up."""
-        return self.desk.overlay if self.desk else None
+        return self.session.highlight if self.session else None
 
     # ---- statistics
 

@@ -14,7 +14,7 @@ from splatview.viewer.editing.tools import draw_tool, on_handles, use_tool
 from splatview.viewer.navigation import dolly, look, move, orbit, pan, trackball
 from splatview.viewer.panels.split_view import drag_line, draw_split
 from splatview.viewer.preferences import RANGES
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 ORBIT_SPEED = math.pi
 """Radians for a drag across the picture's height."""
@@ -34,12 +34,12 @@ LONGEST_STEP = 0.1
 _LEFT, _RIGHT, _MIDDLE = imgui.MouseButton_.left, imgui.MouseButton_.right, imgui.MouseButton_.middle
 
 
-def show(core: Core) -> None:
+def show(app: AppState) -> None:
     """The contents of the view's dock: the picture, and what the mouse and held keys do to it."""
     area = imgui.get_content_region_avail()
     width, height = max(1, int(area.x)), max(1, int(area.y))
     scale = imgui.get_io().display_framebuffer_scale
-    core.picture_size = (max(1, round(width * scale.x)), max(1, round(height * scale.y)))
+    app.picture_size = (max(1, round(width * scale.x)), max(1, round(height * scale.y)))
     corner = imgui.get_cursor_screen_pos()
     buttons = (
         imgui.ButtonFlags_.mouse_button_left
@@ -48,60 +48,60 @@ def show(core: Core) -> None:
     )
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    tool_has_it = click_focus(core, corner, scale)
-    tool_has_it = tool_has_it or use_tool(core, corner, width, height) or on_handles(core)
-    tool_has_it = drag_line(core, corner, width) or tool_has_it
-    steer_by_mouse(core, corner, width, height, scale, left_is_free=not tool_has_it)
-    steer_by_keys(core)
+    tool_has_it = click_focus(app, corner, scale)
+    tool_has_it = tool_has_it or use_tool(app, corner, width, height) or on_handles(app)
+    tool_has_it = drag_line(app, corner, width) or tool_has_it
+    steer_by_mouse(app, corner, width, height, scale, left_is_free=not tool_has_it)
+    steer_by_keys(app)
     turning = imgui.is_item_active() and not tool_has_it
-    draw_picture(core, corner, width, height)
-    draw_split(core, corner, width, height)
-    draw_tool(core, corner, width, height)
-    if turning and core.preferences.navigation != "fly":
-        mark_target(core, corner, width, height)
+    draw_picture(app, corner, width, height)
+    draw_split(app, corner, width, height)
+    draw_tool(app, corner, width, height)
+    if turning and app.preferences.navigation != "fly":
+        mark_target(app, corner, width, height)
 
 
-def click_focus(core: Core, corner: ImVec2, scale: ImVec2) -> bool:
+def click_focus(app: AppState, corner: ImVec2, scale: ImVec2) -> bool:
     """Chooses what is in focus, where that is asked for. Whether the mouse is the lens's."""
-    if not core.depth_of_field.picking:
+    if not app.depth_of_field.picking:
         return False
     if imgui.is_item_hovered():
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
         if imgui.is_mouse_clicked(_LEFT):
             mouse = imgui.get_mouse_pos()
-            core.post(focus_on, (mouse.x - corner.x) * scale.x, (mouse.y - corner.y) * scale.y)
+            app.post(focus_on, (mouse.x - corner.x) * scale.x, (mouse.y - corner.y) * scale.y)
     return True
 
 
-def mark_target(core: Core, corner: ImVec2, width: int, height: int) -> None:
+def mark_target(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     """A small ring about the turning point, while the user turns."""
-    camera = core.view.camera(width, height)
+    camera = app.view.camera(width, height)
     place = ImVec2(corner.x + camera.cx, corner.y + camera.cy)
     draw, radius = imgui.get_window_draw_list(), imgui.get_font_size() * 0.35
     draw.add_circle(place, radius, imgui.get_color_u32(ImVec4(0, 0, 0, 0.5)), 0, 3)
     draw.add_circle(place, radius, imgui.get_color_u32(ImVec4(1, 1, 1, 0.8)), 0, 1.5)
 
 
-def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
-    picture = core.picture
+def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None:
+    picture = app.picture
     if picture is None:
         return
-    core.backdrop.follow(core)
-    camera, settings = core.accuracy.next_frame(core)
+    app.backdrop.follow(app)
+    camera, settings = app.accuracy.next_frame(app)
     try:
-        drawn = core.depth_of_field.next_camera(core, camera, settings)
-        picture.draw(drawn, settings, core.mode, edits=core.accuracy.edits(core), overlay=core.overlay)
+        drawn = app.depth_of_field.next_camera(app, camera, settings)
+        picture.draw(drawn, settings, app.mode, edits=app.accuracy.edits(app), highlight=app.highlight)
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
-        if core.undrawn != str(error):
-            core.complain(f"{core.mode}: {error}")
-        core.mode, core.undrawn = "splats", str(error)
+        if app.undrawn != str(error):
+            app.complain(f"{app.mode}: {error}")
+        app.mode, app.undrawn = "splats", str(error)
         return
-    core.undrawn = None
-    texture = core.depth_of_field.shown(core) or picture.texture
+    app.undrawn = None
+    texture = app.depth_of_field.shown(app) or picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"
-    exact = texture.size == core.picture_size
+    exact = texture.size == app.picture_size
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST) if exact else (moderngl.LINEAR, moderngl.LINEAR)
     imgui.get_window_draw_list().add_image(
         imgui.ImTextureRef(texture.glo), corner, ImVec2(corner.x + width, corner.y + height)
@@ -109,7 +109,7 @@ def draw_picture(core: Core, corner: ImVec2, width: int, height: int) -> None:
 
 
 def steer_by_mouse(
-    core: Core, corner: ImVec2, width: int, height: int, scale: ImVec2, *, left_is_free: bool = True
+    app: AppState, corner: ImVec2, width: int, height: int, scale: ImVec2, *, left_is_free: bool = True
 ) -> None:
     """Drags that began on the picture, and the wheel and double clicks over it. Where the left button is
     not free a tool has it."""
@@ -118,56 +118,56 @@ def steer_by_mouse(
         dx, dy = io.mouse_delta.x, io.mouse_delta.y
         panning = imgui.is_mouse_down(_RIGHT) or imgui.is_mouse_down(_MIDDLE)
         # When flying, Shift is the fast gear of the keys.
-        panning = panning or (left_is_free and io.key_shift and core.preferences.navigation != "fly")
+        panning = panning or (left_is_free and io.key_shift and app.preferences.navigation != "fly")
         if panning:
-            core.steer(pan(core.view, dx, dy, height=height))
+            app.steer(pan(app.view, dx, dy, height=height))
         elif left_is_free and imgui.is_mouse_down(_LEFT):
-            turn(core, io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y, dx, dy, width, height)
+            turn(app, io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y, dx, dy, width, height)
     if not imgui.is_item_hovered():
         return
     if left_is_free and imgui.is_mouse_double_clicked(_LEFT):
         x = (io.mouse_pos.x - corner.x) * scale.x
         y = (io.mouse_pos.y - corner.y) * scale.y
-        core.post(focus_at, x, y)
+        app.post(focus_at, x, y)
     if io.mouse_wheel:
-        notches = -io.mouse_wheel if core.preferences.invert_wheel else io.mouse_wheel
-        if core.preferences.navigation == "fly":
+        notches = -io.mouse_wheel if app.preferences.invert_wheel else io.mouse_wheel
+        if app.preferences.navigation == "fly":
             low, high = RANGES["fly_speed"]
-            core.prefer(fly_speed=min(max(core.preferences.fly_speed * 1.2**notches, low), high))
-            core.tell(f"Flying speed {core.preferences.fly_speed:.2g}")
+            app.prefer(fly_speed=min(max(app.preferences.fly_speed * 1.2**notches, low), high))
+            app.tell(f"Flying speed {app.preferences.fly_speed:.2g}")
         else:
-            core.steer(dolly(core.view, WHEEL_STEP**notches))
+            app.steer(dolly(app.view, WHEEL_STEP**notches))
 
 
-def turn(core: Core, x: float, y: float, dx: float, dy: float, width: int, height: int) -> None:
+def turn(app: AppState, x: float, y: float, dx: float, dy: float, width: int, height: int) -> None:
     """A left drag that came to (x, y) by (dx, dy), in ImGui's units from the picture's corner."""
-    radians = core.preferences.mouse_speed * ORBIT_SPEED / height
-    match core.preferences.navigation:
+    radians = app.preferences.mouse_speed * ORBIT_SPEED / height
+    match app.preferences.navigation:
         case "orbit":
-            core.steer(orbit(core.view, dx * radians, dy * radians))
+            app.steer(orbit(app.view, dx * radians, dy * radians))
         case "fly":
             # The eye turns towards where the mouse goes, more gently through a long lens.
-            pixel = core.preferences.mouse_speed * math.radians(core.view.lens.fov_y) / height
-            core.steer(look(core.view, dx * pixel * LOOK_SPEED, -dy * pixel * LOOK_SPEED))
+            pixel = app.preferences.mouse_speed * math.radians(app.view.lens.fov_y) / height
+            app.steer(look(app.view, dx * pixel * LOOK_SPEED, -dy * pixel * LOOK_SPEED))
         case "trackball":
             half = min(width, height) / 2
             end = ((x - width / 2) / half, (y - height / 2) / half)
             start = (end[0] - dx / half, end[1] - dy / half)
-            core.steer(trackball(core.view, start, end))
+            app.steer(trackball(app.view, start, end))
 
 
-def steer_by_keys(core: Core) -> bool:
+def steer_by_keys(app: AppState) -> bool:
     """Flies while keys are held, in every mode; returns whether one is."""
     step = held_step()
     if step is None:
         return False
-    radius = core.scene.radius if core.scene else core.view.distance
+    radius = app.scene.radius if app.scene else app.view.distance
     seconds = min(imgui.get_io().delta_time, LONGEST_STEP)
-    length = core.preferences.fly_speed * FLY_SPEED * radius * seconds
-    if core.view.lens.orthographic:
+    length = app.preferences.fly_speed * FLY_SPEED * radius * seconds
+    if app.view.lens.orthographic:
         # Along parallel rays nothing comes nearer: they are drawn together instead.
         right, up, forward = step
         step = (right, up, 0.0)
-        core.steer(dolly(core.view, math.exp(-forward * length / radius)))
-    core.steer(move(core.view, [part * length for part in step]))
+        app.steer(dolly(app.view, math.exp(-forward * length / radius)))
+    app.steer(move(app.view, [part * length for part in step]))
     return True

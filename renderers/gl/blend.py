@@ -34,7 +34,7 @@ HIDE_GROUP = 64
 """Invocations of a work group of ``quads/hide.comp.glsl``."""
 
 
-class Closing:
+class OcclusionPass:
     """Which blocks of the picture are opaque so far, and which splats that hides."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
@@ -132,14 +132,14 @@ def mode_program(
     return program, array
 
 
-class Gathering:
+class BlendPass:
     """Programs are compiled for a mode when it is first shown."""
 
     def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
         self._variants = variants
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._closing = Closing(ctx)
+        self._closing = OcclusionPass(ctx)
 
     def draw(
         self,

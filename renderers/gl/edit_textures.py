@@ -11,7 +11,7 @@ import numpy as np
 from splatview.renderers.gl.scene_buffers import Placement, placement_of, sample_step
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, TexelArray
 from splatview.renderers.gl.uniforms import set_uniforms
-from splatview.renderers.types import TINT_COUNT, Overlay, VisualMode
+from splatview.renderers.types import TINT_COUNT, Highlight, VisualMode
 from splatview.scene.edits import (
     CROP_ROW,
     LOCKED,
@@ -51,7 +51,7 @@ class Editing:
     crops: tuple[Crop, ...] = ()
     marks: int = 0
     """How often marks have changed what is shown, where that counts."""
-    overlay: Overlay | None = None
+    highlight: Highlight | None = None
     """None: no splat is lit up."""
     lit: int = 0
     """How often marks have changed what is lit up, where that counts."""
@@ -63,7 +63,7 @@ class Editing:
 
     def tints_of(self, mode: VisualMode) -> tuple | None:
         """Equal ones light up alike; None: nothing in this mode."""
-        return None if self.overlay is None or mode not in CAN_TINT else (self.overlay, self.lit)
+        return None if self.highlight is None or mode not in CAN_TINT else (self.highlight, self.lit)
 
     @property
     def places(self) -> tuple | None:
@@ -119,8 +119,8 @@ class EditTextures:
         self._held_crops: tuple[Crop, ...] = ()
         self.now = NOT_EDITED
 
-    def update(self, edits: SceneEdits | None, overlay: Overlay | None) -> Editing:
-        """Brings the textures up to date with `edits` of the scene; no `overlay`: no tints.
+    def update(self, edits: SceneEdits | None, highlight: Highlight | None) -> Editing:
+        """Brings the textures up to date with `edits` of the scene; no `highlight`: no tints.
 
         Raises:
             ValueError: there are not as many marks as splats.
@@ -132,9 +132,9 @@ class EditTextures:
         splats = len(self._means)
         if len(edits.marks) != splats:
             raise ValueError(f"{len(edits.marks):,} marks for a scene of {splats:,} splats")
-        lights = overlay is not None and overlay.lights(edits)
+        transmittance = highlight is not None and highlight.transmittance(edits)
         matters = edits.hides or edits.adjusts
-        if matters or lights:
+        if matters or transmittance:
             self._update_marks(edits)
         if edits.adjusts and edits.palette != self._held_palette:
             rows = adjustment_rows(edits.palette, self._unedited.centre)
@@ -151,8 +151,8 @@ class EditTextures:
             palette=edits.palette if edits.adjusts else None,
             crops=crops,
             marks=self._shown_changes if matters else 0,
-            overlay=overlay if lights else None,
-            lit=self._lit_changes if lights else 0,
+            highlight=highlight if transmittance else None,
+            lit=self._lit_changes if transmittance else 0,
         )
         return self.now
 
@@ -188,8 +188,8 @@ class EditTextures:
                 set_uniforms(program, {name: unit})
         set_uniforms(program, {"u_last_adjustment": len(now.palette or (None,)) - 1})
         set_uniforms(program, {"u_crop_count": len(now.crops)})
-        if now.overlay is not None:
-            set_uniforms(program, {"u_tints": tuple(tuple(row) for row in now.overlay.table.tolist())})
+        if now.highlight is not None:
+            set_uniforms(program, {"u_tints": tuple(tuple(row) for row in now.highlight.table.tolist())})
 
     @property
     def placement(self) -> Placement:

@@ -15,7 +15,7 @@ from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, stora
 from splatview.renderers.gl.sort import KEY_BITS, RadixSort
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 from splatview.scene import InputError
-from splatview.scene.order_reuse import Resorting
+from splatview.scene.order_reuse import ResortPolicy
 
 # ---- An order by depth that serves more frames than the one it was made for, on the GPU.
 #
@@ -28,7 +28,7 @@ class KeptOrder:
 
     def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx, self._variants = ctx, variants
-        self.resorting = Resorting()
+        self.resort_policy = ResortPolicy()
         self._count_kept: moderngl.ComputeShader | None = None
         self._buffers: list[moderngl.Buffer] = []
         """Keys, splats, and their number."""
@@ -39,7 +39,7 @@ class KeptOrder:
 
     def start_anew(self) -> None:
         """Another scene is loaded."""
-        self.resorting.forget()
+        self.resort_policy.forget()
         self._release_buffers()
 
     def make(

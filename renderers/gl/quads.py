@@ -9,14 +9,14 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from splatview.renderers.gl.blend import Gathering
+from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import RECORD_BYTES, DepthKeys, KeptOrder, Projector, short_keys
 from splatview.renderers.gl.renderer import Renderer
 from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit, upload_steps
 from splatview.renderers.gl.uniforms import Uniform, check_rays, view_uniforms
-from splatview.renderers.types import FrameStats, Overlay, VisualMode
+from splatview.renderers.types import FrameStats, Highlight, VisualMode
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits
@@ -45,13 +45,13 @@ class QuadsRenderer(Renderer):
         self,
         ctx: moderngl.Context,
         *,
-        gathering: Gathering | None = None,
+        gathering: BlendPass | None = None,
         variants: Variants | None = None,
     ) -> None:
         super().__init__(ctx, variants)
         self._projector = Projector(ctx, self._variants)
         self._scene: SceneBuffers | None = None
-        self._gathering = gathering or Gathering(ctx, self._variants)
+        self._gathering = gathering or BlendPass(ctx, self._variants)
         self._kept = KeptOrder(ctx, self._variants)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
@@ -118,7 +118,7 @@ class QuadsRenderer(Renderer):
         *,
         mode: VisualMode = "splats",
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         if self._scene is None:
             raise RuntimeError("load() comes before draw()")
@@ -129,7 +129,7 @@ class QuadsRenderer(Renderer):
             self.load(self._source, scene.attributes)
             scene = self._scene
         check_rays(camera, mode)
-        editing = self._edits.update(edits, overlay)
+        editing = self._edits.update(edits, highlight)
         if settings.order not in self.orders:
             raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
         # Other modes show what an order is, or need one that is exact.
@@ -144,7 +144,7 @@ class QuadsRenderer(Renderer):
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
         resolved_key = (drawn_key, settings.background)
-        if keeps and self._kept.resorting.stale and projected_key == self._projected_key:
+        if keeps and self._kept.resort_policy.stale and projected_key == self._projected_key:
             self._projected_key = None  # the view rests: it gets its own order
         if self._projected_key is not None and resolved_key == self._resolved_key:
             return
@@ -214,21 +214,21 @@ class QuadsRenderer(Renderer):
         """Makes the order that is kept anew, where that is due."""
         key = (settings.model.near, keys.bits, footprints)
         centre, radius = self._box.mean(axis=0), float(np.linalg.norm(np.diff(self._box, axis=0))) / 2
-        if self._kept.resorting.due(camera, settings, key=key, centre=centre, radius=radius):
+        if self._kept.resort_policy.due(camera, settings, key=key, centre=centre, radius=radius):
             self._kept.make(scene, uniforms, self._edits, keys)
             self._counters["sorted"] += 1
 
     def forget_order(self) -> None:
         """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
-        self._kept.resorting.forget()
+        self._kept.resort_policy.forget()
         self._projected_key = None
 
     @property
     def busy(self) -> bool:
-        return self._keeps and self._kept.resorting.stale and self._projected_key is not None
+        return self._keeps and self._kept.resort_policy.stale and self._projected_key is not None
 
     def _unsorted(self, order: Order, camera: Camera, near: float) -> dict[str, Any]:
-        """What `Gathering.draw` is told of an order that takes no sort."""
+        """What `BlendPass.draw` is told of an order that takes no sort."""
         if order == "stochastic":
             return {"stochastic": True}
         if order == "per-pixel":

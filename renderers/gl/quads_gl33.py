@@ -34,7 +34,7 @@ from splatview.renderers.gl.uniforms import (
     set_uniforms,
     view_uniforms,
 )
-from splatview.renderers.types import COMPUTE, Overlay, VisualMode, refusal
+from splatview.renderers.types import COMPUTE, Highlight, VisualMode, refusal
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits
@@ -192,7 +192,7 @@ NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
 """Flags: splats are always sorted."""
 
 
-class LegacyGathering:
+class BlendPassGL33:
     """Programs are compiled for a mode when it is first shown."""
 
     def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
@@ -212,7 +212,7 @@ class LegacyGathering:
     ) -> None:
         """Fills `target` with the first `ordered` splats of `order`; all modes but ellipsoids."""
         flags = {**NO_ORDERS, **disc_flags(uniforms)}
-        program, array = mode_program(self._variants, self._indices, "legacy", mode, edits, flags)
+        program, array = mode_program(self._variants, self._indices, "quads_gl33", mode, edits, flags)
         target.framebuffer.use()
         target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         if not ordered:
@@ -238,7 +238,7 @@ class LegacyGathering:
         program, array = mode_program(
             self._variants,
             self._indices,
-            "legacy",
+            "quads_gl33",
             "ellipsoids",
             edits,
             {**ray_flags(uniforms), "DISCS": False},
@@ -302,7 +302,7 @@ class _Wish:
         return other is not None and self.camera.same_view(other.camera) and self._picture == other._picture
 
 
-class LegacyQuadsRenderer(Renderer):
+class QuadsGL33Renderer(Renderer):
     """The `Renderer` for OpenGL 3.3, with the pictures of `QuadsRenderer`.
 
     `draw` never waits for an order: until the first one of a scene is there, it shows the background. `read`
@@ -326,7 +326,7 @@ class LegacyQuadsRenderer(Renderer):
         self._order_texels = TexelArray(ctx, 1, "u4", "splats")
         self._order: DepthOrder | None = None
         """What `_order_texels` holds."""
-        self._gathering = LegacyGathering(ctx, self._variants)
+        self._gathering = BlendPassGL33(ctx, self._variants)
         self._projected: _Wish | None = None
         self._drawn: _Wish | None = None
         self._wanted: _Wish | None = None
@@ -373,9 +373,9 @@ class LegacyQuadsRenderer(Renderer):
         *,
         mode: VisualMode = "splats",
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
-        self._ask(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        self._ask(camera, settings, mode=mode, edits=edits, highlight=highlight)
         scene, sorter = self._loaded()
         if self._wanted is not None:
             self._draw(self._wanted, scene, sorter.newest())
@@ -392,7 +392,7 @@ class LegacyQuadsRenderer(Renderer):
         *,
         mode: VisualMode,
         edits: SceneEdits | None,
-        overlay: Overlay | None,
+        highlight: Highlight | None,
     ) -> None:
         # For `render` this is all: to draw would be to draw in the order of an earlier view first.
         scene, sorter = self._loaded()
@@ -403,7 +403,7 @@ class LegacyQuadsRenderer(Renderer):
             self.load(self._source)
             _, sorter = self._loaded()
         check_rays(camera, mode)
-        editing = self._edits.update(edits, overlay)
+        editing = self._edits.update(edits, highlight)
         problem = refusal(COMPUTE - 1, settings)
         if problem is not None:
             raise InputError(problem)

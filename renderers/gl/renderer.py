@@ -16,7 +16,7 @@ from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.resolve import Resolving, float16_blending_truncates
 from splatview.renderers.gl.targets import PictureTargets
-from splatview.renderers.types import FrameStats, Overlay, VisualMode
+from splatview.renderers.types import FrameStats, Highlight, VisualMode
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits
@@ -124,11 +124,11 @@ class Renderer(ABC):
         *,
         mode: VisualMode = "splats",
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         """Brings `framebuffer` up to date; does nothing where it is.
 
-        `edits` of the scene that is loaded are shown; `overlay` lights up what they mark. What is only lit
+        `edits` of the scene that is loaded are shown; `highlight` lights up what they mark. What is only lit
         up otherwise, as a new selection is, costs no projection and no sort.
 
         Raises:
@@ -149,12 +149,12 @@ class Renderer(ABC):
         *,
         mode: VisualMode = "splats",
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> np.ndarray:
         """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
         if gaussians is not self._source:
             self.load(gaussians)
-        self._ask(camera, settings or RenderSettings(), mode=mode, edits=edits, overlay=overlay)
+        self._ask(camera, settings or RenderSettings(), mode=mode, edits=edits, highlight=highlight)
         return self.read()
 
     def _ask(
@@ -164,10 +164,10 @@ class Renderer(ABC):
         *,
         mode: VisualMode,
         edits: SceneEdits | None,
-        overlay: Overlay | None,
+        highlight: Highlight | None,
     ) -> None:
         """Makes this the picture that `read` gives."""
-        self.draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        self.draw(camera, settings, mode=mode, edits=edits, highlight=highlight)
 
     @abstractmethod
     def forget_order(self) -> None:

@@ -260,7 +260,7 @@ def upload_steps(
 ) -> Generator[float | SceneBuffers, None, None]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
 
-    Closing the generator early releases what it had uploaded. `every_band`: see `stored_harmonics`. `limit`
+    OcclusionPass the generator early releases what it had uploaded. `every_band`: see `stored_harmonics`. `limit`
     is bytes a buffer may have.
 
     Raises:

@@ -11,8 +11,8 @@ import moderngl
 from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.programs import Made, Variant, Variants, expand
 from splatview.renderers.gl.renderer import Renderer
-from splatview.renderers.precompile import SIZE, Rehearsals, few_splats, rehearsal_of
-from splatview.renderers.types import Overlay, VisualMode
+from splatview.renderers.precompile import SIZE, ShaderPrecompiler, few_splats, precompile_job
+from splatview.renderers.types import Highlight, VisualMode
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import SceneEdits
 from splatview.scene.framing import frame_camera
@@ -48,13 +48,13 @@ MODES: tuple[VisualMode, ...] = ("splats", "depth", "ellipsoids")
 """Each has programs or targets that the others have not."""
 
 
-class StandingIn(Variants):
+class FallbackShaders(Variants):
     """Compiles a specialised program here only once it has been compiled in the background, so that it
     comes out of the driver's cache, which takes a moment."""
 
-    def __init__(self, ctx: moderngl.Context, rehearsals: Rehearsals) -> None:
+    def __init__(self, ctx: moderngl.Context, precompiler: ShaderPrecompiler) -> None:
         super().__init__(ctx, waits_for=self._has_to_wait)
-        self._rehearsals = rehearsals
+        self._precompiler = precompiler
         info = describe(ctx)
         self._driver = f"{info.renderer} {info.version}"
         self._keys: dict[Variant, str] = {}
@@ -80,7 +80,7 @@ class StandingIn(Variants):
         settings: RenderSettings,
         mode: VisualMode,
         edits: SceneEdits | None,
-        overlay: Overlay | None,
+        highlight: Highlight | None,
     ) -> None:
         """Has compiled what general programs have just stood in for."""
         waiting = self.take_waiting()
@@ -89,19 +89,19 @@ class StandingIn(Variants):
         if not self.driver_remembers:
             self._put_off |= waiting
             return
-        self._rehearsals.ask(
+        self._precompiler.ask(
             [self._key(variant) for variant in waiting],
             title_of(waiting),
-            lambda: rehearsal_of(
+            lambda: precompile_job(
                 renderer,
                 gaussians,
                 camera,
                 settings,
                 mode=mode,
                 edits=edits,
-                overlay=overlay,
+                highlight=highlight,
                 variants=waiting,
-                gl_version=self._rehearsals.gl_version,
+                gl_version=self._precompiler.gl_version,
             ),
         )
 
@@ -112,12 +112,12 @@ class StandingIn(Variants):
             yield
 
     def _has_to_wait(self, variant: Variant) -> bool:
-        return not self.driver_remembers or not self._rehearsals.is_done([self._key(variant)])
+        return not self.driver_remembers or not self._precompiler.is_done([self._key(variant)])
 
     def _compiled(self, variant: Variant) -> Made:
         if variant in self._made:
             return self._made[variant]
-        rehearsed = not variant.general and self._rehearsals.is_done([self._key(variant)])
+        rehearsed = not variant.general and self._precompiler.is_done([self._key(variant)])
         begun = time.perf_counter()
         made = super()._compiled(variant)
         if rehearsed and time.perf_counter() - begun > STALL:

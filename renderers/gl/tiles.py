@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import moderngl
 
-from splatview.renderers.gl.blend import Gathering
+from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.context import describe, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute
@@ -21,7 +21,7 @@ from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
 from splatview.renderers.gl.sort import RadixSort
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, set_uniforms
-from splatview.renderers.types import Overlay, VisualMode
+from splatview.renderers.types import Highlight, VisualMode
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.edits import SceneEdits
 
@@ -250,7 +250,7 @@ splats at 640x360 relative to this: 16 invocations 1.2, 64 2.3, 256 6.9; tiles o
 the limits: a splat walked takes up to 1.6, a tile written takes one."""
 
 
-class TilesGathering(Gathering):
+class TilesBlendPass(BlendPass):
     """By tiles for the splats; every other mode is drawn as quads."""
 
     def __init__(self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None) -> None:
@@ -276,7 +276,7 @@ class TilesGathering(Gathering):
         weights: Mapping[str, Uniform] | None = None,
         by_pixel: bool = False,
     ) -> None:
-        """As `Gathering.draw`; splats need a float32 target. `by_pixel`: in each pixel's own order.
+        """As `BlendPass.draw`; splats need a float32 target. `by_pixel`: in each pixel's own order.
 
         Raises:
             InputError: that order was asked for flat splats.
@@ -379,7 +379,7 @@ class TilesRenderer(QuadsRenderer):
             version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
             raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
         variants = variants or Variants(ctx)
-        self._tiles = TilesGathering(ctx, variants, tuning)
+        self._tiles = TilesBlendPass(ctx, variants, tuning)
         super().__init__(ctx, gathering=self._tiles, variants=variants)
 
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
@@ -393,9 +393,9 @@ class TilesRenderer(QuadsRenderer):
         *,
         mode: VisualMode = "splats",
         edits: SceneEdits | None = None,
-        overlay: Overlay | None = None,
+        highlight: Highlight | None = None,
     ) -> None:
         if mode == "splats":
             self._tiles.pairs.check((camera.width, camera.height))
         settings = replace(settings, blend="float32")
-        super().draw(camera, settings, mode=mode, edits=edits, overlay=overlay)
+        super().draw(camera, settings, mode=mode, edits=edits, highlight=highlight)

@@ -115,7 +115,7 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
     findings = {finding.name: finding for finding in health}
     invisible = findings["invisible"].count
     ill = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
-    ill_splats = len(np.unique(np.concatenate([finding.indices for finding in ill])))
+    invalid_splats = len(np.unique(np.concatenate([finding.indices for finding in ill])))
     kinds = ", ".join(f"{finding.count:,} {finding.name}" for finding in ill if finding.count)
     return [
         Effect(
@@ -126,10 +126,10 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
         ),
         Effect(
             name="skip ill splats",
-            on=ill_splats > 0,
-            why=f"{ill_splats:,} of {len(gaussians):,} splats cannot be drawn"
+            on=invalid_splats > 0,
+            why=f"{invalid_splats:,} of {len(gaussians):,} splats cannot be drawn"
             + (f": {kinds}" if kinds else ""),
-            saving=_skipped(ill_splats),
+            saving=_skipped(invalid_splats),
         ),
     ]
 

@@ -116,15 +116,15 @@ def test_a_run_resumed_half_way_ends_in_the_same_file(
     whole, parts = tmp_path / "whole.ply", tmp_path / "parts.ply"
     assert train(capture_folder, whole, "--iterations", "100") == 0
 
-    step = session.Session.step
+    step = session.TrainingRun.step
 
-    def interrupted(self: session.Session) -> session.Progress:
+    def interrupted(self: session.TrainingRun) -> session.Progress:
         if self.trainer.counters.iteration == 40:
             raise KeyboardInterrupt
         return step(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(session.Session, "step", interrupted)
+        patch.setattr(session.TrainingRun, "step", interrupted)
         assert train(capture_folder, parts, "--iterations", "100") == 130
     assert parts.read_bytes() != whole.read_bytes()
     assert train(capture_folder, parts, "--resume", str(tmp_path / "parts.checkpoint.safetensors")) == 0

@@ -17,10 +17,11 @@ from PIL import Image
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import save_scene
-from splatview.viewer import app, viewport
+from splatview.viewer import app as app_module
 from splatview.viewer import platform as display
+from splatview.viewer import viewport
 from splatview.viewer.preferences import Preferences
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
 @pytest.fixture(autouse=True)
@@ -28,8 +29,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
 
 
-def said(core: Core) -> list[str]:
-    return [message.text for message in core.messages]
+def said(app: AppState) -> list[str]:
+    return [message.text for message in app.messages]
 
 
 def test_a_display_without_opengl_is_one_line_that_says_what_to_do(monkeypatch) -> None:
@@ -52,29 +53,29 @@ def test_a_driver_that_cannot_draw_splats_leaves_it_to_the_processor(monkeypatch
             raise moderngl.Error("GLSL Compiler failed\n\ncompute shader\n0:1: no")
         return SimpleNamespace(name="cpu")
 
-    monkeypatch.setattr(app, "choose_picture", choose)
-    window = app.Window([])
+    monkeypatch.setattr(app_module, "choose_picture", choose)
+    window = app_module.Window([])
     assert window._picture(SimpleNamespace(version_code=450)).name == "cpu"  # pyright: ignore[reportArgumentType]
-    (line,) = said(window.core)
+    (line,) = said(window.app)
     assert "the processor does" in line and "splatview doctor" in line and "\n" not in line
     assert made == ["auto", "cpu"]
     with pytest.raises(moderngl.Error):  # what was asked for by name is not replaced
-        app.Window([], renderer="quads")._picture(SimpleNamespace())  # pyright: ignore[reportArgumentType]
+        app_module.Window([], renderer="quads")._picture(SimpleNamespace())  # pyright: ignore[reportArgumentType]
 
 
 def test_a_picture_that_cannot_be_drawn_is_told_of_once() -> None:
-    core = Core(preferences=Preferences(smooth=False))
+    app = AppState(preferences=Preferences(smooth=False))
     problems = ["800x600 px need 7 MiB of graphics memory"] * 3 + ["another"]
 
     def draw(*arguments: Any, **options: Any) -> None:
         raise InputError(problems.pop(0))
 
-    core.picture = SimpleNamespace(draw=draw, name="quads", threads=None)  # pyright: ignore[reportAttributeAccessIssue]
-    core.mode = "depth"
+    app.picture = SimpleNamespace(draw=draw, name="quads", threads=None)  # pyright: ignore[reportAttributeAccessIssue]
+    app.mode = "depth"
     for _ in range(4):
-        viewport.draw_picture(core, SimpleNamespace(), 800, 600)  # pyright: ignore[reportArgumentType]
-    assert said(core) == ["depth: 800x600 px need 7 MiB of graphics memory", "splats: another"]
-    assert core.mode == "splats"
+        viewport.draw_picture(app, SimpleNamespace(), 800, 600)  # pyright: ignore[reportArgumentType]
+    assert said(app) == ["depth: 800x600 px need 7 MiB of graphics memory", "splats: another"]
+    assert app.mode == "splats"
 
 
 @pytest.mark.slow

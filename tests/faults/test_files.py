@@ -28,7 +28,7 @@ from splatview.viewer import open as opening
 from splatview.viewer.editing import files
 from splatview.viewer.editing.session import continue_editing
 from splatview.viewer.preferences import Preferences, beside, load_bookmarks
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 STEPS = ({"op": "select_all"}, {"op": "hide"}, {"op": "show"}, {"op": "select_all"}, {"op": "lock"})
 
@@ -41,30 +41,30 @@ def scene(tmp_path: Path, random_gaussians: Callable[..., Gaussians]) -> Path:
 
 
 @pytest.fixture
-def core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Path) -> Core:
+def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Path) -> AppState:
     """A window's state with `scene` open, and without a picture."""
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
-    made = Core(preferences=Preferences(smooth=False))
+    made = AppState(preferences=Preferences(smooth=False))
     opening.open_paths(made, [scene])
     run(made, lambda: made.loading is None)
     return made
 
 
-def run(core: Core, until: Callable[[], bool]) -> None:
+def run(app: AppState, until: Callable[[], bool]) -> None:
     """The part of the frame loop that files need."""
     limit = time.monotonic() + 60
     while not until():
         assert time.monotonic() < limit
-        opening.continue_loading(core)
-        core.run_posted()
-        continue_editing(core)
+        opening.continue_loading(app)
+        app.run_posted()
+        continue_editing(app)
         time.sleep(0.002)
 
 
-def export(core: Core, path: Path) -> None:
-    files.export_to(core, path)
-    run(core, lambda: core.desk is not None and core.desk.job is None)
-    continue_editing(core)
+def export(app: AppState, path: Path) -> None:
+    files.export_to(app, path)
+    run(app, lambda: app.session is not None and app.session.job is None)
+    continue_editing(app)
 
 
 class FullDisk:
@@ -118,7 +118,7 @@ def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, ro
     assert written == done[: len(written)] and len(written) < len(done)
 
 
-def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(core, tmp_path, monkeypatch) -> None:
+def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(app, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.ply"
     out.write_bytes(b"as it was")
 
@@ -127,65 +127,65 @@ def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(core, tm
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        export(core, out)
-    assert core.problem == f"{out}: cannot be written: No space left on device"
+        export(app, out)
+    assert app.problem == f"{out}: cannot be written: No space left on device"
     assert out.read_bytes() == b"as it was"
-    assert core.desk is not None and core.desk.document.history.modified is False
+    assert app.session is not None and app.session.document.history.modified is False
     assert not list(tmp_path.glob(".*.tmp"))
-    core.problem = None
-    export(core, out)
-    assert core.problem is None and len(load_scene(out)) == 60
+    app.problem = None
+    export(app, out)
+    assert app.problem is None and len(load_scene(out)) == 60
 
 
-def test_a_scene_that_others_change_is_not_exported_over(core, scene, tmp_path, random_gaussians) -> None:
-    before = core.scene.gaussians.means.copy()
+def test_a_scene_that_others_change_is_not_exported_over(app, scene, tmp_path, random_gaussians) -> None:
+    before = app.scene.gaussians.means.copy()
     save_scene(random_gaussians(25, sh_degree=0), scene)
     theirs = scene.read_bytes()
-    np.testing.assert_array_equal(core.scene.gaussians.means, before)
-    core.desk.apply(SelectAll())
-    export(core, scene)
-    assert "another program has changed it since it was opened here" in core.problem
+    np.testing.assert_array_equal(app.scene.gaussians.means, before)
+    app.session.apply(SelectAll())
+    export(app, scene)
+    assert "another program has changed it since it was opened here" in app.problem
     assert scene.read_bytes() == theirs
-    core.problem = None
-    export(core, tmp_path / "mine.ply")
-    assert core.problem is None
+    app.problem = None
+    export(app, tmp_path / "mine.ply")
+    assert app.problem is None
     np.testing.assert_array_equal(load_scene(tmp_path / "mine.ply").means, before)
     # Opened again, it may be written over, also twice.
-    opening.reload(core)
-    run(core, lambda: core.loading is None)
-    assert len(core.scene.gaussians) == 25
+    opening.reload(app)
+    run(app, lambda: app.loading is None)
+    assert len(app.scene.gaussians) == 25
     for _ in range(2):
-        export(core, scene)
-        assert core.problem is None
+        export(app, scene)
+        assert app.problem is None
 
 
-def test_a_file_cut_off_in_place_hurts_nothing_that_is_open(core, scene, tmp_path) -> None:
+def test_a_file_cut_off_in_place_hurts_nothing_that_is_open(app, scene, tmp_path) -> None:
     with open(scene, "r+b") as file:
         file.truncate(2000)
-    assert np.isfinite(core.scene.gaussians.means).all()
-    export(core, tmp_path / "mine.ply")
+    assert np.isfinite(app.scene.gaussians.means).all()
+    export(app, tmp_path / "mine.ply")
     assert len(load_scene(tmp_path / "mine.ply")) == 60
-    opening.reload(core)
-    run(core, lambda: core.loading is None)
-    assert "truncated" in core.problem
-    assert len(core.scene.gaussians) == 60, "the old scene stays"
+    opening.reload(app)
+    run(app, lambda: app.loading is None)
+    assert "truncated" in app.problem
+    assert len(app.scene.gaussians) == 60, "the old scene stays"
 
 
 def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
-    core, scene, random_gaussians, monkeypatch
+    app, scene, random_gaussians, monkeypatch
 ) -> None:
-    core.desk.apply(SelectAll())
-    core.desk.apply(Delete())
-    core.desk.close()
-    core.desk = None
+    app.session.apply(SelectAll())
+    app.session.apply(Delete())
+    app.session.close()
+    app.session = None
     save_scene(random_gaussians(61, sh_degree=1, seed=9), scene)
-    files.look_for_abandoned(core)
-    (journal,) = core.abandoned
-    files.restore(core, journal)
-    run(core, lambda: core.loading is None)
-    files.continue_restoring(core)
-    assert "The scene has changed since it was edited" in core.problem
-    assert core.desk is not None and core.desk.document.history.position == 0
+    files.look_for_abandoned(app)
+    (journal,) = app.abandoned
+    files.restore(app, journal)
+    run(app, lambda: app.loading is None)
+    files.continue_restoring(app)
+    assert "The scene has changed since it was edited" in app.problem
+    assert app.session is not None and app.session.document.history.position == 0
     assert journal.file.exists(), "they may fit the file's backup"
 
 
@@ -289,22 +289,22 @@ def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -
     assert len(find_abandoned_journals(config / "journals")) == 2
 
 
-def test_bookmarks_of_another_window_on_the_scene_stay(core, scene) -> None:
-    actions.add_bookmark(core)
-    other = Core(preferences=Preferences(smooth=False))
+def test_bookmarks_of_another_window_on_the_scene_stay(app, scene) -> None:
+    actions.add_bookmark(app)
+    other = AppState(preferences=Preferences(smooth=False))
     opening.open_paths(other, [scene])
     run(other, lambda: other.loading is None)
     actions.rename_bookmark(other, 0, "Door")
     actions.add_bookmark(other)
-    actions.add_bookmark(core)
+    actions.add_bookmark(app)
     names = sorted(bookmark.name for bookmark in load_bookmarks(scene))
     assert names == ["Door", "View 1", "View 2"], "theirs and ours, equal ones once"
-    for _ in range(len(core.bookmarks)):
-        actions.delete_bookmark(core, 0)
+    for _ in range(len(app.bookmarks)):
+        actions.delete_bookmark(app, 0)
     assert load_bookmarks(scene) == [], "what is deleted does not come back"
     beside(scene).write_text("{ damaged")
-    actions.add_bookmark(core)
-    assert "not a bookmarks file" in (core.problem or "")
+    actions.add_bookmark(app)
+    assert "not a bookmarks file" in (app.problem or "")
     assert beside(scene).read_text() == "{ damaged"
 
 

@@ -19,7 +19,7 @@ import pytest
 
 from splatview.renderers.gl.context import create_headless_context, held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.renderer import Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Camera, Gaussians, InputError, look_at
@@ -75,7 +75,7 @@ class Refusing:
 
 
 @pytest.mark.parametrize("quietly", [False, True], ids=["moderngl fails", "OpenGL notes it"])
-@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer, LegacyQuadsRenderer])
+@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer, QuadsGL33Renderer])
 def test_whatever_allocation_is_refused_the_old_scene_stays(
     ctx: moderngl.Context,
     camera: Camera,
@@ -110,7 +110,7 @@ def test_whatever_allocation_is_refused_the_old_scene_stays(
     renderer.release()
 
 
-@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer, LegacyQuadsRenderer])
+@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer, QuadsGL33Renderer])
 def test_a_picture_without_room_is_tried_again(
     ctx: moderngl.Context,
     camera: Camera,

@@ -56,14 +56,14 @@ def test_a_request_to_end_saves(capture: Path, tmp_path: Path, name: str) -> Non
 
 
 def test_photos_that_are_removed_are_in_memory(capture: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    step = session.Session.step
+    step = session.TrainingRun.step
 
-    def remove(self: session.Session) -> session.Progress:
+    def remove(self: session.TrainingRun) -> session.Progress:
         if self.trainer.counters.iteration == 5:
             shutil.rmtree(capture)
         return step(self)
 
-    monkeypatch.setattr(session.Session, "step", remove)
+    monkeypatch.setattr(session.TrainingRun, "step", remove)
     output = tmp_path / "toy.ply"
     assert main(["train", str(capture), "--headless", "--iterations", "30", "-o", str(output)]) == 0
     assert not capture.exists()

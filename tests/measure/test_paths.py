@@ -8,7 +8,7 @@ import pytest
 from splatview.measure.knobs import PATH_TURN, Plan, knob, path_to_view
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.camera import turned_about
-from splatview.scene.order_reuse import Resorting
+from splatview.scene.order_reuse import ResortPolicy
 
 CAMERA = look_at((1, -0.5, -3), (0, 0, 0), up=(0, -1, 0), width=8, height=6)
 UP = np.array((0.0, -1.0, 0.0))
@@ -23,9 +23,9 @@ def test_on_its_path_the_first_frame_alone_is_sorted_and_the_next_would_be(value
     settings = knob("resort").value(value).apply(Plan()).settings
     path = (*path_to_view(settings), PATH_TURN)
     assert path[-2] == 0 and np.allclose(np.diff(path), PATH_TURN)
-    resorting = Resorting()
+    resort_policy = ResortPolicy()
     due = [
-        resorting.due(
+        resort_policy.due(
             turned_about(CAMERA, np.zeros(3), UP, degrees), settings, key=None, centre=np.zeros(3), radius=1.0
         )
         for degrees in path

@@ -8,7 +8,7 @@ import pytest
 from splatview import raster
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
-from splatview.scene.order_reuse import Resorting, turned_by
+from splatview.scene.order_reuse import ResortPolicy, turned_by
 
 SIZE = (48, 32)
 ANEW = RenderSettings()
@@ -25,7 +25,7 @@ def drawn(
     scene: Gaussians, camera: Camera, settings: RenderSettings, workspace: raster.Workspace, edits=None
 ):
     frame = raster.draw_frame(raster.parameters_of(scene), camera, settings, workspace, edits=edits)
-    return frame.image, workspace.kept_order.resorting.stale if workspace.kept_order else False
+    return frame.image, workspace.kept_order.resort_policy.stale if workspace.kept_order else False
 
 
 def exact(scene: Gaussians, camera: Camera, edits: SceneEdits | None = None) -> np.ndarray:
@@ -95,9 +95,9 @@ def test_another_scene_is_sorted(scene, random_gaussians):
 
 
 def test_after_so_many_degrees():
-    resorting, settings = Resorting(), RenderSettings(resort_degrees=5.0)
+    resort_policy, settings = ResortPolicy(), RenderSettings(resort_degrees=5.0)
     place = {"key": None, "centre": np.zeros(3), "radius": 1.0}
-    assert [resorting.due(at(n), settings, **place) for n in (0, 2, 4, 5, 9, 10, 10)] == [
+    assert [resort_policy.due(at(n), settings, **place) for n in (0, 2, 4, 5, 9, 10, 10)] == [
         *(True, False, False, True, False, True),
         True,  # rests
     ]

@@ -15,7 +15,7 @@ from splatview.trainer.strategies.default import (
     KEEP,
     PRUNE,
     SPLIT,
-    ClassicControl,
+    DefaultStrategy,
     decide,
     dim,
     sigmoid,
@@ -38,8 +38,8 @@ def parameters_of(scales, opacities) -> Parameters:
     )
 
 
-def control_of(pulled, **options) -> ClassicControl:
-    control = ClassicControl(TrainSettings(strategy="classic", **options), EXTENT)
+def control_of(pulled, **options) -> DefaultStrategy:
+    control = DefaultStrategy(TrainSettings(strategy="classic", **options), EXTENT)
     control.begin(len(pulled))
     control.pulled[:] = 2 * np.array(pulled)
     control.seen[:] = 2

@@ -15,7 +15,7 @@ from splatview.scene.captures.capture import PhotoEvidence
 from splatview.scene.effects import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
-from splatview.trainer.run import Outputs, Session
+from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 
 
@@ -141,10 +141,10 @@ def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, shots, tmp_pa
     trainer = make_trainer(iterations=100, model=ImageModel(antialiased=True, blur=0.1))
     effects = capture_effects(capture([2.0, 8.0] * 4), trainer.settings, "auto")
     notes: list[str] = []
-    session = Session(
+    training_run = TrainingRun(
         trainer, shots[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
     )
-    assert session.run()
+    assert training_run.run()
     assert outputs.metrics is not None
     lines = [json.loads(line) for line in outputs.metrics.read_text().splitlines()]
     assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (False, 100)]

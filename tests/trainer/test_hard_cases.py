@@ -15,7 +15,7 @@ from splatview.raster import Gradients, Parameters, Workspace, differentiate, dr
 from splatview.scene import Camera, Gaussians, RenderSettings, reference
 from splatview.scene.projection import project
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.strategies.ops import ill_splats
+from splatview.trainer.strategies.ops import invalid_splats
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shot, Shots
 
@@ -194,17 +194,17 @@ def test_density_control_takes_out_what_no_picture_shows() -> None:
         case = find_case(name)
         for strategy in ("classic", "mcmc"):
             trainer = trainer_of(case, strategy)
-            before = ill_splats(trainer.splats.parameters)
+            before = invalid_splats(trainer.splats.parameters)
             assert before[list(case.culled)].all() and before.sum() == len(case.culled)
             for _ in range(STEPS):
                 trainer.step()
-            assert not ill_splats(trainer.splats.parameters).any()
+            assert not invalid_splats(trainer.splats.parameters).any()
             assert len(trainer.splats) >= 12
 
 
 def test_what_is_ill_for_training() -> None:
     well = parameters_of(neighbours(3))
-    assert not ill_splats(well).any()
+    assert not invalid_splats(well).any()
     for name, value in (
         ("means", np.inf),
         ("quats", np.nan),
@@ -215,9 +215,9 @@ def test_what_is_ill_for_training() -> None:
     ):
         array = getattr(well, name).copy()
         array.reshape(len(array), -1)[5, -1] = value
-        assert np.flatnonzero(ill_splats(well._replace(**{name: array}))).tolist() == [5]
+        assert np.flatnonzero(invalid_splats(well._replace(**{name: array}))).tolist() == [5]
     zeros = well._replace(quats=np.zeros_like(well.quats))
-    assert ill_splats(zeros).all()
+    assert invalid_splats(zeros).all()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from splatview.raster import Parameters
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, fresh
 from splatview.trainer.strategies.default import sigmoid
-from splatview.trainer.strategies.mcmc import DEAD, SampledControl, shared
+from splatview.trainer.strategies.mcmc import DEAD, MCMCStrategy, shared
 
 
 def splats_of(opacities) -> Splats:
@@ -29,8 +29,8 @@ def splats_of(opacities) -> Splats:
     )
 
 
-def control_of(count: int, **options) -> SampledControl:
-    return SampledControl(TrainSettings(strategy="mcmc", **options), 1.0, count)
+def control_of(count: int, **options) -> MCMCStrategy:
+    return MCMCStrategy(TrainSettings(strategy="mcmc", **options), 1.0, count)
 
 
 @pytest.mark.parametrize("copies", [1, 2, 5, 51])

@@ -11,7 +11,7 @@ import pytest
 from splatview.scene import InputError
 from splatview.scene.edits import Crop
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.strategies.default import ClassicControl
+from splatview.trainer.strategies.default import DefaultStrategy
 from splatview.trainer.strategies.ops import inside_any
 from splatview.trainer.trainer import CUT_STEPS, Trainer
 
@@ -63,7 +63,7 @@ def test_nothing_grows_in_a_region(make_trainer, strategy: str) -> None:
     splats, control = trainer.splats, trainer.control
     left = splats.parameters.means[:, 0] <= 0
     before, ids = splats.parameters.means[left].copy(), splats.ids[left]
-    if isinstance(control, ClassicControl):
+    if isinstance(control, DefaultStrategy):
         control.pulled[:], control.seen[:] = 1.0, 1
     else:
         splats.parameters.opacity_logits[~left] = -1.0

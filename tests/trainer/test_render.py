@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import reference_torch
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -15,7 +16,6 @@ from splatview import raster
 from splatview.scene import Camera, Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import COUNTS
 from splatview.scene.projection import project
-from splatview.tests.trainer import reference_torch
 from splatview.trainer.torch_api import GRADIENT_EARLY_STOP, Visibility, render
 
 GROUPS = ("means", "quats", "log_scales", "opacity_logits", "sh")

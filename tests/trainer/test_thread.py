@@ -22,17 +22,17 @@ from splatview.scene import InputError
 from splatview.scene.formats import load_scene
 from splatview.trainer import background as threads
 from splatview.trainer import run as sessions
-from splatview.trainer.background import Status, TrainingThread, pace_of
+from splatview.trainer.background import BackgroundTraining, Status, pace_of
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.trainer.run import Outputs, Session, Stopwatch
+from splatview.trainer.run import Outputs, Stopwatch, TrainingRun
 from splatview.trainer.settings import TrainSettings
 
 
 @pytest.fixture
-def make_session(make_trainer, shots, tmp_path) -> Callable[..., Session]:
+def make_session(make_trainer, shots, tmp_path) -> Callable[..., TrainingRun]:
     """`make_session(eval_every=.., iterations=.., ...)`: a session that writes into `tmp_path`."""
 
-    def make(*, eval_every: int = 1000, **settings: Any) -> Session:
+    def make(*, eval_every: int = 1000, **settings: Any) -> TrainingRun:
         outputs = Outputs(
             scene=tmp_path / "toy.ply",
             checkpoint=tmp_path / "toy.checkpoint.safetensors",
@@ -40,21 +40,23 @@ def make_session(make_trainer, shots, tmp_path) -> Callable[..., Session]:
             pictures=tmp_path / "pictures",
         )
         trainer = make_trainer(**settings)
-        return Session(trainer, shots[:1], outputs, started=time.perf_counter(), eval_every=eval_every)
+        return TrainingRun(trainer, shots[:1], outputs, started=time.perf_counter(), eval_every=eval_every)
 
     return make
 
 
 @pytest.fixture
-def begin(make_session) -> Iterator[Callable[..., TrainingThread]]:
+def begin(make_session) -> Iterator[Callable[..., BackgroundTraining]]:
     """`begin(**settings)`: a thread that trains; it is ended after the test."""
-    begun: list[TrainingThread] = []
+    begun: list[BackgroundTraining] = []
 
-    def start(*, session: Session | None = None, **settings: Any) -> TrainingThread:
+    def start(*, training_run: TrainingRun | None = None, **settings: Any) -> BackgroundTraining:
         options = {
             name: settings.pop(name) for name in ("share", "cores", "snapshot_seconds") if name in settings
         }
-        thread = TrainingThread(session or make_session(**{"iterations": 100_000, **settings}), **options)
+        thread = BackgroundTraining(
+            training_run or make_session(**{"iterations": 100_000, **settings}), **options
+        )
         thread.begin()
         begun.append(thread)
         return thread
@@ -71,9 +73,9 @@ def wait(condition: Callable[[], Any], what: str, seconds: float = 60) -> None:
         time.sleep(0.002)
 
 
-def settled(thread: TrainingThread) -> None:
+def settled(thread: BackgroundTraining) -> None:
     """Everything posted so far has been done."""
-    thread.post(lambda session: None).result(60)
+    thread.post(lambda training_run: None).result(60)
 
 
 def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
@@ -92,7 +94,7 @@ def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
     assert seen[0].iteration == 0 and seen[-1].iteration == 60
     assert all(a.iteration < b.iteration for a, b in pairwise(seen))
     assert len(seen) > 5 and thread.published >= len(seen)
-    trainer = thread.post(lambda session: session.trainer).result()
+    trainer = thread.post(lambda training_run: training_run.trainer).result()
     np.testing.assert_array_equal(seen[-1].gaussians.means, trainer.splats.parameters.means)
     np.testing.assert_array_equal(seen[-1].ids, trainer.splats.ids)
 
@@ -139,9 +141,9 @@ def test_a_pause_stands_still_and_costs_no_time(begin) -> None:
     time.sleep(0.15)
     settled(thread)
     assert thread.status.iteration == at.iteration
-    seconds = thread.post(lambda session: session.seconds).result()
+    seconds = thread.post(lambda training_run: training_run.seconds).result()
     time.sleep(0.05)
-    assert thread.post(lambda session: session.seconds).result() == seconds
+    assert thread.post(lambda training_run: training_run.seconds).result() == seconds
 
     thread.step_once()
     thread.step_once()
@@ -173,9 +175,12 @@ def test_a_stopwatch_leaves_pauses_out(monkeypatch) -> None:
 
 def test_commands_run_between_steps_and_their_failures_are_told(begin) -> None:
     thread = begin()
-    assert thread.post(lambda session: len(session.trainer.splats)).result(60) == thread.status.gaussians
+    assert (
+        thread.post(lambda training_run: len(training_run.trainer.splats)).result(60)
+        == thread.status.gaussians
+    )
 
-    def fail(session: Session) -> None:
+    def fail(training_run: TrainingRun) -> None:
         raise InputError("no such thing")
 
     answer = thread.post(fail)
@@ -195,7 +200,9 @@ def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin,
     before = thread.take_snapshot()
     assert before is not None
     gone = before.ids[::2]
-    assert thread.post(lambda session: session.trainer.delete(gone), changes=True).result(60) == len(gone)
+    assert thread.post(lambda training_run: training_run.trainer.delete(gone), changes=True).result(
+        60
+    ) == len(gone)
     after = thread.take_snapshot()
     assert after is not None and after.iteration == before.iteration
     np.testing.assert_array_equal(after.ids, before.ids[1::2])
@@ -204,16 +211,20 @@ def test_a_command_that_changes_the_scene_is_seen_at_once_even_in_a_pause(begin,
     thread.step_once()
     wait(lambda: thread.status.iteration == before.iteration + 1, "a step with fewer splats")
 
-    assert thread.post(lambda session: session.trainer.delete(gone)).result(60) == 0, "they are gone"
+    assert thread.post(lambda training_run: training_run.trainer.delete(gone)).result(60) == 0, (
+        "they are gone"
+    )
     with pytest.raises(InputError, match="no splat"):
-        thread.post(lambda session: session.trainer.delete(session.trainer.splats.ids)).result(60)
+        thread.post(lambda training_run: training_run.trainer.delete(training_run.trainer.splats.ids)).result(
+            60
+        )
 
 
 def test_settings_change_between_steps(begin) -> None:
     thread = begin(max_splats=300)
     thread.change(max_splats=400, means_rate=1e-3).result(60)
     assert thread.status.settings.max_splats == 400
-    trainer = thread.post(lambda session: session.trainer).result(60)
+    trainer = thread.post(lambda training_run: training_run.trainer).result(60)
     assert trainer.control.settings is trainer.settings
     for wrong in ({"max_splats": 0}, {"strategy": "classic"}, {"sh_degree": 7}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
@@ -223,16 +234,16 @@ def test_settings_change_between_steps(begin) -> None:
 
 
 def test_a_failure_is_told_and_the_scene_stays(begin, make_session, capsys) -> None:
-    session = make_session(iterations=100_000)
-    step = session.trainer.step
+    training_run = make_session(iterations=100_000)
+    step = training_run.trainer.step
 
     def breaks(seconds: float | None = None):
-        if session.trainer.counters.iteration == 5:
+        if training_run.trainer.counters.iteration == 5:
             raise FloatingPointError("it broke")
         return step(seconds)
 
-    session.trainer.step = breaks
-    thread = begin(session=session)
+    training_run.trainer.step = breaks
+    thread = begin(training_run=training_run)
     wait(lambda: thread.status.state == "failed", "the failure")
     assert thread.status.failure == "FloatingPointError: it broke"
     assert thread.status.iteration == 5
@@ -241,7 +252,7 @@ def test_a_failure_is_told_and_the_scene_stays(begin, make_session, capsys) -> N
     snapshot = thread.take_snapshot()
     assert snapshot is not None and snapshot.iteration == 5
 
-    session.trainer.step = step
+    training_run.trainer.step = step
     thread.resume()
     wait(lambda: thread.status.iteration > 7, "another try")
     assert thread.status.failure is None
@@ -251,21 +262,21 @@ def test_a_snapshot_without_memory_stops_the_run_and_not_the_thread(
     begin, make_session, tmp_path, monkeypatch, capsys
 ) -> None:
     monkeypatch.setattr(threads, "PUBLISH_SHARE", 1e9)
-    session = make_session(iterations=100_000)
-    snapshot = session.trainer.snapshot
-    thread = begin(session=session, snapshot_seconds=0.0)
+    training_run = make_session(iterations=100_000)
+    snapshot = training_run.trainer.snapshot
+    thread = begin(training_run=training_run, snapshot_seconds=0.0)
     wait(lambda: thread.status.iteration > 3, "steps")
 
     def exhausted() -> None:
         raise MemoryError("no room for a snapshot")
 
-    session.trainer.snapshot = exhausted
+    training_run.trainer.snapshot = exhausted
     thread.take_snapshot()
     wait(lambda: thread.status.state == "failed", "the failure")
     settled(thread)
     assert thread.status.failure == "MemoryError: no room for a snapshot"
     assert "no room for a snapshot" in capsys.readouterr().err
-    session.trainer.snapshot = snapshot
+    training_run.trainer.snapshot = snapshot
     reached = thread.status.iteration
     thread.resume()
     wait(lambda: thread.status.iteration > reached + 2, "another try")
@@ -290,7 +301,7 @@ def test_a_maker_that_gives_way_afterwards_takes_nothing_from_the_training(make_
     own, made = niceness(), []
 
     def window() -> None:
-        thread = TrainingThread(make_session(iterations=100_000))
+        thread = BackgroundTraining(make_session(iterations=100_000))
         os.setpriority(os.PRIO_PROCESS, 0, own + 3)
         thread.begin()
         made.append(thread)
@@ -298,13 +309,13 @@ def test_a_maker_that_gives_way_afterwards_takes_nothing_from_the_training(make_
     maker = threading.Thread(target=window)
     maker.start()
     maker.join()
-    found = made[0].post(lambda session: niceness()).result(60)
+    found = made[0].post(lambda training_run: niceness()).result(60)
     made[0].close()
     assert found == own
 
 
 def test_closing_before_the_first_step_writes_nothing(make_session, tmp_path) -> None:
-    thread = TrainingThread(make_session())
+    thread = BackgroundTraining(make_session())
     thread.close()
     assert not (tmp_path / "toy.ply").exists()
 
@@ -312,8 +323,8 @@ def test_closing_before_the_first_step_writes_nothing(make_session, tmp_path) ->
 def test_closing_after_a_failure_saves_the_scene_but_not_the_checkpoint(
     begin, make_session, tmp_path
 ) -> None:
-    session = make_session(iterations=100_000)
-    thread = begin(session=session)
+    training_run = make_session(iterations=100_000)
+    thread = begin(training_run=training_run)
     wait(lambda: thread.status.iteration > 3, "steps")
     thread.stop()
     settled(thread)
@@ -321,7 +332,7 @@ def test_closing_after_a_failure_saves_the_scene_but_not_the_checkpoint(
     thread.resume()
     at = thread.status.iteration
     wait(lambda: thread.status.iteration > at, "steps")
-    session.trainer.step = None  # what is not callable fails
+    training_run.trainer.step = None  # what is not callable fails
     wait(lambda: thread.status.state == "failed", "the failure")
     (tmp_path / "toy.ply").unlink()
     thread.close()
@@ -430,7 +441,7 @@ def test_a_small_share_sleeps_between_steps(begin) -> None:
     thread = begin(share=0.1, cores=1)
     wait(lambda: thread.status.iteration > 2, "steps")
 
-    def busy(session: Session) -> tuple[float, float]:
+    def busy(training_run: TrainingRun) -> tuple[float, float]:
         return time.thread_time(), time.perf_counter()
 
     cpu, wall = thread.post(busy).result(60)

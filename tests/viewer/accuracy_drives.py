@@ -15,14 +15,14 @@ from splatview import raster
 from splatview.measure.knobs import Plan
 from splatview.renderers.headless import reduced as fewer
 from splatview.viewer.navigation import orbit
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
-def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Measure, read the prices, take a shortcut by a click, compare, and take all back."""
     hand.settle()
-    core.prefer(smooth=False)
-    accuracy = core.accuracy
+    app.prefer(smooth=False)
+    accuracy = app.accuracy
     accuracy.rounds = options.get("rounds")
     exact = hand.picture()
     hand.ctx.window_focus("//Accuracy")
@@ -52,11 +52,11 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     hand.frames(3)
     hand.settle()
     found["choices"] = dict(accuracy.choices)
-    plan = accuracy.plan(core)
-    picture = core.picture
+    plan = accuracy.plan(app)
+    picture = app.picture
     assert picture is not None
-    coarse = hand.on_gl_thread(lambda: picture.read(core.camera, plan.settings, core.mode))
-    shown = seen(hand, core)
+    coarse = hand.on_gl_thread(lambda: picture.read(app.camera, plan.settings, app.mode))
+    shown = seen(hand, app)
     found["shown_is_coarse"] = float(np.abs(shown - coarse).max())
     found["differs"] = float(np.abs(coarse - exact).max())
 
@@ -69,10 +69,10 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     assert compared is not None, accuracy.comparing.problem
     found["compared"] = [compared.psnr, compared.largest, compared.noticed]
     found["line"] = [accuracy.comparing.line]
-    eye = core.camera.eye
+    eye = app.camera.eye
     drag_line(hand, 60)
     found["line"].append(accuracy.comparing.line)
-    found["eye_moved"] = float(np.abs(core.camera.eye - eye).max())
+    found["eye_moved"] = float(np.abs(app.camera.eye - eye).max())
     accuracy.comparing.right = "off"
 
     hand.ctx.window_focus("//Accuracy")
@@ -80,10 +80,10 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     hand.ctx.item_click("**/###exact")
     hand.frames(3)
     hand.settle()
-    found["back"] = float(np.abs(seen(hand, core) - exact).max())
+    found["back"] = float(np.abs(seen(hand, app) - exact).max())
     found["choices_after"] = dict(accuracy.choices)
 
-    reduced(core, hand, found, exact)
+    reduced(app, hand, found, exact)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")
     hand.frames(2)
@@ -92,35 +92,35 @@ def prices(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
     found["prices_kept"] = accuracy.ladder is not None
 
 
-def reduced(core: Core, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
+def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
     """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
-    accuracy, picture = core.accuracy, core.picture
-    assert core.scene is not None and picture is not None
+    accuracy, picture = app.accuracy, app.picture
+    assert app.scene is not None and picture is not None
     for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)
         hand.wait(lambda: accuracy.storing is None, "the scene to be stored")
         hand.settle()
-        shown = seen(hand, core)
+        shown = seen(hand, app)
         plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
-        wanted = raster.render(fewer(core.scene.gaussians, plan), core.camera, core.settings)
+        wanted = raster.render(fewer(app.scene.gaussians, plan), app.camera, app.settings)
         found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)
         hand.wait(lambda: accuracy.storing is None, "the scene as it is")
         hand.settle()
-        found[f"{name} back"] = float(np.abs(seen(hand, core) - exact).max())
+        found[f"{name} back"] = float(np.abs(seen(hand, app) - exact).max())
 
 
 def drag_line(hand: Hand, dx: float) -> None:
-    hand.point(hand.core.accuracy.comparing.line, 0.6)
+    hand.point(hand.app.accuracy.comparing.line, 0.6)
     hand.ctx.mouse_drag_with_delta(ImVec2(dx, 0), imgui.MouseButton_.left)
     hand.frames(2)
 
 
-def seen(hand: Hand, core: Core) -> np.ndarray:
+def seen(hand: Hand, app: AppState) -> np.ndarray:
     """What the window shows of the scene now (H, W, 4)."""
-    picture = core.picture
+    picture = app.picture
     assert picture is not None
     hand.settle()
     return hand.on_gl_thread(
@@ -136,24 +136,24 @@ def picture_type(name: str) -> type[np.floating]:
     return np.float16 if name == "f2" else np.float32
 
 
-def governor(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def governor(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Turn with a budget that a full frame does not meet, and come to rest."""
     hand.settle()
-    core.prefer(smooth=False)
-    accuracy, picture = core.accuracy, core.picture
+    app.prefer(smooth=False)
+    accuracy, picture = app.accuracy, app.picture
     assert picture is not None
     exact_size = picture.texture.size
 
-    def turn(_: Core) -> None:
-        core.steer(orbit(core.view, 0.01, 0.0))
+    def turn(_: AppState) -> None:
+        app.steer(orbit(app.view, 0.01, 0.0))
 
     def turned(frames: int) -> list[float]:
         times: list[float] = []
-        last = core.stats.drawn if core.stats else 0
+        last = app.stats.drawn if app.stats else 0
         while len(times) < frames:
-            core.post(turn)
+            app.post(turn)
             hand.frames(1)
-            stats = core.stats
+            stats = app.stats
             if stats is not None and stats.drawn != last and stats.ms:
                 last = stats.drawn
                 times.append(sum(stats.ms.values()))
@@ -163,7 +163,7 @@ def governor(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["full_ms"] = float(np.median(full))
     time.sleep(0.4)
     hand.settle()
-    core.post(lambda core: core.accuracy.hold(core, options["share"] * found["full_ms"]))
+    app.post(lambda app: app.accuracy.hold(app, options["share"] * found["full_ms"]))
     hand.settle()
     time.sleep(options.get("patience", 0.0))
     turned(options["frames"])

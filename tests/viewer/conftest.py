@@ -20,7 +20,7 @@ from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
 from splatview.viewer.open import continue_loading
 from splatview.viewer.preferences import Preferences
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # A busy machine is no failure.
 hypothesis.settings.register_profile("window", deadline=None)
@@ -52,10 +52,12 @@ class RecordingPicture:
             raise InputError("the GPU's memory does not hold it")
         self.loaded.append(gaussians)
 
-    def draw(self, camera: Camera, settings: RenderSettings, mode: str, edits=None, overlay=None) -> None: ...
+    def draw(
+        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, highlight=None
+    ) -> None: ...
 
     def read(
-        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, overlay=None
+        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, highlight=None
     ) -> np.ndarray:
         image = np.zeros((camera.height, camera.width, 4), np.float32)
         image[..., 0] = np.linspace(-0.5, 1.5, camera.width)
@@ -77,26 +79,26 @@ class RecordingPicture:
 
 
 @pytest.fixture
-def core(tmp_path, monkeypatch) -> Core:
+def app(tmp_path, monkeypatch) -> AppState:
     """A window's state with motions switched off, its settings in a folder of the test's own."""
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
-    made = Core(preferences=Preferences(smooth=False))
+    made = AppState(preferences=Preferences(smooth=False))
     made.picture = RecordingPicture()
     made.picture_size = (320, 200)
     return made
 
 
 @pytest.fixture
-def wait_for_loading() -> Callable[[Core], None]:
+def wait_for_loading() -> Callable[[AppState], None]:
     """Runs the part of the frame loop that loading needs until it is over."""
 
-    def wait(core: Core) -> None:
+    def wait(app: AppState) -> None:
         limit = time.monotonic() + 60
-        while core.loading is not None:
+        while app.loading is not None:
             assert time.monotonic() < limit, "loading does not end"
-            core.loading.join(0.01)
-            continue_loading(core)
-            core.run_posted()
+            app.loading.join(0.01)
+            continue_loading(app)
+            app.run_posted()
 
     return wait
 

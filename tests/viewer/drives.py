@@ -2,7 +2,7 @@
 
 usage: drives.py NAME RESULT.json OPTIONS.json [SCENE ...]
 
-Each function gets the window's `Core`, ImGui's test context, the options, and a dict to report in.
+Each function gets the window's `AppState`, ImGui's test context, the options, and a dict to report in.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from splatview.viewer import commands as keys
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout, loading
 from splatview.viewer.app import run_window
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
 class Hand:
     """The user's hands and eyes."""
 
-    def __init__(self, core: Core, ctx: Any):
-        self.core, self.ctx = core, ctx
+    def __init__(self, app: AppState, ctx: Any):
+        self.app, self.ctx = app, ctx
 
     def frames(self, count: int = 3) -> None:
         self.ctx.yield_(count)
@@ -51,7 +51,7 @@ class Hand:
         """Until nothing is on its way any more."""
         self.frames(2)
         self.wait(
-            lambda: not self.core.waiting and self.core.transition is None and self.core.scene is not None,
+            lambda: not self.app.waiting and self.app.transition is None and self.app.scene is not None,
             "the window to settle",
         )
         self.frames(2)
@@ -83,29 +83,29 @@ class Hand:
         callback: Any = glfw.set_drop_callback(window, unused)
         names = (ctypes.c_char_p * len(paths))(*[path.encode() for path in paths])
         self.on_gl_thread(lambda: callback(window, len(paths), names))
-        dropping.install_drop_handler(self.core)
+        dropping.install_drop_handler(self.app)
 
     def on_gl_thread(self, work: Callable[[], Any]) -> Any:
         """The test runs in a thread of its own, where no GL context is current."""
         answer: list[Any] = []
-        self.core.post(lambda core: answer.append(work()))
+        self.app.post(lambda app: answer.append(work()))
         self.wait(lambda: bool(answer), "the frame loop")
         return answer[0]
 
     def picture(self) -> np.ndarray:
         """What a saved picture would hold now."""
-        core = self.core
-        assert core.picture is not None
-        picture = core.picture
-        return self.on_gl_thread(lambda: picture.read(core.camera, core.settings, core.mode))
+        app = self.app
+        assert app.picture is not None
+        picture = app.picture
+        return self.on_gl_thread(lambda: picture.read(app.camera, app.settings, app.mode))
 
     def picture_of_edits(self) -> np.ndarray:
         """The same with the edits in force."""
-        core = self.core
-        assert core.picture is not None and core.desk is not None
-        picture, document = core.picture, core.desk.document
+        app = self.app
+        assert app.picture is not None and app.session is not None
+        picture, document = app.picture, app.session.document
         return self.on_gl_thread(
-            lambda: picture.read(core.camera, core.settings, core.mode, edits=document.edits)
+            lambda: picture.read(app.camera, app.settings, app.mode, edits=document.edits)
         )
 
     def shoot(self, path: str | None) -> None:
@@ -115,11 +115,11 @@ class Hand:
 
     @property
     def said(self) -> list[str]:
-        return [message.text for message in self.core.messages]
+        return [message.text for message in self.app.messages]
 
 
-def pose(core: Core) -> dict[str, Any]:
-    camera, view = core.camera, core.view
+def pose(app: AppState) -> dict[str, Any]:
+    camera, view = app.camera, app.view
     return {
         "eye": camera.eye.tolist(),
         "forward": camera.forward.tolist(),
@@ -129,56 +129,56 @@ def pose(core: Core) -> dict[str, Any]:
     }
 
 
-def camera_json(core: Core) -> dict[str, Any]:
-    camera = core.camera
+def camera_json(app: AppState) -> dict[str, Any]:
+    camera = app.camera
     data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     return {**data, "world_to_camera": camera.world_to_camera.tolist()}
 
 
-def tour(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def tour(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Open by drop, orbit, pan, zoom, focus, fly, every mode, help, a picture."""
     hand.settle()
-    found["first"] = core.scene.name if core.scene else None
+    found["first"] = app.scene.name if app.scene else None
     hand.drop(options["drop"])
-    hand.wait(lambda: core.scene is not None and core.scene.name == Path(options["drop"]).name, "the drop")
+    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["drop"]).name, "the drop")
     hand.settle()
-    found["title"] = core.scene.name if core.scene else None
-    core.prefer(smooth=False)
+    found["title"] = app.scene.name if app.scene else None
+    app.prefer(smooth=False)
 
-    found["start"] = pose(core)
+    found["start"] = pose(app)
     hand.drag(60, 0)
-    found["orbited"] = pose(core)
+    found["orbited"] = pose(app)
     hand.drag(40, 30, 1)
-    found["panned"] = pose(core)
+    found["panned"] = pose(app)
     hand.point(0.5, 0.5)
     hand.ctx.mouse_wheel_y(2)
     hand.frames(3)
-    found["zoomed"] = pose(core)
+    found["zoomed"] = pose(app)
     hand.press("F")
     hand.settle()
-    found["framed"] = pose(core)
+    found["framed"] = pose(app)
     hand.point(0.5, 0.5)
     hand.ctx.mouse_double_click(0)
     hand.frames(4)
-    found["focused"] = pose(core)
+    found["focused"] = pose(app)
     found["focus_said"] = hand.said[-1]
 
     hand.press("F3")
-    found["navigation"] = core.preferences.navigation
-    before = pose(core)
+    found["navigation"] = app.preferences.navigation
+    before = pose(app)
     hand.hold("W", 0.3)
     hand.frames(2)
-    found["flown"] = [before, pose(core)]
-    before = pose(core)
+    found["flown"] = [before, pose(app)]
+    before = pose(app)
     hand.drag(50, 0)
-    found["looked"] = [before, pose(core)]
+    found["looked"] = [before, pose(app)]
     hand.press("F4")
-    before = pose(core)
+    before = pose(app)
     hand.drag(30, 20)
-    found["rolled"] = [before, pose(core)]
+    found["rolled"] = [before, pose(app)]
     hand.press("F2")
     hand.press("Z")
-    found["from_z"] = pose(core)
+    found["from_z"] = pose(app)
     hand.press("F")
 
     found["modes"] = {}
@@ -186,37 +186,37 @@ def tour(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any])
         hand.press(key)
         hand.settle()
         image = hand.picture()
-        found["modes"][core.mode] = {
+        found["modes"][app.mode] = {
             "asked": mode,
             "mean": float(np.mean(image[..., :3])),
             "finite": bool(np.isfinite(image).all()),
         }
 
     hand.press("F1")
-    found["help_open"] = core.dialog == "help"
+    found["help_open"] = app.dialog == "help"
     found["help_window"] = hand.ctx.get_window_by_ref("//Keys and mouse") is not None
     hand.press("F1")
-    found["help_closed"] = core.dialog is None
+    found["help_closed"] = app.dialog is None
 
     hand.press("B")
-    found["bookmarks"] = [bookmark.name for bookmark in core.bookmarks]
+    found["bookmarks"] = [bookmark.name for bookmark in app.bookmarks]
     hand.settle()
-    found["camera"] = camera_json(core)
+    found["camera"] = camera_json(app)
     hand.press("F12")
     hand.settle()
     found["said"] = hand.said
-    assert core.picture is not None
-    assert core.stats is not None
+    assert app.picture is not None
+    assert app.stats is not None
     found["stats"] = {
-        "splats": core.stats.splats,
-        "drawn_idle": idle_draws(core, hand),
-        "stages": sorted(core.stats.ms),
-        "history": len(core.frame_history),
+        "splats": app.stats.splats,
+        "drawn_idle": idle_draws(app, hand),
+        "stages": sorted(app.stats.ms),
+        "history": len(app.frame_history),
     }
-    core.prefer(background=(0.25, 0.5, 0.75), fly_speed=3.0)
+    app.prefer(background=(0.25, 0.5, 0.75), fly_speed=3.0)
 
 
-def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """By menu and panel: open by a typed path, a picture at twice the size, every panel, every entry."""
     file_dialogs.has_native_dialogs = lambda: False
     hand.settle()
@@ -225,9 +225,9 @@ def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.key_chars_replace_enter(options["typed"])
-    hand.wait(lambda: core.scene is not None and core.scene.name == Path(options["typed"]).name, "the scene")
+    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["typed"]).name, "the scene")
     hand.settle()
-    found["opened"] = core.scene.name if core.scene else None
+    found["opened"] = app.scene.name if app.scene else None
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.item_click("//Open a scene/Cancel")
@@ -235,17 +235,17 @@ def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
 
     ctx.menu_click("Camera/Trackball")
     hand.frames(3)
-    found["navigation"] = core.preferences.navigation
+    found["navigation"] = app.preferences.navigation
     ctx.menu_click("Camera/Up axis/+Z")
     hand.settle()
-    found["up"] = core.view.up.tolist()
+    found["up"] = app.view.up.tolist()
 
     ctx.menu_click("File/Save a picture as...")
     hand.frames(4)
     ctx.item_click("//Save a picture/2 x")
     ctx.item_click("//Save a picture/Beside the scene")
     hand.settle()
-    found["picture_size"] = list(core.picture_size)
+    found["picture_size"] = list(app.picture_size)
 
     found["panels"] = []
     for name, _, _ in layout.PANELS:
@@ -257,85 +257,85 @@ def menus(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
     hand.frames(4)
     ctx.item_click("//Picture/##Antialiased")
     hand.settle()
-    found["antialiased"] = core.settings.model.antialiased
+    found["antialiased"] = app.settings.model.antialiased
     ctx.item_click("//Picture/As the scene calls for")
     hand.settle()
-    found["antialiased_after"] = core.settings.model.antialiased
+    found["antialiased_after"] = app.settings.model.antialiased
 
     hand.press("H")
     hand.frames(4)
-    wide = core.picture_size[0]
+    wide = app.picture_size[0]
     hand.press("H")
     hand.frames(4)
-    found["widths"] = [wide, core.picture_size[0]]
+    found["widths"] = [wide, app.picture_size[0]]
     hand.press("H")  # ends with the panels hidden: the next run must have them
 
 
-def second_look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def second_look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     hand.settle()
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows
     found["visible"] = [window.label for window in windows if window.is_visible]
-    found["navigation"] = core.preferences.navigation
+    found["navigation"] = app.preferences.navigation
 
 
-def idle_draws(core: Core, hand: Hand) -> int:
+def idle_draws(app: AppState, hand: Hand) -> int:
     """Pictures drawn in 20 frames in which nothing changes."""
     hand.frames(2)
-    assert core.stats is not None
-    before = core.stats.drawn
+    assert app.stats is not None
+    before = app.stats.drawn
     hand.frames(20)
-    return core.stats.drawn - before
+    return app.stats.drawn - before
 
 
-def second_run(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def second_run(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """What the first run left behind."""
     hand.settle()
-    found["background"] = core.settings.background
-    found["fly_speed"] = core.preferences.fly_speed
-    found["recent"] = list(core.preferences.recent)
-    found["bookmarks"] = [bookmark.name for bookmark in core.bookmarks]
+    found["background"] = app.settings.background
+    found["fly_speed"] = app.preferences.fly_speed
+    found["recent"] = list(app.preferences.recent)
+    found["bookmarks"] = [bookmark.name for bookmark in app.bookmarks]
     found["said"] = hand.said
 
 
-def trouble(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def trouble(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """A broken file, a cancelled load, a load overtaken by another, and an end in the middle of one."""
     hand.settle()
-    kept = core.scene
+    kept = app.scene
     hand.drop(options["broken"])
-    hand.wait(lambda: core.problem is not None, "the error")
+    hand.wait(lambda: app.problem is not None, "the error")
     hand.frames(3)
-    found["problem"] = core.problem
-    found["scene_stays"] = core.scene is kept
+    found["problem"] = app.problem
+    found["scene_stays"] = app.scene is kept
     hand.ctx.item_click("//That did not work/OK")
     hand.frames(3)
-    found["problem_closed"] = core.problem is None
+    found["problem_closed"] = app.problem is None
 
     slow_down()
     hand.drop(options["slow"])
-    hand.wait(lambda: core.loading is not None and (core.loading.progress or 0) > 0.05, "progress")
+    hand.wait(lambda: app.loading is not None and (app.loading.progress or 0) > 0.05, "progress")
     before = imgui.get_frame_count()
     hand.frames(10)
     found["frames_while_loading"] = imgui.get_frame_count() - before
     hand.ctx.item_click("//Loading/Cancel")
     hand.frames(3)
-    found["cancelled"] = core.loading is None and core.scene is kept
+    found["cancelled"] = app.loading is None and app.scene is kept
 
     hand.drop(options["slow"])
-    hand.wait(lambda: core.loading is not None, "the slow load")
-    overtaken = core.loading
+    hand.wait(lambda: app.loading is not None, "the slow load")
+    overtaken = app.loading
     hand.drop(options["slow"], options["slow"])
-    hand.wait(lambda: core.loading is not overtaken, "the second load")
+    hand.wait(lambda: app.loading is not overtaken, "the second load")
     found["overtaken_cancelled"] = overtaken is not None and overtaken.cancelled
     # The window closes now, with a load under way.
-    found["still_loading"] = core.loading is not None
+    found["still_loading"] = app.loading is not None
 
 
-def look(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Which renderer shows what."""
     hand.settle()
-    assert core.picture is not None
-    found["renderer"] = core.picture.name
-    found["camera"] = camera_json(core)
+    assert app.picture is not None
+    found["renderer"] = app.picture.name
+    found["camera"] = camera_json(app)
     found["pixel_sum"] = float(hand.picture()[..., :3].sum())
 
 
@@ -353,15 +353,15 @@ def slow_down() -> None:
     loading.load_scene = slow
 
 
-def turn(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def turn(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The CPU renderer: coarse while moving, sharp at rest, other modes by GL."""
-    core.prefer(smooth=False)
+    app.prefer(smooth=False)
     hand.settle()
-    picture = core.picture
+    picture = app.picture
     assert picture is not None
     found["renderer"] = picture.name
     found["rest_size"] = list(picture.texture.size)
-    found["picture_size"] = list(core.picture_size)
+    found["picture_size"] = list(app.picture_size)
     sizes = set()
     hand.point(0.5, 0.5)
     hand.ctx.mouse_down(0)
@@ -376,7 +376,7 @@ def turn(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any])
     found["rest_size_again"] = list(picture.texture.size)
     shown = np.frombuffer(hand.on_gl_thread(picture.texture.read), np.float32)
     found["largest_error"] = float(np.abs(shown - hand.picture().ravel()).max())
-    found["drawn_idle"] = idle_draws(core, hand)
+    found["drawn_idle"] = idle_draws(app, hand)
 
 
 def main(drives: dict[str, Any]) -> int:
@@ -385,10 +385,10 @@ def main(drives: dict[str, Any]) -> int:
     found: dict[str, Any] = {}
     given = json.loads(options)
 
-    def act(core: Core, ctx: Any) -> None:
-        hand = Hand(core, ctx)
+    def act(app: AppState, ctx: Any) -> None:
+        hand = Hand(app, ctx)
         try:
-            drives[name](core, hand, given, found)
+            drives[name](app, hand, given, found)
         finally:
             found["messages"] = hand.said
 

@@ -13,7 +13,7 @@ from imgui_bundle import imgui
 
 from splatview.scene.edits import SELECTED
 from splatview.viewer.editing import files
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
 def open_section(hand: Hand, title: str) -> None:
@@ -27,50 +27,52 @@ def open_section(hand: Hand, title: str) -> None:
 
 def settle(hand: Hand) -> None:
     hand.settle()
-    hand.wait(lambda: hand.core.desk is not None and hand.core.desk.job is None, "the job", 120)
+    hand.wait(lambda: hand.app.session is not None and hand.app.session.job is None, "the job", 120)
     hand.frames(2)
-    desk = hand.core.desk
-    assert desk is not None
-    hand.wait(lambda: desk.loaded in (None, desk.gaussians), "the changed scene", 120)
+    session = hand.app.session
+    assert session is not None
+    hand.wait(lambda: session.loaded in (None, session.gaussians), "the changed scene", 120)
 
 
-def counts(core: Core) -> dict[str, int]:
-    assert core.desk is not None
-    now = core.desk.document.counts
+def counts(app: AppState) -> dict[str, int]:
+    assert app.session is not None
+    now = app.session.document.counts
     return {"selected": now.selected, "deleted": now.deleted, "kept": now.kept}
 
 
-def clean_up(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Box-select, add with the brush, delete, undo, crop by numbers, prune with preview, export, reopen."""
     settle(hand)
-    core.prefer(smooth=False)
-    desk = core.desk
-    assert desk is not None
-    found["before"] = counts(core)
+    app.prefer(smooth=False)
+    session = app.session
+    assert session is not None
+    found["before"] = counts(app)
     seen = hand.picture()
 
     hand.press("R")
     hand.drag(110, 90, over=(0.35, 0.35))
     settle(hand)
-    found["box"] = counts(core)
-    marks = desk.document.marks.copy()
+    found["box"] = counts(app)
+    marks = session.document.marks.copy()
     hand.press("C")
     hand.point(0.62, 0.62)
     hand.ctx.key_down(imgui.Key.mod_shift)
     hand.drag(60, 20, over=(0.62, 0.62))
     hand.ctx.key_up(imgui.Key.mod_shift)
     settle(hand)
-    found["brush"] = counts(core)
-    found["brush_kept_the_box"] = bool(((desk.document.marks & marks & SELECTED) == (marks & SELECTED)).all())
+    found["brush"] = counts(app)
+    found["brush_kept_the_box"] = bool(
+        ((session.document.marks & marks & SELECTED) == (marks & SELECTED)).all()
+    )
     hand.press("Escape")
 
     hand.press("Delete")
     settle(hand)
-    found["deleted"] = counts(core)
+    found["deleted"] = counts(app)
     found["change_by_deleting"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.press("Ctrl+Z")
     settle(hand)
-    found["undone"] = counts(core)
+    found["undone"] = counts(app)
     found["change_after_undo"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.press("Ctrl+Y")
     settle(hand)
@@ -78,45 +80,45 @@ def clean_up(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     open_section(hand, "Crop")
     hand.ctx.item_click("Crop/Add a box")
     settle(hand)
-    box = desk.document.crops[0]
+    box = session.document.crops[0]
     for number, value in enumerate(options["half_extents"]):
         hand.ctx.item_input_value(f"Crop/##Half size/$${number}", float(value))
         hand.frames(2)
     settle(hand)
-    found["crop"] = list(desk.document.crops[0].half_extents)
-    found["crop_steps"] = desk.document.history.position
-    found["crop_moved"] = desk.document.crops[0].centre != box.centre
-    found["exported_after_crop"] = desk.document.exported_count
+    found["crop"] = list(session.document.crops[0].half_extents)
+    found["crop_steps"] = session.document.history.position
+    found["crop_moved"] = session.document.crops[0].centre != box.centre
+    found["exported_after_crop"] = session.document.exported_count
 
     open_section(hand, "Clean up")
     hand.ctx.item_click("Clean up/Look for them")
     settle(hand)
     hand.ctx.item_input_value("Clean up/##Threshold", float(options["threshold"]))
     settle(hand)
-    found["floaters"] = desk.forms.clean.count
-    found["lit_up"] = desk.highlight is not None
+    found["floaters"] = session.forms.clean.count
+    found["lit_up"] = session.preview_mask is not None
     hand.ctx.item_click("Clean up/What would it cost?")
     settle(hand)
-    cost = desk.forms.clean.price
+    cost = session.forms.clean.price
     found["price"] = None if cost is None else [cost.mean, cost.worst, cost.count]
     hand.shoot(options.get("panel"))
-    hand.ctx.item_click(f"Clean up/Delete {desk.forms.clean.count:,}")
+    hand.ctx.item_click(f"Clean up/Delete {session.forms.clean.count:,}")
     settle(hand)
-    found["pruned"] = counts(core)
-    found["titles"] = [step.title for step in desk.document.history.done]
+    found["pruned"] = counts(app)
+    found["titles"] = [step.title for step in session.document.history.done]
 
     out, recipe = Path(options["out"]), Path(options["recipe"])
-    hand.on_gl_thread(lambda: files.export_to(core, out))
+    hand.on_gl_thread(lambda: files.export_to(app, out))
     settle(hand)
-    hand.on_gl_thread(lambda: files.save_recipe_to(core, recipe))
+    hand.on_gl_thread(lambda: files.save_recipe_to(app, recipe))
     found["journal_left"] = len(list(Path(options["journals"]).glob("*")))
     hand.drop(str(out))
-    hand.wait(lambda: core.scene is not None and core.scene.name == out.name, "the export to open")
+    hand.wait(lambda: app.scene is not None and app.scene.name == out.name, "the export to open")
     settle(hand)
-    found["reopened"] = counts(core)
+    found["reopened"] = counts(app)
 
 
-def leave_edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def leave_edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Deletes something and closes the window without exporting."""
     settle(hand)
     hand.press("R")
@@ -124,40 +126,40 @@ def leave_edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str
     settle(hand)
     hand.press("Delete")
     settle(hand)
-    found["deleted"] = counts(core)
+    found["deleted"] = counts(app)
 
 
-def restore_edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def restore_edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Takes the offer to go on with them."""
     settle(hand)
-    found["offered"] = core.dialog
+    found["offered"] = app.dialog
     hand.ctx.set_ref("//Unsaved edits")
     hand.ctx.item_click("**/Restore")
-    hand.wait(lambda: core.restoring is None and core.loading is None, "the scene to come back")
+    hand.wait(lambda: app.restoring is None and app.loading is None, "the scene to come back")
     settle(hand)
-    hand.wait(lambda: core.desk is not None and core.desk.document.history.position > 0, "the steps")
-    found["restored"] = counts(core)
+    hand.wait(lambda: app.session is not None and app.session.document.history.position > 0, "the steps")
+    found["restored"] = counts(app)
 
 
-def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def by_words(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The palette finds commands; sliders preview, apply and cancel."""
     settle(hand)
-    desk = core.desk
-    assert desk is not None
+    session = app.session
+    assert session is not None
     hand.press("Ctrl+P")
     hand.frames(3)
     hand.ctx.key_chars("select all")
     hand.frames(3)
     hand.ctx.key_press(imgui.Key.enter)
     settle(hand)
-    found["selected"] = counts(core)["selected"]
-    found["palette_shut"] = core.dialog is None
+    found["selected"] = counts(app)["selected"]
+    found["palette_shut"] = app.dialog is None
 
     open_section(hand, "Look")
     seen = hand.picture_of_edits()
     hand.ctx.item_input_value("Look/##Brightness", 0.25)
     settle(hand)
-    found["previewed"] = desk.document.previewed is not None
+    found["previewed"] = session.document.previewed is not None
     found["brighter"] = float((hand.picture_of_edits() - seen)[..., :3].mean())
     hand.ctx.item_click("Look/Cancel##look")
     settle(hand)
@@ -169,13 +171,13 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     grey = hand.picture_of_edits()[..., :3]
     found["colourfulness"] = float((grey.max(axis=-1) - grey.min(axis=-1)).max())
 
-    desk.forms.how = "set"
+    session.forms.how = "set"
     hand.frames(2)
     hand.ctx.item_input_value("Look/##Opacity", 0.25)
     settle(hand)
     hand.ctx.item_click("Look/Apply##look")
     settle(hand)
-    found["opacity_row"] = list(desk.document.palette[-1].opacity)
+    found["opacity_row"] = list(session.document.palette[-1].opacity)
     hand.press("Ctrl+Z")
     settle(hand)
 
@@ -184,9 +186,9 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     settle(hand)
     hand.ctx.item_click("Move/Apply##move")
     settle(hand)
-    rotation = desk.document.palette[-1].rotation
+    rotation = session.document.palette[-1].rotation
     found["turned"] = [round(float(v), 6) for v in rotation]
-    found["history"] = [step.title for step in desk.document.history.done]
+    found["history"] = [step.title for step in session.document.history.done]
 
     hand.press("Ctrl+Z")
     hand.press("Ctrl+Z")
@@ -194,40 +196,40 @@ def by_words(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["back"] = float(np.abs(hand.picture_of_edits() - seen).max())
 
 
-def health(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The Health report: prices of repairs, a repair, its undo, and a click that selects."""
     settle(hand)
-    desk = core.desk
-    assert desk is not None
-    hand.wait(lambda: core.examination is not None and core.examination.done, "the health check")
+    session = app.session
+    assert session is not None
+    hand.wait(lambda: app.examination is not None and app.examination.done, "the health check")
     hand.ctx.window_focus("//Scene")
     hand.ctx.set_ref("//Scene")
     hand.frames(3)
     seen = hand.picture_of_edits()
     hand.ctx.item_click("**/What would repairs cost?")
     settle(hand)
-    found["prices"] = {name: [price.mean, price.worst] for name, price in desk.forms.health.prices.items()}
-    found["untouched"] = desk.document.history.position == 0
+    found["prices"] = {name: [price.mean, price.worst] for name, price in session.forms.health.prices.items()}
+    found["untouched"] = session.document.history.position == 0
     hand.frames(3)
     hand.shoot(options.get("panel"))
     hand.frames(3)
     hand.ctx.item_click("**/Repair##rods")
     settle(hand)
-    found["titles"] = [step.title for step in desk.document.history.done]
+    found["titles"] = [step.title for step in session.document.history.done]
     found["changed"] = float(np.abs(hand.picture_of_edits() - seen).max())
-    hand.wait(lambda: core.examining is None, "the health of the repaired scene")
-    assert core.examination is not None
-    found["left"] = {finding.name: finding.count for finding in core.examination.findings}
+    hand.wait(lambda: app.examining is None, "the health of the repaired scene")
+    assert app.examination is not None
+    found["left"] = {finding.name: finding.count for finding in app.examination.findings}
     hand.press("Ctrl+Z")
     settle(hand)
-    hand.wait(lambda: core.examining is None, "the health of the scene as it was")
+    hand.wait(lambda: app.examining is None, "the health of the scene as it was")
     hand.frames(2)
     found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.ctx.window_focus("//Scene")
     hand.ctx.set_ref("//Scene")
     hand.ctx.item_click("**/rods")
     settle(hand)
-    found["selected"] = counts(core)["selected"]
+    found["selected"] = counts(app)["selected"]
 
 
 if __name__ == "__main__":

@@ -12,19 +12,19 @@ from drives import Hand
 
 from splatview.edit.operations import Hide, SelectAll
 from splatview.viewer.editing.commands import apply
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
-def receipt(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def receipt(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     hand.settle()
-    core.prefer(smooth=False)
-    effects = core.effects
+    app.prefer(smooth=False)
+    effects = app.effects
     effects.rounds = options.get("rounds")
     exact = hand.picture()
     hand.ctx.window_focus("//Effects")
     hand.ctx.set_ref("//Effects")
     hand.frames(3)
-    found["receipt"] = [[e.name, e.on, e.in_force, e.why] for e in effects.receipt(core)]
+    found["receipt"] = [[e.name, e.on, e.in_force, e.why] for e in effects.receipt(app)]
     hand.shoot(options.get("shot"))
 
     hand.ctx.item_click("**/###measure effects")
@@ -40,23 +40,23 @@ def receipt(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, An
     hand.ctx.item_click("**/##SH band 2")
     hand.frames(3)
     hand.settle()
-    found["without"] = [e.name for e in effects.receipt(core) if e.forced is False]
-    found["degree"] = core.settings.sh_degree
+    found["without"] = [e.name for e in effects.receipt(app) if e.forced is False]
+    found["degree"] = app.settings.sh_degree
     found["differs"] = float(np.abs(hand.picture() - exact).max())
     hand.ctx.item_click("**/##antialiased opacity")
     hand.frames(3)
-    found["antialiased"] = core.settings.model.antialiased
+    found["antialiased"] = app.settings.model.antialiased
     hand.ctx.item_click("**/###as called for")
     hand.frames(3)
     hand.settle()
-    found["overridden"] = effects.overridden(core)
+    found["overridden"] = effects.overridden(app)
     found["back"] = float(np.abs(hand.picture() - exact).max())
 
-    core.post(partial(apply, operation=SelectAll()))
-    core.post(partial(apply, operation=Hide()))
+    app.post(partial(apply, operation=SelectAll()))
+    app.post(partial(apply, operation=Hide()))
 
     def hidden() -> Any:
-        return next(effect for effect in effects.receipt(core) if effect.name == "hidden splats")
+        return next(effect for effect in effects.receipt(app) if effect.name == "hidden splats")
 
     hand.wait(lambda: hidden().on, "the receipt to know of the edit")
     found["hidden"] = hidden().why

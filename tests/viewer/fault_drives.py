@@ -22,24 +22,24 @@ from training_drives import seen, steps, training_of
 from splatview.edit.operations import Delete, SelectAll, SelectInverse
 from splatview.viewer import layout, overlays
 from splatview.viewer.editing import commands, files
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
-def delete_all_but_what_is_selected_next(core: Core, hand: Hand) -> None:
+def delete_all_but_what_is_selected_next(app: AppState, hand: Hand) -> None:
     """Some edit that is in no file."""
-    hand.on_gl_thread(lambda: commands.apply(core, SelectAll()))
-    hand.on_gl_thread(lambda: commands.apply(core, Delete()))
-    hand.on_gl_thread(lambda: commands.undo(core))
-    hand.on_gl_thread(lambda: commands.apply(core, SelectInverse()))
+    hand.on_gl_thread(lambda: commands.apply(app, SelectAll()))
+    hand.on_gl_thread(lambda: commands.apply(app, Delete()))
+    hand.on_gl_thread(lambda: commands.undo(app))
+    hand.on_gl_thread(lambda: commands.apply(app, SelectInverse()))
     hand.frames(2)
 
 
-def broken_frames(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def broken_frames(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """A panel fails, then a part between two frames; then a request to end."""
     hand.settle()
-    kept, over = core.scene, overlays.over_picture
+    kept, over = app.scene, overlays.over_picture
 
-    def fail(_: Core) -> None:
+    def fail(_: AppState) -> None:
         from imgui_bundle import imgui
 
         imgui.begin_child("never ended")
@@ -47,8 +47,8 @@ def broken_frames(core: Core, hand: Hand, options: dict[str, Any], found: dict[s
         raise ValueError("a panel broke")
 
     layout.overlays.over_picture = fail  # pyright: ignore[reportPrivateImportUsage]
-    hand.wait(lambda: core.problem is not None, "word of it")
-    found["panel"] = core.problem
+    hand.wait(lambda: app.problem is not None, "word of it")
+    found["panel"] = app.problem
     hand.frames(20)
     layout.overlays.over_picture = over  # pyright: ignore[reportPrivateImportUsage]
     hand.ctx.item_click("//That did not work/OK")
@@ -56,37 +56,39 @@ def broken_frames(core: Core, hand: Hand, options: dict[str, Any], found: dict[s
     def fail_too() -> None:
         raise ZeroDivisionError("between two frames")
 
-    core.note_statistics = fail_too  # pyright: ignore[reportAttributeAccessIssue]
-    hand.wait(lambda: core.problem is not None, "word of that")
-    found["part"] = core.problem
+    app.note_statistics = fail_too  # pyright: ignore[reportAttributeAccessIssue]
+    hand.wait(lambda: app.problem is not None, "word of that")
+    found["part"] = app.problem
     hand.frames(20)
-    del core.note_statistics
+    del app.note_statistics
     hand.ctx.item_click("//That did not work/OK")
     found["told"] = sum("inside the program" in line for line in hand.said)
-    found["scene_stays"] = core.scene is kept
+    found["scene_stays"] = app.scene is kept
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
-    delete_all_but_what_is_selected_next(core, hand)
+    delete_all_but_what_is_selected_next(app, hand)
     hand.drag(30, 10)
     os.kill(os.getpid(), signal.SIGTERM)
-    hand.wait(lambda: core.quitting, "the window to heed it")
+    hand.wait(lambda: app.quitting, "the window to heed it")
 
 
-def display_ends(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def display_ends(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The X server is killed under a window with unsaved edits."""
     hand.settle()
-    delete_all_but_what_is_selected_next(core, hand)
-    core.prefer(fly_speed=2.5)
+    delete_all_but_what_is_selected_next(app, hand)
+    app.prefer(fly_speed=2.5)
     os.kill(options["server"], signal.SIGKILL)
     hand.wait(lambda: False, "an end")
 
 
-def display_ends_in_training(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def display_ends_in_training(
+    app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]
+) -> None:
     seen(hand, 10)
     os.kill(options["server"], signal.SIGKILL)
     hand.wait(lambda: False, "an end")
 
 
-def closes_while_exporting(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def closes_while_exporting(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The window is closed while a file is being written."""
     hand.settle()
     export, begun = files.export, threading.Event()
@@ -97,14 +99,14 @@ def closes_while_exporting(core: Core, hand: Hand, options: dict[str, Any], foun
         return export(*arguments)
 
     files.export = slowly  # pyright: ignore[reportPrivateImportUsage]
-    hand.on_gl_thread(lambda: files.export_to(core, Path(options["out"])))
+    hand.on_gl_thread(lambda: files.export_to(app, Path(options["out"])))
     hand.wait(begun.is_set, "the export to begin")
     found["there"] = Path(options["out"]).exists()
 
 
-def capture_goes(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def capture_goes(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The folder of photos is removed in the middle of training."""
-    training = training_of(core)
+    training = training_of(app)
     seen(hand, 5)
     shutil.rmtree(options["capture"])
     steps(hand, 30)
@@ -119,24 +121,24 @@ def capture_goes(core: Core, hand: Hand, options: dict[str, Any], found: dict[st
     found["failure"] = training.status.failure
 
 
-def edits_until_killed(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def edits_until_killed(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Beside another window on the same scene: edits, and says so; ends when it is killed, or told to."""
     hand.settle()
-    delete_all_but_what_is_selected_next(core, hand)
+    delete_all_but_what_is_selected_next(app, hand)
     hand.press("B")
-    core.prefer(fly_speed=options["speed"])
-    hand.wait(lambda: core.preferences == core.preferences, "a frame")
+    app.prefer(fly_speed=options["speed"])
+    hand.wait(lambda: app.preferences == app.preferences, "a frame")
     Path(options["ready"]).touch()
     hand.wait(Path(options["go"]).exists, "the word", 120)
     found["export"] = None
     if options["export"]:
-        hand.on_gl_thread(lambda: commands.apply(core, Delete()))
-        hand.on_gl_thread(lambda: commands.undo(core))
-        hand.on_gl_thread(lambda: files.export_to(core, Path(options["export"])))
-        hand.wait(lambda: core.desk is not None and core.desk.job is None, "the export")
+        hand.on_gl_thread(lambda: commands.apply(app, Delete()))
+        hand.on_gl_thread(lambda: commands.undo(app))
+        hand.on_gl_thread(lambda: files.export_to(app, Path(options["export"])))
+        hand.wait(lambda: app.session is not None and app.session.job is None, "the export")
         hand.frames(3)
     found["said"] = hand.said
-    found["position"] = core.desk.document.history.position if core.desk else None
+    found["position"] = app.session.document.history.position if app.session else None
 
 
 TRAINING = (display_ends_in_training, capture_goes)

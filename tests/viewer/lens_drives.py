@@ -16,116 +16,116 @@ from splatview.viewer import depth_of_field
 from splatview.viewer import save as saving
 from splatview.viewer.background import take_picture
 from splatview.viewer.navigation import orbit
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
-def behind_and_before(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def behind_and_before(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Choose each kind of background, then open the lens, focus by a click, move, and save."""
     depth_of_field.SAMPLES = saving.SAVED_SAMPLES = options["samples"]
     hand.settle()
-    core.prefer(smooth=False)
-    backgrounds(core, hand, options, found)
-    lens(core, hand, options, found)
+    app.prefer(smooth=False)
+    backgrounds(app, hand, options, found)
+    lens(app, hand, options, found)
 
 
-def backgrounds(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     hand.ctx.window_focus("//Picture")
     hand.ctx.set_ref("//Picture")
     hand.frames(3)
     hand.ctx.combo_click("##Behind/Gradient")
     hand.settle()
-    gradient = core.settings.background
+    gradient = app.settings.background
     found["gradient"] = isinstance(gradient, Gradient) and [gradient.top, gradient.bottom, gradient.up]
-    found["up"] = core.view.up.tolist()
+    found["up"] = app.view.up.tolist()
     found["corner"] = hand.picture()[0, 0, :3].tolist()
     hand.shoot(options.get("shot_gradient"))
 
-    core.post(take_picture, Path(options["sky"]))
+    app.post(take_picture, Path(options["sky"]))
     hand.frames(2)
     hand.settle()
-    found["panorama"] = isinstance(core.settings.background, Panorama)
-    found["remembered"] = [core.preferences.background_kind, core.preferences.panorama]
+    found["panorama"] = isinstance(app.settings.background, Panorama)
+    found["remembered"] = [app.preferences.background_kind, app.preferences.panorama]
     hand.shoot(options.get("shot_panorama"))
-    kept = core.settings.background
+    kept = app.settings.background
 
-    core.post(take_picture, Path(options["broken"]))
+    app.post(take_picture, Path(options["broken"]))
     hand.frames(3)
-    found["problem"], core.problem = core.problem, None
+    found["problem"], app.problem = app.problem, None
     hand.frames(2)
-    found["kept"] = core.settings.background is kept
+    found["kept"] = app.settings.background is kept
 
 
-def lens(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     sharp = hand.picture()
     hand.ctx.window_focus("//Camera")
     hand.ctx.set_ref("//Camera")
     hand.frames(3)
     hand.ctx.item_click("**/##Depth of field")
-    lens = core.depth_of_field
+    lens = app.depth_of_field
     lens.share = 0.2
     hand.frames(3)
     hand.ctx.item_click("**/Focus by click")
     hand.frames(3)
-    before = core.view.eye.copy()
+    before = app.view.eye.copy()
     hand.point(0.5, 0.5)
     hand.ctx.mouse_click(0)
     hand.frames(3)
-    found["focus"], found["distance"] = lens.focus, core.view.distance
-    found["stayed"] = bool((core.view.eye == before).all())
+    found["focus"], found["distance"] = lens.focus, app.view.distance
+    found["stayed"] = bool((app.view.eye == before).all())
     hand.wait(lambda: lens.samples >= 2, "the lens to open")
     found["badge"] = lens.badge
     hand.shoot(options.get("shot_opening"))
     hand.settle()
     found["samples"] = lens.samples
     hand.shoot(options.get("shot_lens"))
-    found["error"] = float(np.abs(shown(hand, core)[..., :3] - through(hand, core)[..., :3]).max())
-    found["blurred"] = float(np.abs(shown(hand, core)[..., :3] - sharp[..., :3]).max())
+    found["error"] = float(np.abs(shown(hand, app)[..., :3] - through(hand, app)[..., :3]).max())
+    found["blurred"] = float(np.abs(shown(hand, app)[..., :3] - sharp[..., :3]).max())
 
-    drawn = core.stats.drawn if core.stats else 0
+    drawn = app.stats.drawn if app.stats else 0
     hand.frames(10)
-    found["idle"] = (core.stats.drawn if core.stats else 0) - drawn
+    found["idle"] = (app.stats.drawn if app.stats else 0) - drawn
 
-    core.steer(orbit(core.view, 0.2, 0.0))
+    app.steer(orbit(app.view, 0.2, 0.0))
     hand.frames(1)
     found["while_moving"] = lens.samples
     hand.settle()
     found["again"] = lens.samples
     path = Path(options["saved"])
-    core.post(saving.save_picture, core.camera, path)
+    app.post(saving.save_picture, app.camera, path)
     hand.wait(path.exists, "the saved picture")
     from PIL import Image
 
     saved = np.asarray(Image.open(path)) / 255
-    found["saved_error"] = float(np.abs(saved - np.clip(through(hand, core)[..., :3], 0, 1)).max())
+    found["saved_error"] = float(np.abs(saved - np.clip(through(hand, app)[..., :3], 0, 1)).max())
 
     hand.ctx.set_ref("//Camera")
     hand.ctx.item_click("**/##Depth of field")
     hand.frames(3)
     hand.settle()
-    found["closed"] = [lens.samples, lens._mean is None, core.picture.sharp if core.picture else None]
+    found["closed"] = [lens.samples, lens._mean is None, app.picture.sharp if app.picture else None]
     hand.press("Shift+B")
     found["by_key"] = [lens.on]
     hand.press("Shift+B")
     found["by_key"].append(lens.on)
 
 
-def through(hand: Hand, core: Core) -> np.ndarray:
+def through(hand: Hand, app: AppState) -> np.ndarray:
     """The picture through the lens, drawn by the renderer that the window has."""
-    picture, aperture = core.picture, core.depth_of_field.aperture(core)
+    picture, aperture = app.picture, app.depth_of_field.aperture(app)
     assert picture is not None and aperture is not None
     return hand.on_gl_thread(
         lambda: mean_picture(
-            lambda camera: picture.read(camera, core.settings, core.mode),
-            core.camera,
+            lambda camera: picture.read(camera, app.settings, app.mode),
+            app.camera,
             aperture,
             depth_of_field.SAMPLES,
         )
     )
 
 
-def shown(hand: Hand, core: Core) -> np.ndarray:
+def shown(hand: Hand, app: AppState) -> np.ndarray:
     """The mean that the window shows (H, W, 4)."""
-    mean = core.depth_of_field._mean
+    mean = app.depth_of_field._mean
     assert mean is not None and mean.texture is not None
     texture = mean.texture
     return hand.on_gl_thread(

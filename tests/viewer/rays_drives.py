@@ -11,45 +11,45 @@ import numpy as np
 from drives import Hand
 
 from splatview.viewer.open import open_paths
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 
-def other_rays(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def other_rays(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Parallel rays by a key, the wheel, an axis view and a selection; then a fisheye's view, and without."""
     hand.settle()
-    core.prefer(smooth=False)
+    app.prefer(smooth=False)
     hand.frames(2)
     hand.press("Shift+P")
     hand.settle()
-    found["orthographic"] = core.camera.orthographic
-    before = core.camera.fx
+    found["orthographic"] = app.camera.orthographic
+    before = app.camera.fx
     hand.point(0.5, 0.5)
     hand.ctx.mouse_wheel_y(2)
     hand.frames(3)
-    found["scaled"] = core.camera.fx / before
+    found["scaled"] = app.camera.fx / before
     hand.press("Z")
     hand.settle()
-    found["axis"] = [core.camera.orthographic, core.camera.forward.round(6).tolist()]
+    found["axis"] = [app.camera.orthographic, app.camera.forward.round(6).tolist()]
     hand.press("R")
     hand.drag(80, 60, over=(0.4, 0.4))
     hand.settle()
-    found["selected"] = core.desk.document.counts.selected if core.desk else 0
+    found["selected"] = app.session.document.counts.selected if app.session else 0
     hand.press("Escape")
     hand.shoot(options.get("shot_parallel"))
     hand.press("Shift+P")
     hand.settle()
-    found["perspective"] = not core.camera.orthographic
+    found["perspective"] = not app.camera.orthographic
 
-    core.post(open_paths, [Path(options["cameras"])])
+    app.post(open_paths, [Path(options["cameras"])])
     hand.frames(3)
     hand.press("PageDown")
     hand.settle()
-    found["through"] = core.camera.lens is not None
+    found["through"] = app.camera.lens is not None
     bent = hand.picture()
     hand.shoot(options.get("shot_fisheye"))
     hand.press("Shift+L")
     hand.settle()
-    found["without"] = core.camera.lens is None
+    found["without"] = app.camera.lens is None
     found["differs"] = float(np.abs(hand.picture() - bent).max())
 
 

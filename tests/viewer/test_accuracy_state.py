@@ -10,23 +10,23 @@ import pytest
 from splatview.measure.knobs import Plan
 from splatview.scene import look_at
 from splatview.viewer.quality.measurement import Cancelled, Painter
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)
 
 
 @pytest.fixture
-def opened(core, random_gaussians, wait_for_loading, tmp_path) -> Core:
+def opened(app, random_gaussians, wait_for_loading, tmp_path) -> AppState:
     from splatview.scene.formats import save_scene
     from splatview.viewer.open import open_paths
 
     save_scene(random_gaussians(50), tmp_path / "a.ply")
-    open_paths(core, [tmp_path / "a.ply"])
-    wait_for_loading(core)
-    return core
+    open_paths(app, [tmp_path / "a.ply"])
+    wait_for_loading(app)
+    return app
 
 
-def asked(core: Core, painter: Painter) -> list[str]:
+def asked(app: AppState, painter: Painter) -> list[str]:
     """How a picture ends that another thread asks for while frames go by."""
     ends: list[str] = []
 
@@ -42,7 +42,7 @@ def asked(core: Core, painter: Painter) -> list[str]:
     asking = threading.Thread(target=ask)
     asking.start()
     while asking.is_alive():
-        core.run_posted()
+        app.run_posted()
         asking.join(0.01)
     return ends
 

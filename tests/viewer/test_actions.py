@@ -27,48 +27,48 @@ from splatview.viewer.preferences import load_bookmarks
 
 
 @pytest.fixture
-def opened(core, tmp_path, random_gaussians, wait_for_loading):
+def opened(app, tmp_path, random_gaussians, wait_for_loading):
     path = tmp_path / "room.ply"
     save_scene(random_gaussians(400), path)
-    open_paths(core, [path])
-    wait_for_loading(core)
-    return core
+    open_paths(app, [path])
+    wait_for_loading(app)
+    return app
 
 
-def test_every_action_runs_with_and_without_a_scene(core, opened):
+def test_every_action_runs_with_and_without_a_scene(app, opened):
     opened.clipboard_read = lambda: "no camera"
-    for core in (opened, type(opened)(preferences=opened.preferences)):
+    for app in (opened, type(opened)(preferences=opened.preferences)):
         for action in ACTIONS.values():
-            action(core)
-            core.run_posted()
+            action(app)
+            app.run_posted()
     assert opened.quitting
 
 
-def test_posted_commands_run_in_order_and_may_post_more(core):
+def test_posted_commands_run_in_order_and_may_post_more(app):
     done: list[int] = []
 
-    def first(core):
+    def first(app):
         done.append(1)
-        core.post(lambda core: done.append(3))
+        app.post(lambda app: done.append(3))
 
-    core.post(first)
-    core.post(lambda core, value: done.append(value), 2)
+    app.post(first)
+    app.post(lambda app, value: done.append(value), 2)
     assert done == []
-    assert core.run_posted() == 3
+    assert app.run_posted() == 3
     assert done == [1, 2, 3]
 
 
-def test_a_command_that_fails_is_told_and_the_rest_runs(core, capsys):
+def test_a_command_that_fails_is_told_and_the_rest_runs(app, capsys):
     done = []
 
-    def fail(core):
+    def fail(app):
         raise ZeroDivisionError("a bug")
 
-    core.post(fail)
-    core.post(lambda core: done.append(1))
-    core.run_posted()
+    app.post(fail)
+    app.post(lambda app: done.append(1))
+    app.run_posted()
     assert done == [1]
-    assert "a bug" in core.problem
+    assert "a bug" in app.problem
     assert "Traceback" in capsys.readouterr().err
 
 

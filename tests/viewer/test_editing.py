@@ -21,7 +21,7 @@ from splatview.scene import InputError, look_at
 from splatview.scene.edits import PREVIEW, Adjustment, Crop
 from splatview.viewer.commands import ACTIONS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
 from splatview.viewer.editing.tools import place_of
 from splatview.viewer.menus import matching
@@ -31,15 +31,15 @@ CAMERA = look_at((0, 0, -4), (0, 0, 0), up=(0, -1, 0), width=200, height=100)
 
 
 @pytest.fixture
-def desk(random_gaussians) -> Desk:
-    return Desk(document=Document(random_gaussians(300)))
+def session(random_gaussians) -> EditSession:
+    return EditSession(document=Document(random_gaussians(300)))
 
 
-def finish(desk: Desk) -> None:
+def finish(session: EditSession) -> None:
     limit = time.monotonic() + 60
-    while desk.job is not None:
+    while session.job is not None:
         assert time.monotonic() < limit, "the job does not end"
-        desk.advance()
+        session.advance()
         time.sleep(0.001)
 
 
@@ -97,21 +97,21 @@ def test_keys_say_what_becomes_of_the_selection():
 # ---- the desk
 
 
-def test_edits_are_told_of_and_mistakes_too(desk):
-    assert desk.apply(OPERATIONS["select_all"]())
-    assert desk.news is not None and "300" in desk.news
-    assert desk.apply(OPERATIONS["delete"]())
-    assert desk.document.counts.deleted == 300
-    desk.undo()
-    assert desk.document.counts.selected == 300
-    desk.redo()
-    desk.redo()
-    assert desk.news == "Nothing to redo"
-    assert not desk.apply(RemoveCrop(index=3))
-    assert desk.problem is not None and "0 crops" in desk.problem
+def test_edits_are_told_of_and_mistakes_too(session):
+    assert session.apply(OPERATIONS["select_all"]())
+    assert session.news is not None and "300" in session.news
+    assert session.apply(OPERATIONS["delete"]())
+    assert session.document.counts.deleted == 300
+    session.undo()
+    assert session.document.counts.selected == 300
+    session.redo()
+    session.redo()
+    assert session.news == "Nothing to redo"
+    assert not session.apply(RemoveCrop(index=3))
+    assert session.problem is not None and "0 crops" in session.problem
 
 
-def test_slow_work_runs_aside_and_nothing_changes_beneath_it(desk):
+def test_slow_work_runs_aside_and_nothing_changes_beneath_it(session):
     go_on = threading.Event()
 
     def work(watch: Watch) -> int:
@@ -120,24 +120,24 @@ def test_slow_work_runs_aside_and_nothing_changes_beneath_it(desk):
         return 7
 
     results: list[int] = []
-    desk.start("Counting", work, results.append)
-    assert desk.job is not None
-    desk.undo()
-    assert desk.problem is not None and "Counting" in desk.problem
-    assert not desk.apply(OPERATIONS["select_all"]())
+    session.start("Counting", work, results.append)
+    assert session.job is not None
+    session.undo()
+    assert session.problem is not None and "Counting" in session.problem
+    assert not session.apply(OPERATIONS["select_all"]())
     go_on.set()
-    finish(desk)
+    finish(session)
     assert results == [7]
-    assert desk.document.counts.selected == 0
+    assert session.document.counts.selected == 0
 
 
-def test_slow_operations_are_applied_when_they_are_planned(desk):
-    desk.apply_slowly(Select(by=Everything()), "Selecting")
-    finish(desk)
-    assert desk.document.counts.selected == 300
+def test_slow_operations_are_applied_when_they_are_planned(session):
+    session.apply_slowly(Select(by=Everything()), "Selecting")
+    finish(session)
+    assert session.document.counts.selected == 300
 
 
-def test_a_cancelled_job_changes_nothing(desk):
+def test_a_cancelled_job_changes_nothing(session):
     started = threading.Event()
 
     def work(watch: Watch) -> None:
@@ -146,54 +146,54 @@ def test_a_cancelled_job_changes_nothing(desk):
             watch.step(0.1)
             time.sleep(0.001)
 
-    desk.start("Waiting", work, lambda _: pytest.fail("it was cancelled"))
+    session.start("Waiting", work, lambda _: pytest.fail("it was cancelled"))
     started.wait(60)
-    assert desk.job is not None
-    desk.job.cancel()
-    finish(desk)
-    assert desk.news is not None and "cancelled" in desk.news
+    assert session.job is not None
+    session.job.cancel()
+    finish(session)
+    assert session.news is not None and "cancelled" in session.news
 
 
 @pytest.mark.parametrize(
     ("error", "words"), [(InputError("no such file"), "no such file"), (KeyError("x"), "inside the program")]
 )
-def test_a_failing_job_is_told_of(desk, error, words):
+def test_a_failing_job_is_told_of(session, error, words):
     def work(watch: Watch) -> None:
         raise error
 
-    desk.start("Trying", work, lambda _: pytest.fail("it failed"))
-    finish(desk)
-    assert desk.problem is not None and words in desk.problem
+    session.start("Trying", work, lambda _: pytest.fail("it failed"))
+    finish(session)
+    assert session.problem is not None and words in session.problem
 
 
-def test_a_preview_is_no_step_until_it_is_kept(desk):
-    desk.preview("look", Opacity(value=0.5, scope="scene"))
-    assert desk.edits.adjusts and desk.forms.previewing == "look"
-    assert desk.document.history.position == 0
-    desk.cancel_preview()
-    assert desk.document.history.position == 0 and desk.forms.previewing == ""
-    desk.preview("look", Opacity(value=0.5, scope="scene"))
-    desk.commit_preview()
-    assert [step.title for step in desk.document.history.done] == ["Opacity x 0.5: 300 splats"]
+def test_a_preview_is_no_step_until_it_is_kept(session):
+    session.preview("look", Opacity(value=0.5, scope="scene"))
+    assert session.edits.adjusts and session.forms.previewing == "look"
+    assert session.document.history.position == 0
+    session.cancel_preview()
+    assert session.document.history.position == 0 and session.forms.previewing == ""
+    session.preview("look", Opacity(value=0.5, scope="scene"))
+    session.commit_preview()
+    assert [step.title for step in session.document.history.done] == ["Opacity x 0.5: 300 splats"]
 
 
-def test_a_highlight_is_shown_until_the_next_edit_and_is_no_edit(desk):
+def test_a_highlight_is_shown_until_the_next_edit_and_is_no_edit(session):
     mask = np.arange(300) < 7
-    before = desk.document.marks.copy()
-    desk.highlight = mask
-    lit = desk.edits
+    before = session.document.marks.copy()
+    session.preview_mask = mask
+    lit = session.edits
     assert np.count_nonzero(lit.marks & PREVIEW) == 7
-    assert lit is desk.edits, "made once"
-    np.testing.assert_array_equal(desk.document.marks, before)
-    desk.apply(OPERATIONS["select_all"]())
-    assert not (desk.edits.marks & PREVIEW).any()
-    assert desk.highlight is None
+    assert lit is session.edits, "made once"
+    np.testing.assert_array_equal(session.document.marks, before)
+    session.apply(OPERATIONS["select_all"]())
+    assert not (session.edits.marks & PREVIEW).any()
+    assert session.preview_mask is None
 
 
-def test_a_picked_splat_is_where_its_adjustment_put_it(desk):
-    desk.apply(Transform(scope="scene", translation=(1, 2, 3)))
-    expected = desk.gaussians.means[4] + (1, 2, 3)
-    np.testing.assert_allclose(place_of(desk.gaussians, desk.edits, 4), expected, rtol=1e-6)
+def test_a_picked_splat_is_where_its_adjustment_put_it(session):
+    session.apply(Transform(scope="scene", translation=(1, 2, 3)))
+    expected = session.gaussians.means[4] + (1, 2, 3)
+    np.testing.assert_allclose(place_of(session.gaussians, session.edits, 4), expected, rtol=1e-6)
 
 
 # ---- words and turns

@@ -27,18 +27,18 @@ from splatview.edit.selectors import IndexRuns
 from splatview.raster import render
 from splatview.scene.captures.demo import demo_capture
 from splatview.scene.edits import DELETED, HIDDEN, Crop
-from splatview.trainer.background import TrainingThread
-from splatview.trainer.run import Outputs, Session
+from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shots, shots_of
 from splatview.viewer.commands import ACTIONS
 from splatview.viewer.editing import commands
-from splatview.viewer.editing.session import Desk, continue_editing, put_away
-from splatview.viewer.state import Core
+from splatview.viewer.editing.session import EditSession, continue_editing, put_away
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live_edits as held
-from splatview.viewer.training.live import Training, watched_photos
+from splatview.viewer.training.live import LiveTraining, watched_photos
 
 SMALL = Crop(name="small", half_extents=(0.3, 0.3, 0.3), keep="outside")
 
@@ -49,8 +49,8 @@ def capture():
 
 
 @pytest.fixture
-def training(core, capture, tmp_path) -> Iterator[Training]:
-    """A training that `core` watches, its first snapshot shown."""
+def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
+    """A training that `app` watches, its first snapshot shown."""
     shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     trainer = Trainer(
@@ -62,129 +62,129 @@ def training(core, capture, tmp_path) -> Iterator[Training]:
         metrics=None,
         pictures=tmp_path / "pictures",
     )
-    session = Session(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
-    thread = TrainingThread(session, cores=4)
-    core.training = Training(
+    session = TrainingRun(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
+    thread = BackgroundTraining(session, cores=4)
+    app.training = LiveTraining(
         thread=thread,
         name="pond",
         photos=watched_photos(shots.all, held_out),
         settings=trainer.render_settings,
     )
-    core.training.start(core)
-    until(core, lambda: core.training.shown is not None, "a snapshot")
-    yield core.training
-    core.training.stop()
+    app.training.start(app)
+    until(app, lambda: app.training.shown is not None, "a snapshot")
+    yield app.training
+    app.training.stop()
     thread.close()
 
 
-def frame(core: Core) -> None:
+def frame(app: AppState) -> None:
     """The parts of the frame loop that editing a training needs."""
-    core.run_posted()
-    assert core.training is not None
-    core.training.advance(core)
-    continue_editing(core)
+    app.run_posted()
+    assert app.training is not None
+    app.training.advance(app)
+    continue_editing(app)
 
 
-def until(core: Core, condition: Callable[[], Any], what: str) -> None:
+def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
     limit = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
-        frame(core)
+        frame(app)
         time.sleep(0.001)
 
 
-def desk_of(core: Core) -> Desk:
-    desk = held.hold(core)
-    assert desk is not None and desk.trainee is not None
-    return desk
+def desk_of(app: AppState) -> EditSession:
+    session = held.hold(app)
+    assert session is not None and session.target is not None
+    return session
 
 
-def choose(desk: Desk, *splats: int) -> None:
-    mask = np.zeros(len(desk.gaussians), bool)
+def choose(session: EditSession, *splats: int) -> None:
+    mask = np.zeros(len(session.gaussians), bool)
     mask[list(splats)] = True
-    desk.apply(Select(by=IndexRuns.of(mask)))
+    session.apply(Select(by=IndexRuns.of(mask)))
 
 
-def alive(training: Training) -> np.ndarray:
+def alive(training: LiveTraining) -> np.ndarray:
     """Numbers of the splats in the trainer."""
     return training.thread.post(lambda session: session.trainer.splats.ids.copy()).result(60)
 
 
-def later_steps(core: Core, training: Training, count: int = 15) -> None:
+def later_steps(app: AppState, training: LiveTraining, count: int = 15) -> None:
     goal = training.status.iteration + count
-    until(core, lambda: training.status.iteration >= goal, "steps")
+    until(app, lambda: training.status.iteration >= goal, "steps")
 
 
-def test_the_view_waits_while_splats_are_selected_and_goes_on_after(core, training):
-    choose(desk_of(core), 3, 4, 5)
+def test_the_view_waits_while_splats_are_selected_and_goes_on_after(app, training):
+    choose(desk_of(app), 3, 4, 5)
     at = training.shown
-    later_steps(core, training)
-    assert training.shown is at and core.desk is not None
-    commands.EDIT_ACTIONS["select_none"](core)
-    until(core, lambda: training.shown is not at, "later snapshots")
-    assert core.desk is None
+    later_steps(app, training)
+    assert training.shown is at and app.session is not None
+    commands.EDIT_ACTIONS["select_none"](app)
+    until(app, lambda: training.shown is not at, "later snapshots")
+    assert app.session is None
 
 
-def test_a_tool_in_hand_holds_the_view_and_escape_lets_go(core, training):
-    ACTIONS["tool_rectangle"](core)
+def test_a_tool_in_hand_holds_the_view_and_escape_lets_go(app, training):
+    ACTIONS["tool_rectangle"](app)
     at = training.shown
-    later_steps(core, training)
+    later_steps(app, training)
     assert training.shown is at
-    ACTIONS["select_all"](core)
-    ACTIONS["cancel"](core)  # the tool
-    later_steps(core, training)
+    ACTIONS["select_all"](app)
+    ACTIONS["cancel"](app)  # the tool
+    later_steps(app, training)
     assert training.shown is at, "splats are selected"
-    ACTIONS["cancel"](core)
-    assert core.desk is None
-    until(core, lambda: training.shown is not at, "later snapshots")
+    ACTIONS["cancel"](app)
+    assert app.session is None
+    until(app, lambda: training.shown is not at, "later snapshots")
 
 
-def test_a_held_view_waits_with_nothing_in_hand(core, training):
-    held.keep_waiting(core)
+def test_a_held_view_waits_with_nothing_in_hand(app, training):
+    held.keep_waiting(app)
     at = training.shown
-    later_steps(core, training)
+    later_steps(app, training)
     assert training.shown is at
-    held.let_go(core)
-    until(core, lambda: training.shown is not at, "later snapshots")
+    held.let_go(app)
+    until(app, lambda: training.shown is not at, "later snapshots")
 
 
-def test_deleted_splats_are_deleted_in_the_trainer_by_their_numbers(core, training):
-    later_steps(core, training, 120)
-    desk = desk_of(core)
+def test_deleted_splats_are_deleted_in_the_trainer_by_their_numbers(app, training):
+    later_steps(app, training, 120)
+    session = desk_of(app)
     at = training.shown
-    choose(desk, *range(10, 40))
-    later_steps(core, training, 120)  # some are born, and some die, in the meantime
+    choose(session, *range(10, 40))
+    later_steps(app, training, 120)  # some are born, and some die, in the meantime
     doomed = at.ids[10:40]
     before = alive(training)
     training.thread.pause()
-    ACTIONS["delete"](core)
-    until(core, lambda: training.shown is not at, "the snapshot without them")
+    ACTIONS["delete"](app)
+    until(app, lambda: training.shown is not at, "the snapshot without them")
     now = alive(training)
     np.testing.assert_array_equal(now, before[~np.isin(before, doomed)])
     assert np.isin(before, doomed).any(), "some were still there"
     np.testing.assert_array_equal(training.shown.ids, now)
     assert training.status.gaussians == len(now)
-    until(core, lambda: core.desk is None, "letting go: nothing is in hand")
-    assert any("deleted from the training" in message.text for message in core.messages)
+    until(app, lambda: app.session is None, "letting go: nothing is in hand")
+    assert any("deleted from the training" in message.text for message in app.messages)
 
 
-def test_tool_and_selection_outlast_a_deletion(core, training):
+def test_tool_and_selection_outlast_a_deletion(app, training):
     training.thread.pause()
-    desk = desk_of(core)
+    session = desk_of(app)
     at = training.shown
-    ACTIONS["tool_brush"](core)
-    desk.brush_radius = 50.0
-    choose(desk, 7, 8)
-    desk.apply(Hide())
-    choose(desk, 1, 2, 3)
-    desk.apply(AddCrop(crop=replace(SMALL, half_extents=(1e3, 1e3, 1e3), keep="inside")))
-    desk.apply(Delete())
-    choose(desk, 5, 6)  # before the trainer has answered
-    until(core, lambda: training.shown is not at, "the snapshot without them")
-    new = core.desk
-    assert new is not None and new is not desk
+    ACTIONS["tool_brush"](app)
+    session.brush_radius = 50.0
+    choose(session, 7, 8)
+    session.apply(Hide())
+    choose(session, 1, 2, 3)
+    session.apply(AddCrop(crop=replace(SMALL, half_extents=(1e3, 1e3, 1e3), keep="inside")))
+    session.apply(Delete())
+    choose(session, 5, 6)  # before the trainer has answered
+    until(app, lambda: training.shown is not at, "the snapshot without them")
+    new = app.session
+    assert new is not None and new is not session
     assert (new.tool, new.brush_radius) == ("brush", 50.0)
-    assert new.trainee.snapshot is training.shown
+    assert new.target.snapshot is training.shown
     np.testing.assert_array_equal(training.shown.ids, np.delete(at.ids, [1, 2, 3]))
     ids = training.shown.ids
     np.testing.assert_array_equal(ids[new.document.selected.indices], at.ids[[5, 6]])
@@ -192,74 +192,74 @@ def test_tool_and_selection_outlast_a_deletion(core, training):
     assert len(new.document.crops) == 1
 
 
-def test_what_is_deleted_cannot_be_undone_but_choosing_can(core, training):
+def test_what_is_deleted_cannot_be_undone_but_choosing_can(app, training):
     training.thread.pause()
-    desk = desk_of(core)
-    choose(desk, 1, 2, 3)
-    desk.undo()
-    assert desk.document.counts.selected == 0
-    desk.redo()
-    desk.apply(Delete())
-    desk.undo()
-    assert desk.document.counts.deleted == 3
-    assert desk.news == held.NO_WAY_BACK
+    session = desk_of(app)
+    choose(session, 1, 2, 3)
+    session.undo()
+    assert session.document.counts.selected == 0
+    session.redo()
+    session.apply(Delete())
+    session.undo()
+    assert session.document.counts.deleted == 3
+    assert session.news == held.NO_WAY_BACK
 
 
-def test_the_last_splats_stay(core, training):
-    desk = desk_of(core)
+def test_the_last_splats_stay(app, training):
+    session = desk_of(app)
     before = len(alive(training))
     training.thread.pause()
-    desk.apply(SelectAll())
-    desk.apply(Delete())
-    trainee = desk.trainee
-    assert trainee is not None
-    until(core, lambda: not trainee.waiting and not desk.document.counts.deleted, "the answer")
+    session.apply(SelectAll())
+    session.apply(Delete())
+    target = session.target
+    assert target is not None
+    until(app, lambda: not target.waiting and not session.document.counts.deleted, "the answer")
     assert len(alive(training)) >= before
-    assert any("no splat would be left" in message.text for message in core.messages)
-    desk.undo()
-    assert desk.document.counts.selected == 0, "steps can be undone again"
+    assert any("no splat would be left" in message.text for message in app.messages)
+    session.undo()
+    assert session.document.counts.selected == 0, "steps can be undone again"
 
 
-def test_clean_up_deletes_in_the_trainer(core, training):
-    until(core, lambda: training.shown.iteration > 10, "opacities that differ")
+def test_clean_up_deletes_in_the_trainer(app, training):
+    until(app, lambda: training.shown.iteration > 10, "opacities that differ")
     training.thread.pause()
-    desk = desk_of(core)
+    session = desk_of(app)
     at = training.shown
     faint = DETECTORS["faint"]()
-    threshold = float(np.median(desk.document.scores(faint)))
-    assert desk.apply(Prune(by=faint, threshold=threshold))
-    gone = desk.document.counts.deleted
+    threshold = float(np.median(session.document.scores(faint)))
+    assert session.apply(Prune(by=faint, threshold=threshold))
+    gone = session.document.counts.deleted
     assert 0 < gone < len(at.ids)
-    doomed = at.ids[(desk.document.marks & DELETED) > 0]
-    until(core, lambda: training.shown is not at, "the snapshot without them")
+    doomed = at.ids[(session.document.marks & DELETED) > 0]
+    until(app, lambda: training.shown is not at, "the snapshot without them")
     assert not np.isin(doomed, alive(training)).any()
 
 
-def test_crops_become_rules_that_keep_it_cut(core, training):
-    desk = desk_of(core)
+def test_crops_become_rules_that_keep_it_cut(app, training):
+    session = desk_of(app)
     at = training.shown
     inside = SMALL.contains(at.gaussians.means).sum()
     assert inside > 0
-    desk.apply(AddCrop(crop=SMALL))
-    held.cut_away(core)
-    until(core, lambda: training.shown is not at, "the snapshot without it")
+    session.apply(AddCrop(crop=SMALL))
+    held.cut_away(app)
+    until(app, lambda: training.shown is not at, "the snapshot without it")
     assert not SMALL.contains(training.shown.gaussians.means).any()
     assert training.status.settings.cut == ((SMALL,),)
-    until(core, lambda: core.desk is None, "letting go: the crop is a rule, and nothing is in hand")
-    later_steps(core, training, 120)
-    held.remove_rule(core, "cut", 0)
-    until(core, lambda: training.status.settings.cut == (), "the rule to go")
+    until(app, lambda: app.session is None, "letting go: the crop is a rule, and nothing is in hand")
+    later_steps(app, training, 120)
+    held.remove_rule(app, "cut", 0)
+    until(app, lambda: training.status.settings.cut == (), "the rule to go")
 
 
-def test_a_crop_can_stop_growth_and_be_a_crop_no_more(core, training):
-    desk = desk_of(core)
-    desk.apply(AddCrop(crop=replace(SMALL, enabled=False)))
-    held.stop_growth(core, 0)
-    until(core, lambda: training.status.settings.no_growth, "the rule")
+def test_a_crop_can_stop_growth_and_be_a_crop_no_more(app, training):
+    session = desk_of(app)
+    session.apply(AddCrop(crop=replace(SMALL, enabled=False)))
+    held.stop_growth(app, 0)
+    until(app, lambda: training.status.settings.no_growth, "the rule")
     assert training.status.settings.no_growth == (SMALL,)
-    assert desk.document.crops == ()
-    held.remove_rule(core, "no_growth", 0)
-    until(core, lambda: not training.status.settings.no_growth, "the rule to go")
+    assert session.document.crops == ()
+    held.remove_rule(app, "no_growth", 0)
+    until(app, lambda: not training.status.settings.no_growth, "the rule to go")
 
 
 @pytest.mark.parametrize(
@@ -270,24 +270,24 @@ def test_a_crop_can_stop_growth_and_be_a_crop_no_more(core, training):
         Decimate(keep=5),
     ],
 )
-def test_what_no_trainer_understands_is_refused(core, training, operation):
-    desk = desk_of(core)
-    assert not desk.apply(operation)
-    assert desk.news == (held.REFUSALS["decimate"] if operation.op == "decimate" else held.AT_REST)
-    assert not desk.document.history.steps
-    desk.preview("look", operation)
-    assert desk.document.previewed is None
+def test_what_no_trainer_understands_is_refused(app, training, operation):
+    session = desk_of(app)
+    assert not session.apply(operation)
+    assert session.news == (held.REFUSALS["decimate"] if operation.op == "decimate" else held.AT_REST)
+    assert not session.document.history.steps
+    session.preview("look", operation)
+    assert session.document.previewed is None
 
 
 @pytest.mark.parametrize("action", ["merge", "split", "save_recipe", "replay_recipe"])
-def test_files_of_edits_are_of_scenes_at_rest(core, training, action):
-    core.choose_files = lambda *args, **kwargs: pytest.fail("asks for a file")
-    ACTIONS[action](core)
-    assert core.messages[-1].text == held.AT_REST
+def test_files_of_edits_are_of_scenes_at_rest(app, training, action):
+    app.choose_files = lambda *args, **kwargs: pytest.fail("asks for a file")
+    ACTIONS[action](app)
+    assert app.messages[-1].text == held.AT_REST
 
 
-def test_a_window_that_closes_says_nothing_of_a_journal(core, training):
-    choose(desk_of(core), 1, 2)
-    said = len(core.messages)
-    assert put_away(core) is None
-    assert core.desk is None and len(core.messages) == said
+def test_a_window_that_closes_says_nothing_of_a_journal(app, training):
+    choose(desk_of(app), 1, 2)
+    said = len(app.messages)
+    assert put_away(app) is None
+    assert app.session is None and len(app.messages) == said

@@ -29,106 +29,106 @@ def ply(tmp_path, random_gaussians):
     return make
 
 
-def said(core) -> str:
-    return "\n".join(message.text for message in core.messages)
+def said(app) -> str:
+    return "\n".join(message.text for message in app.messages)
 
 
-def test_a_scene_is_loaded_framed_and_remembered(core, ply, wait_for_loading):
-    open_paths(core, [ply("room")])
-    assert core.scene is None, "opening does not wait"
-    wait_for_loading(core)
-    assert core.scene is not None
-    assert core.scene.name == "room.ply"
-    assert len(core.picture.loaded[-1]) == 40
-    assert core.preferences.recent[0].endswith("room.ply")
-    camera = core.camera
-    t = camera.R_camera_world @ core.scene.centre + camera.t_camera_world
+def test_a_scene_is_loaded_framed_and_remembered(app, ply, wait_for_loading):
+    open_paths(app, [ply("room")])
+    assert app.scene is None, "opening does not wait"
+    wait_for_loading(app)
+    assert app.scene is not None
+    assert app.scene.name == "room.ply"
+    assert len(app.picture.loaded[-1]) == 40
+    assert app.preferences.recent[0].endswith("room.ply")
+    camera = app.camera
+    t = camera.R_camera_world @ app.scene.centre + camera.t_camera_world
     assert t[2] > 0, "the scene is in front of the eye"
     assert abs(t[0] / t[2]) < 0.2 and abs(t[1] / t[2]) < 0.2, "and in the middle"
-    assert "40 splats" in said(core)
+    assert "40 splats" in said(app)
 
 
-def test_several_files_are_merged_in_order(core, ply, wait_for_loading, random_gaussians):
-    open_paths(core, [ply("a", 10, sh_degree=0), ply("b", 20, sh_degree=2, seed=1)])
-    wait_for_loading(core)
-    assert len(core.scene.gaussians) == 30
+def test_several_files_are_merged_in_order(app, ply, wait_for_loading, random_gaussians):
+    open_paths(app, [ply("a", 10, sh_degree=0), ply("b", 20, sh_degree=2, seed=1)])
+    wait_for_loading(app)
+    assert len(app.scene.gaussians) == 30
     np.testing.assert_array_equal(
-        core.scene.gaussians.means[10:], random_gaussians(20, sh_degree=2, seed=1).means
+        app.scene.gaussians.means[10:], random_gaussians(20, sh_degree=2, seed=1).means
     )
-    assert core.scene.name == "a.ply and 1 more"
-    assert [name.rsplit("/")[-1] for name in core.preferences.recent] == ["a.ply", "b.ply"]
+    assert app.scene.name == "a.ply and 1 more"
+    assert [name.rsplit("/")[-1] for name in app.preferences.recent] == ["a.ply", "b.ply"]
 
 
-def test_adding_keeps_what_is_there_and_the_view(core, ply, wait_for_loading):
-    open_paths(core, [ply("a", 10)])
-    wait_for_loading(core)
-    view = core.view
-    begin(core, [ply("b", 5)], add=True)
-    wait_for_loading(core)
-    assert len(core.scene.gaussians) == 15
-    assert core.view is view
+def test_adding_keeps_what_is_there_and_the_view(app, ply, wait_for_loading):
+    open_paths(app, [ply("a", 10)])
+    wait_for_loading(app)
+    view = app.view
+    begin(app, [ply("b", 5)], add=True)
+    wait_for_loading(app)
+    assert len(app.scene.gaussians) == 15
+    assert app.view is view
 
 
-def test_reading_again_takes_what_is_new_and_keeps_the_view(core, ply, wait_for_loading):
+def test_reading_again_takes_what_is_new_and_keeps_the_view(app, ply, wait_for_loading):
     path = ply("a", 10)
-    open_paths(core, [path])
-    wait_for_loading(core)
-    core.steer(orbit(core.view, 0.5, 0.1))
-    view = core.view
+    open_paths(app, [path])
+    wait_for_loading(app)
+    app.steer(orbit(app.view, 0.5, 0.1))
+    view = app.view
     assert ply("a", 25) == path
-    opening.reload(core)
-    wait_for_loading(core)
-    assert len(core.scene.gaussians) == 25
-    assert core.view is view
+    opening.reload(app)
+    wait_for_loading(app)
+    assert len(app.scene.gaussians) == 25
+    assert app.view is view
 
 
-def test_recent_files_that_are_gone_are_forgotten(core, ply, wait_for_loading):
+def test_recent_files_that_are_gone_are_forgotten(app, ply, wait_for_loading):
     path, other = ply("a"), ply("b")
     for opened in (other, path):
-        open_paths(core, [opened])
-        wait_for_loading(core)
+        open_paths(app, [opened])
+        wait_for_loading(app)
     path.unlink()
-    open_paths(core, [path])
-    wait_for_loading(core)
-    assert core.preferences.recent == (str(other),)
+    open_paths(app, [path])
+    wait_for_loading(app)
+    assert app.preferences.recent == (str(other),)
 
 
-def test_a_broken_file_is_told_once_and_the_old_scene_stays(core, ply, wait_for_loading, tmp_path):
-    open_paths(core, [ply("good")])
-    wait_for_loading(core)
-    kept, uploads = core.scene, len(core.picture.loaded)
+def test_a_broken_file_is_told_once_and_the_old_scene_stays(app, ply, wait_for_loading, tmp_path):
+    open_paths(app, [ply("good")])
+    wait_for_loading(app)
+    kept, uploads = app.scene, len(app.picture.loaded)
     bad = tmp_path / "bad.ply"
     bad.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
-    open_paths(core, [bad])
-    wait_for_loading(core)
-    assert core.scene is kept
-    assert "bad.ply" in core.problem
-    assert "\n" not in core.problem
-    assert len(core.picture.loaded) == uploads
+    open_paths(app, [bad])
+    wait_for_loading(app)
+    assert app.scene is kept
+    assert "bad.ply" in app.problem
+    assert "\n" not in app.problem
+    assert len(app.picture.loaded) == uploads
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("surprise"), RecursionError("deep")])
-def test_whatever_a_reader_raises_becomes_one_line(core, ply, wait_for_loading, monkeypatch, error):
+def test_whatever_a_reader_raises_becomes_one_line(app, ply, wait_for_loading, monkeypatch, error):
     def fail(path, **_):
         raise error
 
     monkeypatch.setattr(loading, "load_scene", fail)
-    open_paths(core, [ply("odd")])
-    wait_for_loading(core)
-    assert "odd.ply" in core.problem
-    assert core.scene is None
+    open_paths(app, [ply("odd")])
+    wait_for_loading(app)
+    assert "odd.ply" in app.problem
+    assert app.scene is None
 
 
-def test_a_scene_too_big_for_the_gpu_leaves_the_old_one_shown(core, ply, wait_for_loading):
-    open_paths(core, [ply("small", 10)])
-    wait_for_loading(core)
-    kept = core.scene
-    core.picture.too_big = 30
-    open_paths(core, [ply("big", 30)])
-    wait_for_loading(core)
-    assert core.scene is kept
-    assert core.picture.loaded[-1] is kept.gaussians
-    assert "big.ply" in core.problem
+def test_a_scene_too_big_for_the_gpu_leaves_the_old_one_shown(app, ply, wait_for_loading):
+    open_paths(app, [ply("small", 10)])
+    wait_for_loading(app)
+    kept = app.scene
+    app.picture.too_big = 30
+    open_paths(app, [ply("big", 30)])
+    wait_for_loading(app)
+    assert app.scene is kept
+    assert app.picture.loaded[-1] is kept.gaussians
+    assert "big.ply" in app.problem
 
 
 @pytest.fixture
@@ -147,23 +147,23 @@ def slow_reader(monkeypatch):
     return started
 
 
-def test_cancelling_ends_the_thread_and_says_nothing_is_wrong(core, ply, slow_reader):
-    open_paths(core, [ply("a")])
-    running = core.loading
+def test_cancelling_ends_the_thread_and_says_nothing_is_wrong(app, ply, slow_reader):
+    open_paths(app, [ply("a")])
+    running = app.loading
     assert slow_reader.wait(10)
     assert running.progress == pytest.approx(0.25)
-    cancel_loading(core)
+    cancel_loading(app)
     running.join(10)
     assert running.done
-    assert core.loading is None
-    assert core.problem is None
-    assert "Cancelled loading a.ply" in said(core)
+    assert app.loading is None
+    assert app.problem is None
+    assert "Cancelled loading a.ply" in said(app)
 
 
-def test_cancelling_an_upload_keeps_the_old_scene(core, ply, wait_for_loading, monkeypatch):
-    open_paths(core, [ply("a", 10)])
-    wait_for_loading(core)
-    kept, closed = core.scene, []
+def test_cancelling_an_upload_keeps_the_old_scene(app, ply, wait_for_loading, monkeypatch):
+    open_paths(app, [ply("a", 10)])
+    wait_for_loading(app)
+    kept, closed = app.scene, []
 
     def endless(gaussians):
         try:
@@ -172,32 +172,32 @@ def test_cancelling_an_upload_keeps_the_old_scene(core, ply, wait_for_loading, m
         finally:
             closed.append(len(gaussians))
 
-    monkeypatch.setattr(core.picture, "load_steps", endless)
-    open_paths(core, [ply("b", 20)])
-    core.loading.join(10)
-    opening.continue_loading(core)
-    assert core.loading.stage == "Uploading", "the window gets its turn although the upload goes on"
-    cancel_loading(core)
+    monkeypatch.setattr(app.picture, "load_steps", endless)
+    open_paths(app, [ply("b", 20)])
+    app.loading.join(10)
+    opening.continue_loading(app)
+    assert app.loading.stage == "Uploading", "the window gets its turn although the upload goes on"
+    cancel_loading(app)
     assert closed == [20]
-    assert core.scene is kept
-    opening.continue_loading(core)
-    assert core.scene is kept
+    assert app.scene is kept
+    opening.continue_loading(app)
+    assert app.scene is kept
 
 
-def test_a_second_file_cancels_the_first(core, ply, slow_reader, monkeypatch, wait_for_loading):
-    open_paths(core, [ply("a")])
-    first = core.loading
+def test_a_second_file_cancels_the_first(app, ply, slow_reader, monkeypatch, wait_for_loading):
+    open_paths(app, [ply("a")])
+    first = app.loading
     assert slow_reader.wait(10)
     monkeypatch.undo()
-    open_paths(core, [ply("b", 7)])
+    open_paths(app, [ply("b", 7)])
     assert first.cancelled
-    wait_for_loading(core)
-    assert core.scene.name == "b.ply"
+    wait_for_loading(app)
+    assert app.scene.name == "b.ply"
     first.join(10)
     assert first.done
 
 
-def test_progress_of_several_files_goes_by_their_sizes(core, ply, monkeypatch, wait_for_loading):
+def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wait_for_loading):
     seen: list[float] = []
     real = loading.load_scene
 
@@ -206,34 +206,34 @@ def test_progress_of_several_files_goes_by_their_sizes(core, ply, monkeypatch, w
     def read(path, *, progress, cancelled):
         assert begun.wait(10)
         progress(1.0)
-        assert core.loading is not None
-        seen.append(core.loading.progress)
+        assert app.loading is not None
+        seen.append(app.loading.progress)
         return real(path)
 
     monkeypatch.setattr(loading, "load_scene", read)
     small, large = ply("small", 100), ply("large", 300)
-    begin(core, [small, large])
+    begin(app, [small, large])
     begun.set()
-    wait_for_loading(core)
-    assert core.scene is not None
+    wait_for_loading(app)
+    assert app.scene is not None
     share = small.stat().st_size / (small.stat().st_size + large.stat().st_size)
     assert seen == pytest.approx([share, 1.0])
 
 
-def test_a_dropped_camera_is_gone_to(core, ply, wait_for_loading, tmp_path):
-    open_paths(core, [ply("a")])
-    wait_for_loading(core)
+def test_a_dropped_camera_is_gone_to(app, ply, wait_for_loading, tmp_path):
+    open_paths(app, [ply("a")])
+    wait_for_loading(app)
     camera = look_at((3, 2, 1), (0, 0, 0), width=320, height=200, fov_y=35)
     save_camera(camera, tmp_path / "cam.json")
-    open_paths(core, [tmp_path / "cam.json"])
-    assert core.camera.same_view(camera) or np.allclose(
-        core.camera.world_to_camera, camera.world_to_camera, atol=1e-12
+    open_paths(app, [tmp_path / "cam.json"])
+    assert app.camera.same_view(camera) or np.allclose(
+        app.camera.world_to_camera, camera.world_to_camera, atol=1e-12
     )
-    assert core.camera.fy == pytest.approx(camera.fy)
-    assert core.scene.name == "a.ply", "the scene stays"
+    assert app.camera.fy == pytest.approx(camera.fy)
+    assert app.scene.name == "a.ply", "the scene stays"
 
 
-def test_a_camera_lists_common_up_becomes_the_up_axis(core, tmp_path, wait_for_loading):
+def test_a_camera_lists_common_up_becomes_the_up_axis(app, tmp_path, wait_for_loading):
     up = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
     around = [look_at((3 * np.cos(a), 3 * np.sin(a), 1), (0, 0, 0.3), up=up) for a in np.arange(0, 6.28, 0.5)]
     found = common_up(around)
@@ -244,16 +244,16 @@ def test_a_camera_lists_common_up_becomes_the_up_axis(core, tmp_path, wait_for_l
     assert common_up(rolled) is None, "they do not agree"
 
 
-def test_a_folder_without_cameras_is_refused_in_one_line(core, tmp_path):
-    open_paths(core, [tmp_path])
-    assert str(tmp_path) in core.problem
-    assert "\n" not in core.problem
+def test_a_folder_without_cameras_is_refused_in_one_line(app, tmp_path):
+    open_paths(app, [tmp_path])
+    assert str(tmp_path) in app.problem
+    assert "\n" not in app.problem
 
 
-def test_a_missing_file_is_refused_in_one_line(core, tmp_path, wait_for_loading):
-    open_paths(core, [tmp_path / "nowhere.ply"])
-    wait_for_loading(core)
-    assert "nowhere.ply" in core.problem
+def test_a_missing_file_is_refused_in_one_line(app, tmp_path, wait_for_loading):
+    open_paths(app, [tmp_path / "nowhere.ply"])
+    wait_for_loading(app)
+    assert "nowhere.ply" in app.problem
 
 
 @pytest.mark.parametrize(
@@ -264,29 +264,27 @@ def test_the_up_axis_is_the_nearest_one(direction, expected):
     np.testing.assert_array_equal(nearest_axis(np.array(direction)), expected)
 
 
-def test_the_demo_opens_without_a_file(core, wait_for_loading, monkeypatch):
+def test_the_demo_opens_without_a_file(app, wait_for_loading, monkeypatch):
     monkeypatch.setattr(loading, "cached_demo", lambda **_: demo_scene(splats=3000))
-    opening.begin_demo(core)
-    wait_for_loading(core)
-    assert core.scene is not None
-    assert len(core.scene.gaussians) > 1000
-    assert core.scene_path is None
-    assert core.preferences.recent == ()
+    opening.begin_demo(app)
+    wait_for_loading(app)
+    assert app.scene is not None
+    assert len(app.scene.gaussians) > 1000
+    assert app.scene_path is None
+    assert app.preferences.recent == ()
 
 
-def test_a_shown_scene_is_examined_and_ill_splats_are_told(
-    core, tmp_path, random_gaussians, wait_for_loading
-):
+def test_a_shown_scene_is_examined_and_ill_splats_are_told(app, tmp_path, random_gaussians, wait_for_loading):
     scene = random_gaussians(30)
     scene.means[:4] = np.nan
     save_scene(scene, tmp_path / "ill.ply")
-    open_paths(core, [tmp_path / "ill.ply"])
-    wait_for_loading(core)
-    assert core.scene is not None
-    core.examination.join(30)
-    opening.report_examination(core)
-    opening.report_examination(core)
-    told = [message.text for message in core.messages if "left out" in message.text]
+    open_paths(app, [tmp_path / "ill.ply"])
+    wait_for_loading(app)
+    assert app.scene is not None
+    app.examination.join(30)
+    opening.report_examination(app)
+    opening.report_examination(app)
+    told = [message.text for message in app.messages if "left out" in message.text]
     assert len(told) == 1
     assert told[0].startswith("4 splats")
-    assert any(effect.name.startswith("SH band") for effect in core.examination.effects)
+    assert any(effect.name.startswith("SH band") for effect in app.examination.effects)

@@ -42,12 +42,12 @@ def seen(shown: Camera, point: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def opened(core, tmp_path, random_gaussians, wait_for_loading):
+def opened(app, tmp_path, random_gaussians, wait_for_loading):
     path = tmp_path / "room.ply"
     save_scene(random_gaussians(200), path)
-    open_paths(core, [path])
-    wait_for_loading(core)
-    return core
+    open_paths(app, [path])
+    wait_for_loading(app)
+    return app
 
 
 def test_what_is_at_the_target_is_as_large_with_parallel_rays():

@@ -16,19 +16,19 @@ from splatview.raster import render
 from splatview.renderers import FrameStats
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.captures.demo import demo_capture
-from splatview.trainer.background import TrainingThread
-from splatview.trainer.run import Outputs, Session
+from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import fresh, initial_parameters
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shots, shots_of
 from splatview.viewer.navigation import orbit
 from splatview.viewer.overlays import nearest, wanted
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training import live as watching
 from splatview.viewer.training.comparison import Comparer, Wish, compare, shrink_for
-from splatview.viewer.training.live import Training, viewer_threads, watched_photos
+from splatview.viewer.training.live import LiveTraining, viewer_threads, watched_photos
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +37,8 @@ def capture():
 
 
 @pytest.fixture
-def training(core, capture, tmp_path) -> Iterator[Training]:
-    """A training that `core` watches; its thread has not begun."""
+def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
+    """A training that `app` watches; its thread has not begun."""
     shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     settings = TrainSettings(iterations=10**6, max_splats=8000)
@@ -49,122 +49,122 @@ def training(core, capture, tmp_path) -> Iterator[Training]:
         metrics=None,
         pictures=tmp_path / "pictures",
     )
-    session = Session(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
-    thread = TrainingThread(session, cores=4)
-    core.training = Training(
+    session = TrainingRun(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
+    thread = BackgroundTraining(session, cores=4)
+    app.training = LiveTraining(
         thread=thread,
         name="pond",
         photos=watched_photos(shots.all, held_out),
         settings=trainer.render_settings,
     )
-    yield core.training
-    core.training.stop()
+    yield app.training
+    app.training.stop()
     thread.close()
 
 
-def until(core: Core, condition: Callable[[], Any], what: str) -> None:
+def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
     """Runs the part of the frame loop that trainings need."""
     limit = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
-        core.run_posted()
-        if core.training is not None:
-            core.training.advance(core)
+        app.run_posted()
+        if app.training is not None:
+            app.training.advance(app)
         time.sleep(0.001)
 
 
-def test_the_first_snapshot_is_shown_from_a_photos_camera(core, training):
-    training.start(core)
-    until(core, lambda: core.scene is not None, "a scene")
-    assert core.scene is not None and core.scene.name == "pond (training)"
-    assert core.scene.paths == (training.thread.outputs.scene,)
+def test_the_first_snapshot_is_shown_from_a_photos_camera(app, training):
+    training.start(app)
+    until(app, lambda: app.scene is not None, "a scene")
+    assert app.scene is not None and app.scene.name == "pond (training)"
+    assert app.scene.paths == (training.thread.outputs.scene,)
     middle = training.photos[len(training.photos) // 2].camera
-    np.testing.assert_allclose(core.camera.eye, middle.eye, atol=1e-9)
-    np.testing.assert_allclose(core.camera.forward, middle.forward, atol=1e-9)
-    assert core.view.distance > 0
-    assert core.settings.background == training.settings.background
-    assert [camera.name for camera in core.cameras] == sorted(camera.name for camera in core.cameras)
-    assert wanted(core)
+    np.testing.assert_allclose(app.camera.eye, middle.eye, atol=1e-9)
+    np.testing.assert_allclose(app.camera.forward, middle.forward, atol=1e-9)
+    assert app.view.distance > 0
+    assert app.settings.background == training.settings.background
+    assert [camera.name for camera in app.cameras] == sorted(camera.name for camera in app.cameras)
+    assert wanted(app)
 
 
-def test_snapshots_reach_the_picture_in_order_and_the_view_stays(core, training):
-    training.start(core)
-    until(core, lambda: core.scene is not None, "a scene")
-    core.steer(look(core, 0.3))
-    view = core.view
+def test_snapshots_reach_the_picture_in_order_and_the_view_stays(app, training):
+    training.start(app)
+    until(app, lambda: app.scene is not None, "a scene")
+    app.steer(look(app, 0.3))
+    view = app.view
     seen = []
-    until(core, lambda: seen_steps(training, seen) >= 3, "three snapshots")
+    until(app, lambda: seen_steps(training, seen) >= 3, "three snapshots")
     assert seen == sorted(set(seen))
-    assert core.view is view, "a new snapshot moves nobody"
-    assert core.picture.loaded[-1] is training.shown.gaussians is core.scene.gaussians
+    assert app.view is view, "a new snapshot moves nobody"
+    assert app.picture.loaded[-1] is training.shown.gaussians is app.scene.gaussians
 
 
-def seen_steps(training: Training, seen: list[int]) -> int:
+def seen_steps(training: LiveTraining, seen: list[int]) -> int:
     if training.shown is not None and training.shown.iteration not in seen:
         seen.append(training.shown.iteration)
     return len(seen)
 
 
-def look(core: Core, angle: float):
-    return orbit(core.view, angle, 0.0)
+def look(app: AppState, angle: float):
+    return orbit(app.view, angle, 0.0)
 
 
-def test_a_snapshot_waits_for_the_picture_of_the_last_one(core, training):
-    training.start(core)
-    until(core, lambda: training.shown is not None, "a snapshot")
-    training.advance(core)
-    core.picture.busy = True
+def test_a_snapshot_waits_for_the_picture_of_the_last_one(app, training):
+    training.start(app)
+    until(app, lambda: training.shown is not None, "a snapshot")
+    training.advance(app)
+    app.picture.busy = True
     at = training.shown.iteration
-    now = [core.now() + 100.0]  # long after the view was set
-    core.now = lambda: now[0]
+    now = [app.now() + 100.0]  # long after the view was set
+    app.now = lambda: now[0]
     for _ in range(50):
-        training.advance(core)
+        training.advance(app)
         time.sleep(0.002)
     assert training.shown.iteration == at
-    core.steer(look(core, 0.1))  # while the view moves, something is always being drawn
-    training.advance(core)
+    app.steer(look(app, 0.1))  # while the view moves, something is always being drawn
+    training.advance(app)
     now[0] += 1.2
-    until(core, lambda: training.shown.iteration > at, "a snapshot in spite of it")
+    until(app, lambda: training.shown.iteration > at, "a snapshot in spite of it")
 
 
-def test_nothing_is_shown_in_a_minimised_window(core, training):
-    training.start(core)
-    until(core, lambda: training.shown is not None, "a snapshot")
+def test_nothing_is_shown_in_a_minimised_window(app, training):
+    training.start(app)
+    until(app, lambda: training.shown is not None, "a snapshot")
     training.minimised = True
-    training.advance(core)
+    training.advance(app)
     assert training.thread.snapshot_seconds is None
     at = training.shown
-    until(core, lambda: training.status.iteration > at.iteration + 20, "steps")
+    until(app, lambda: training.status.iteration > at.iteration + 20, "steps")
     assert training.shown is at
-    assert training.idle_fps(core) < 1
+    assert training.idle_fps(app) < 1
 
 
-def test_shares_follow_the_users_hand(core, training):
-    core.prefer(training_share=0.5)
+def test_shares_follow_the_users_hand(app, training):
+    app.prefer(training_share=0.5)
     now = [1000.0]
-    core.now = lambda: now[0]
-    training.start(core)
-    until(core, lambda: core.scene is not None, "a scene")
-    training.advance(core)
+    app.now = lambda: now[0]
+    training.start(app)
+    until(app, lambda: app.scene is not None, "a scene")
+    training.advance(app)
     assert training.thread.share == 0.5, "the view has just been set"
-    assert core.picture.threads == 2, "of four cores"
-    assert core.picture.cores == 2
+    assert app.picture.threads == 2, "of four cores"
+    assert app.picture.cores == 2
     now[0] += 10
-    training.advance(core)
+    training.advance(app)
     assert training.thread.share == 1.0, "nobody moves the view"
-    core.steer(look(core, 0.1))
-    training.advance(core)
+    app.steer(look(app, 0.1))
+    training.advance(app)
     assert training.thread.share == 0.5
     now[0] += 10
-    core.prefer(training_takes_idle_cores=False)
-    training.advance(core)
+    app.prefer(training_takes_idle_cores=False)
+    training.advance(app)
     assert training.thread.share == 0.5
-    core.prefer(training_share=1.0)
-    training.advance(core)
-    assert core.picture.cores == pytest.approx(0.4), "the view can always be turned"
+    app.prefer(training_share=1.0)
+    training.advance(app)
+    assert app.picture.cores == pytest.approx(0.4), "the view can always be turned"
     training.thread.pause()
-    until(core, lambda: core.picture.cores is None, "all cores for the viewer")
-    assert core.picture.threads is None
+    until(app, lambda: app.picture.cores is None, "all cores for the viewer")
+    assert app.picture.threads is None
 
 
 @pytest.mark.parametrize(
@@ -174,87 +174,87 @@ def test_the_viewer_has_the_rest(share, cores, threads):
     assert viewer_threads(share, cores) == threads
 
 
-def test_dear_pictures_are_made_less_often(core, training):
+def test_dear_pictures_are_made_less_often(app, training):
     """On a processor that draws, live pictures take a twentieth of the machine at most."""
-    core.picture.name = "cpu"
-    core.picture.threads = 2
-    core.stats = FrameStats(splats=1, visible=1, ms={"forward": 900.0}, projected=1, sorted=1, drawn=1)
+    app.picture.name = "cpu"
+    app.picture.threads = 2
+    app.stats = FrameStats(splats=1, visible=1, ms={"forward": 900.0}, projected=1, sorted=1, drawn=1)
     frames = 2 * 0.02  # core-seconds of the window's own for each picture
-    training.start(core)
-    core.prefer(training_share=0.5)
-    training.advance(core)
+    training.start(app)
+    app.prefer(training_share=0.5)
+    training.advance(app)
     assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.05 * 4))
-    core.prefer(training_updates="low")
-    training.advance(core)
+    app.prefer(training_updates="low")
+    training.advance(app)
     assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.02 * 4))
-    core.prefer(training_updates="off")
-    training.advance(core)
+    app.prefer(training_updates="off")
+    training.advance(app)
     assert training.thread.snapshot_seconds is None
-    core.picture.name = "recording"
-    core.prefer(training_updates="live")
-    training.advance(core)
+    app.picture.name = "recording"
+    app.prefer(training_updates="live")
+    training.advance(app)
     assert training.thread.snapshot_seconds == 0.1, "a GPU is not counted"
 
 
-def test_a_scene_that_does_not_fit_is_told_once_and_training_goes_on(core, training):
-    core.picture.too_big = 1
-    training.start(core)
-    until(core, lambda: core.problem is not None, "word of it")
-    assert "no longer shown" in core.problem
-    assert core.preferences.training_updates == "off"
+def test_a_scene_that_does_not_fit_is_told_once_and_training_goes_on(app, training):
+    app.picture.too_big = 1
+    training.start(app)
+    until(app, lambda: app.problem is not None, "word of it")
+    assert "no longer shown" in app.problem
+    assert app.preferences.training_updates == "off"
     at = training.status.iteration
-    until(core, lambda: training.status.iteration > at + 5, "steps")
+    until(app, lambda: training.status.iteration > at + 5, "steps")
 
 
-def test_actions_reach_the_thread(core, training, tmp_path):
-    training.start(core)
-    until(core, lambda: training.status.iteration > 3, "steps")
-    core.post(actions.pause_or_resume)
-    until(core, lambda: training.status.state == "paused", "the pause")
+def test_actions_reach_the_thread(app, training, tmp_path):
+    training.start(app)
+    until(app, lambda: training.status.iteration > 3, "steps")
+    app.post(actions.pause_or_resume)
+    until(app, lambda: training.status.state == "paused", "the pause")
     at = training.status.iteration
-    core.post(actions.step_once)
-    until(core, lambda: training.status.iteration == at + 1, "a step")
-    core.post(actions.pause_or_resume)
-    until(core, lambda: training.status.iteration > at + 3, "more steps")
-    core.post(actions.stop_and_save)
-    until(core, lambda: training.status.saved_at is not None, "saving")
+    app.post(actions.step_once)
+    until(app, lambda: training.status.iteration == at + 1, "a step")
+    app.post(actions.pause_or_resume)
+    until(app, lambda: training.status.iteration > at + 3, "more steps")
+    app.post(actions.stop_and_save)
+    until(app, lambda: training.status.saved_at is not None, "saving")
     assert (tmp_path / "pond.ply").exists()
 
     asked: dict[str, Any] = {}
-    core.choose_files = lambda title, done, **options: asked.update({"done": done, **options})
-    core.post(actions.export)
-    until(core, lambda: "done" in asked, "the question")
+    app.choose_files = lambda title, done, **options: asked.update({"done": done, **options})
+    app.post(actions.export)
+    until(app, lambda: "done" in asked, "the question")
     assert asked["kind"] == "save_scene" and asked["name"].endswith(".ply")
     asked["done"]([tmp_path / "out.ply"])
-    until(core, (tmp_path / "out.ply").exists, "the export")
-    core.post(actions.change_settings)
-    core.post(lambda core: actions.change_settings(core, max_splats=0))
-    until(core, lambda: any("max_splats" in message.text for message in core.messages), "a refusal")
+    until(app, (tmp_path / "out.ply").exists, "the export")
+    app.post(actions.change_settings)
+    app.post(lambda app: actions.change_settings(app, max_splats=0))
+    until(app, lambda: any("max_splats" in message.text for message in app.messages), "a refusal")
     assert training.status.settings.max_splats == 8000
 
 
-def test_actions_without_a_training_say_so(core):
-    actions.pause_or_resume(core)
-    assert "Nothing is being trained" in core.messages[-1].text
+def test_actions_without_a_training_say_so(app):
+    actions.pause_or_resume(app)
+    assert "Nothing is being trained" in app.messages[-1].text
 
 
-def test_going_to_a_photo_compares_it(core, training):
-    training.start(core)
-    until(core, lambda: core.scene is not None, "a scene")
-    actions.go_to_photo(core, 3)
-    training.advance(core)
-    np.testing.assert_allclose(core.camera.eye, training.photos[3].camera.eye, atol=1e-9)
+def test_going_to_a_photo_compares_it(app, training):
+    training.start(app)
+    until(app, lambda: app.scene is not None, "a scene")
+    actions.go_to_photo(app, 3)
+    training.advance(app)
+    np.testing.assert_allclose(app.camera.eye, training.photos[3].camera.eye, atol=1e-9)
     assert training.photo is training.photos[3]
-    core.camera_index = 5  # by the keys that go through the cameras
-    training.advance(core)
+    app.camera_index = 5  # by the keys that go through the cameras
+    training.advance(app)
     assert training.photo is training.photos[5]
-    actions.compare_photo(core, -1)
+    actions.compare_photo(app, -1)
     assert training.photo is training.photos[-1]
 
 
-def test_another_scene_stays_until_the_training_is_asked_for(core, training, random_gaussians):
-    training.start(core)
-    until(core, lambda: core.scene is not None, "a scene")
+def test_another_scene_stays_until_the_training_is_asked_for(app, training, random_gaussians):
+    training.start(app)
+    until(app, lambda: app.scene is not None, "a scene")
     other = watching.LoadedScene(
         gaussians=random_gaussians(10),
         paths=(Path("other.ply"),),
@@ -264,15 +264,15 @@ def test_another_scene_stays_until_the_training_is_asked_for(core, training, ran
         settings=RenderSettings(),
         seconds=0.0,
     )
-    core.scene, core.cameras = other, []
+    app.scene, app.cameras = other, []
     at = training.status.iteration
-    until(core, lambda: training.status.iteration > at + 10, "steps")
-    assert core.scene is other and not training.followed_by(core) and not wanted(core)
-    loaded = len(core.picture.loaded)
+    until(app, lambda: training.status.iteration > at + 10, "steps")
+    assert app.scene is other and not training.followed_by(app) and not wanted(app)
+    loaded = len(app.picture.loaded)
     training.thread.pause()
-    actions.show_training(core)
-    until(core, lambda: len(core.picture.loaded) > loaded, "the scene in training again")
-    assert core.scene.name == "pond (training)" and wanted(core)
+    actions.show_training(app)
+    until(app, lambda: len(app.picture.loaded) > loaded, "the scene in training again")
+    assert app.scene.name == "pond (training)" and wanted(app)
 
 
 def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
@@ -388,8 +388,8 @@ def test_the_nearest_camera_is_found_within_reach():
     assert nearest([], (0, 0), 3) is None
 
 
-def test_loaded_cameras_are_drawn_where_wanted(core):
-    core.cameras = [look_at((0, 0, -3), (0, 0, 0))]
-    assert not wanted(core)
-    core.prefer(show_cameras=True)
-    assert wanted(core)
+def test_loaded_cameras_are_drawn_where_wanted(app):
+    app.cameras = [look_at((0, 0, -3), (0, 0, 0))]
+    assert not wanted(app)
+    app.prefer(show_cameras=True)
+    assert wanted(app)

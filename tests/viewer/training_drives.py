@@ -31,51 +31,51 @@ from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer.overlays import PHOTO_SIZE, pyramids
-from splatview.viewer.state import Core
-from splatview.viewer.training.live import Training
+from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
 
 
-def training_of(core: Core) -> Training:
-    assert core.training is not None
-    return core.training
+def training_of(app: AppState) -> LiveTraining:
+    assert app.training is not None
+    return app.training
 
 
 def seen(hand: Hand, beyond: int = 0) -> int:
     """Waits until the view shows a snapshot of a step after `beyond`, and returns its step."""
-    training = training_of(hand.core)
+    training = training_of(hand.app)
     hand.wait(lambda: training.shown is not None and training.shown.iteration > beyond, "a snapshot")
     assert training.shown is not None
     return training.shown.iteration
 
 
 def steps(hand: Hand, count: int) -> None:
-    training = training_of(hand.core)
+    training = training_of(hand.app)
     goal = training.status.iteration + count
     hand.wait(lambda: training.status.iteration >= goal, f"{count} steps")
 
 
-def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Watch, pause, change a setting, step, go on, compare, fly, export, stop: by mouse and keys."""
     file_dialogs.has_native_dialogs = lambda: False
-    core.prefer(smooth=False)
-    ctx, training = hand.ctx, training_of(core)
-    hand.wait(lambda: core.scene is not None, "the first snapshot")
-    found["scene"] = core.scene.name if core.scene else None
-    found["first_eye"] = pose(core)["eye"]
+    app.prefer(smooth=False)
+    ctx, training = hand.ctx, training_of(app)
+    hand.wait(lambda: app.scene is not None, "the first snapshot")
+    found["scene"] = app.scene.name if app.scene else None
+    found["first_eye"] = pose(app)["eye"]
     found["shown"] = [seen(hand), seen(hand, training.status.iteration)]
-    found["splats_shown"] = core.stats.splats if core.stats else None
+    found["splats_shown"] = app.stats.splats if app.stats else None
 
-    ctx.item_click("//Training/###pause")
+    ctx.item_click("//LiveTraining/###pause")
     hand.wait(lambda: training.status.state == "paused", "the pause")
     at = training.status.iteration
     hand.wait(lambda: training.shown is not None and training.shown.iteration == at, "the last snapshot")
-    hand.wait(lambda: not core.waiting, "the picture")
+    hand.wait(lambda: not app.waiting, "the picture")
     picture = hand.picture()
-    drawn = core.stats.drawn if core.stats else 0
+    drawn = app.stats.drawn if app.stats else 0
     time.sleep(0.3)
     hand.frames(10)
     found["paused_at"] = [at, training.status.iteration]
-    found["drawn_in_pause"] = (core.stats.drawn if core.stats else 0) - drawn
+    found["drawn_in_pause"] = (app.stats.drawn if app.stats else 0) - drawn
     found["picture_mean"] = float(picture[..., :3].mean())
 
     found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(60)]
@@ -83,13 +83,13 @@ def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["attended"] = pacing.time_active_after_last_event
 
     before = training.status.settings
-    ctx.item_input_value("//Training/##Most splats", 1234)
+    ctx.item_input_value("//LiveTraining/##Most splats", 1234)
     hand.frames(3)
-    ctx.item_click("//Training/##Most splats/+")
+    ctx.item_click("//LiveTraining/##Most splats/+")
     hand.wait(lambda: training.status.settings.max_splats == 2234, "the setting")
     found["max_splats"] = [before.max_splats, training.status.settings.max_splats]
 
-    ctx.item_click("//Training/###step")
+    ctx.item_click("//LiveTraining/###step")
     hand.wait(lambda: training.status.iteration == at + 1, "one step")
     hand.frames(5)
     found["stepped_to"] = training.status.iteration
@@ -120,42 +120,42 @@ def all_of_it(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
 
     ctx.item_click("//Photos/Go to this camera")
     hand.frames(4)
-    found["at_photo"] = [core.camera.eye.tolist(), training.photos[1].camera.eye.tolist()]
+    found["at_photo"] = [app.camera.eye.tolist(), training.photos[1].camera.eye.tolist()]
     ctx.item_click("//Photos/Measure")
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = training.scores
     hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
     found["unattended_fps"] = pacing.fps_idle
-    ctx.mouse_move("//Training/###pause")
+    ctx.mouse_move("//LiveTraining/###pause")
     hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
 
     shown = seen(hand)
     hand.press("F3")
     hand.hold("W", 0.3)
     hand.press("F2")
-    found["flown"] = pose(core)["eye"]
+    found["flown"] = pose(app)["eye"]
     seen(hand, shown)
     hand.press("2")
     hand.frames(3)
-    found["mode"] = core.mode
+    found["mode"] = app.mode
     hand.press("1")
     hand.press("F12")
     hand.wait(lambda: any("Picture saved" in line for line in hand.said), "the screenshot")
 
-    ctx.item_click("//Training/###export")
+    ctx.item_click("//LiveTraining/###export")
     hand.frames(4)
     ctx.key_chars_replace_enter(str(Path.cwd() / "exported.ply"))
     hand.wait(lambda: Path("exported.ply").exists(), "the export")
     hand.wait(lambda: any("exported.ply" in line for line in hand.said), "word of it")
-    ctx.item_click("//Training/###stop")
+    ctx.item_click("//LiveTraining/###stop")
     hand.wait(lambda: training.status.saved_at is not None, "scene and checkpoint")
     found["saved"] = [training.status.saved_at, training.status.iteration, training.status.state]
     found["files"] = sorted(path.name for path in Path().iterdir())
 
 
-def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The trainer fails, and is tried again."""
-    training = training_of(core)
+    training = training_of(app)
     seen(hand)
 
     def fail(*arguments: Any) -> Any:
@@ -163,48 +163,48 @@ def breaks(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any
 
     trainer = training.thread.post(lambda session: session.trainer).result(60)
     vars(trainer)["step"] = fail
-    hand.wait(lambda: core.problem is not None, "the dialog")
+    hand.wait(lambda: app.problem is not None, "the dialog")
     hand.frames(5)
-    found["problem"] = core.problem
+    found["problem"] = app.problem
     found["state"] = training.status.state
-    found["scene_stays"] = core.scene is not None and len(core.scene.gaussians) == training.status.gaussians
+    found["scene_stays"] = app.scene is not None and len(app.scene.gaussians) == training.status.gaussians
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
     hand.ctx.item_click("//That did not work/OK")
     hand.frames(3)
     del vars(trainer)["step"]
     at = training.status.iteration
-    hand.ctx.item_click("//Training/###pause")
+    hand.ctx.item_click("//LiveTraining/###pause")
     hand.wait(lambda: training.status.iteration > at + 3, "steps after the failure")
     found["went_on"] = training.status.state
 
 
-def closes(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def closes(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The window is closed in the middle of training, by Ctrl-C if `signal` is asked for."""
     seen(hand, 5)
-    found["state"] = training_of(core).status.state
-    found["iteration"] = training_of(core).status.iteration
+    found["state"] = training_of(app).status.state
+    found["iteration"] = training_of(app).status.iteration
     if options.get("signal"):
         os.kill(os.getpid(), signal.SIGINT)
-        hand.wait(lambda: core.quitting, "the window to heed it")
+        hand.wait(lambda: app.quitting, "the window to heed it")
 
 
-def elsewhere(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Another scene is opened while training goes on, and the training shown again; then it ends."""
-    training = training_of(core)
-    core.prefer(smooth=False)
+    training = training_of(app)
+    app.prefer(smooth=False)
     seen(hand)
     hand.drop(options["other"])
-    hand.wait(lambda: core.scene is not None and core.scene.name == "other.ply", "the other scene")
+    hand.wait(lambda: app.scene is not None and app.scene.name == "other.ply", "the other scene")
     steps(hand, 10)
     hand.frames(10)
-    found["other_stays"] = core.scene.name if core.scene else None
+    found["other_stays"] = app.scene.name if app.scene else None
     hand.frames(2)
-    hand.ctx.item_click("//Training/Show the training")
-    hand.wait(lambda: training.followed_by(core), "the training's scene")
-    found["back"] = [seen(hand), core.scene.name if core.scene else None]
+    hand.ctx.item_click("//LiveTraining/Show the training")
+    hand.wait(lambda: training.followed_by(app), "the training's scene")
+    found["back"] = [seen(hand), app.scene.name if app.scene else None]
 
     index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
-    found["clicked"] = click_frustum(core, hand, index)
+    found["clicked"] = click_frustum(app, hand, index)
     training.thread.change(iterations=training.status.iteration + 100)
     hand.wait(lambda: training.status.state == "done", "the end", 120)
     hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
@@ -218,23 +218,23 @@ def elsewhere(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
 
 
-def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Select and delete, cut and let nothing grow, while training goes on; and take the rules back."""
-    ctx, training = hand.ctx, training_of(core)
-    core.prefer(smooth=False)
+    ctx, training = hand.ctx, training_of(app)
+    app.prefer(smooth=False)
     seen(hand, 60)
     hand.press("R")
     hand.drag(130, 90, over=(0.4, 0.45))
-    hand.wait(lambda: core.desk is not None and core.desk.document.counts.selected > 0, "a selection")
-    assert core.desk is not None and training.shown is not None
-    held, rectangle = training.shown, core.desk.document.history.done[-1].operation
+    hand.wait(lambda: app.session is not None and app.session.document.counts.selected > 0, "a selection")
+    assert app.session is not None and training.shown is not None
+    held, rectangle = training.shown, app.session.document.history.done[-1].operation
     assert isinstance(rectangle, Select)
-    splats = core.desk.document.selected.indices
+    splats = app.session.document.selected.indices
     steps(hand, 20)
     hand.frames(5)
     found["held"] = training.shown is held
     ctx.window_focus("//Edit")
-    hand.wait(lambda: not core.waiting, "the picture")
+    hand.wait(lambda: not app.waiting, "the picture")
     hand.shoot(options.get("selected"))
     hand.press("Delete")
     hand.wait(lambda: training.shown is not held, "the snapshot without them")
@@ -243,11 +243,11 @@ def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
     found["deleted"] = len(splats)
     edited = SceneEdits(marks=np.zeros(len(now.ids), np.uint32))
     found["in_rectangle"] = int(rectangle.by.mask(now.gaussians, edited, NoTools()).sum())
-    found["tool"] = core.desk.tool if core.desk else None
+    found["tool"] = app.session.tool if app.session else None
     hand.press("Escape")
     seen(hand, now.iteration)
 
-    crop(core, hand, "Add a box", options["growth"])
+    crop(app, hand, "Add a box", options["growth"])
     hand.shoot(options.get("growth_box"))
     ctx.item_click("//Edit/Crop/No growth inside")
     hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
@@ -262,10 +262,10 @@ def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
         inner.contains(training.shown.gaussians.means[training.shown.ids >= first]).sum()
     )
 
-    crop(core, hand, "Add a sphere", options["cut"])
+    crop(app, hand, "Add a sphere", options["cut"])
     ctx.item_click("//Edit/Crop/Cut away in training")
     hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
-    hand.wait(lambda: core.desk is None, "the view to go on")
+    hand.wait(lambda: app.session is None, "the view to go on")
     seen(hand, at + 60)
     (sphere,) = training.status.settings.cut[0]
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
@@ -283,39 +283,39 @@ def edits(core: Core, hand: Hand, options: dict[str, Any], found: dict[str, Any]
     found["failure"] = training.status.failure
 
 
-def crop(core: Core, hand: Hand, button: str, half: float) -> None:
+def crop(app: AppState, hand: Hand, button: str, half: float) -> None:
     """Holds the view and adds a crop of this half size."""
     ctx = hand.ctx
     ctx.item_click("//Edit/###hold")
-    hand.wait(lambda: core.desk is not None, "the desk")
+    hand.wait(lambda: app.session is not None, "the desk")
     hand.frames(3)
     for section in ("Select", "Clean up"):
         ctx.item_close(f"//Edit/{section}")
     ctx.item_open("//Edit/Crop")
     ctx.item_click(f"//Edit/Crop/{button}")
-    hand.wait(lambda: bool(core.desk and core.desk.document.crops), "the crop")
+    hand.wait(lambda: bool(app.session and app.session.document.crops), "the crop")
     hand.frames(3)
     for number in range(3):
         ctx.item_input_value(f"//Edit/Crop/##Half size/$${number}", half)
         hand.frames(2)
 
 
-def click_frustum(core: Core, hand: Hand, index: int) -> list[int]:
+def click_frustum(app: AppState, hand: Hand, index: int) -> list[int]:
     """Looks at the cameras from afar and clicks on one: its index, and the one that was gone to."""
-    training = training_of(core)
+    training = training_of(app)
     hand.press("F")
-    view = core.view
-    core.post(lambda core: core.steer(replace(view, distance=6 * view.distance)))
+    view = app.view
+    app.post(lambda app: app.steer(replace(view, distance=6 * view.distance)))
     hand.frames(3)
-    assert core.scene is not None
-    drawn = dict(pyramids(training.cameras, core.camera, PHOTO_SIZE * core.scene.radius))
+    assert app.scene is not None
+    drawn = dict(pyramids(training.cameras, app.camera, PHOTO_SIZE * app.scene.radius))
     corner = hand.ctx.window_info("//View").rect_full.min
     x, y = drawn[index][0][0]  # where its eye is
     hand.ctx.mouse_teleport_to_pos(ImVec2(corner.x + float(x), corner.y + float(y)))
     hand.frames(2)
     hand.ctx.mouse_click(0)
     hand.frames(3)
-    return [index, core.camera_index]
+    return [index, app.camera_index]
 
 
 def main() -> int:
@@ -323,10 +323,10 @@ def main() -> int:
     found: dict[str, Any] = {}
     options = json.loads(given)
 
-    def act(core: Core, ctx: Any) -> None:
-        hand = Hand(core, ctx)
+    def act(app: AppState, ctx: Any) -> None:
+        hand = Hand(app, ctx)
         try:
-            functions[name](core, hand, options, found)
+            functions[name](app, hand, options, found)
         finally:
             found["messages"] = hand.said
 
@@ -346,7 +346,7 @@ def main() -> int:
     return code
 
 
-functions: dict[str, Callable[[Core, Hand, dict[str, Any], dict[str, Any]], None]] = {
+functions: dict[str, Callable[[AppState, Hand, dict[str, Any], dict[str, Any]], None]] = {
     function.__name__: function for function in (all_of_it, breaks, closes, elsewhere, edits)
 }
 

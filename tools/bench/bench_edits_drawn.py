@@ -23,7 +23,7 @@ from splatview.renderers import make_renderer
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.scene_buffers import placement_of
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import DELETED, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.scene.formats import load_scene
@@ -46,7 +46,7 @@ def upload_times(ctx: moderngl.Context, count: int) -> dict[str, float]:
     textures.load(placement_of(means), means)
     marks = np.zeros(count, np.uint32)
     edits = SceneEdits(marks=marks, palette=(IDENTITY, MOVE), flags=SELECTED | DELETED)
-    textures.update(edits, Overlay())
+    textures.update(edits, Highlight())
     found = {}
     runs = {"all": (0, count), "a tenth": (count // 2, count // 2 + count // 10), "one": (7, 8)}
     for name, (start, stop) in runs.items():
@@ -56,14 +56,14 @@ def upload_times(ctx: moderngl.Context, count: int) -> dict[str, float]:
             version = edits.marks_version + 1
             edits = replace(edits, marks_version=version, changes=((version, start, stop),))
             begun = time.perf_counter()
-            textures.update(edits, Overlay())
+            textures.update(edits, Highlight())
             times.append(1000 * (time.perf_counter() - begun))
         found[name] = float(np.median(times))
     times = []
     for step in range(REPEATS):
         moved = replace(MOVE, translation=(0.01 * step, 0.0, 0.0))
         begun = time.perf_counter()
-        textures.update(replace(edits, palette=(IDENTITY, moved)), Overlay())
+        textures.update(replace(edits, palette=(IDENTITY, moved)), Highlight())
         times.append(1000 * (time.perf_counter() - begun))
     found["a gizmo's step"] = float(np.median(times))
     textures.release()
@@ -71,7 +71,7 @@ def upload_times(ctx: moderngl.Context, count: int) -> dict[str, float]:
     return found
 
 
-def kinds_of(gaussians: Gaussians) -> dict[str, tuple[SceneEdits | None, Overlay | None]]:
+def kinds_of(gaussians: Gaussians) -> dict[str, tuple[SceneEdits | None, Highlight | None]]:
     """Edits that leave nearly all splats shown, so that the stages have the same work but for them."""
     count = len(gaussians)
     index = np.arange(count)
@@ -87,7 +87,7 @@ def kinds_of(gaussians: Gaussians) -> dict[str, tuple[SceneEdits | None, Overlay
         "0.1 % deleted": (SceneEdits(marks=few, flags=DELETED), None),
         "half adjusted": (SceneEdits(marks=half, palette=(IDENTITY, replace(MOVE, scale=1.0))), None),
         "four crops": (SceneEdits(marks=np.zeros(count, np.uint32), crops=crops), None),
-        "a third selected": (SceneEdits(marks=third, flags=SELECTED), Overlay()),
+        "a third selected": (SceneEdits(marks=third, flags=SELECTED), Highlight()),
     }
 
 
@@ -107,8 +107,8 @@ def frame_ratios(
         )
         names = list(kinds)
         for kind in names[frame % len(names) :] + names[: frame % len(names)]:
-            edits, overlay = kinds[kind]
-            renderer.draw(view, RenderSettings(), edits=edits, overlay=overlay)
+            edits, highlight = kinds[kind]
+            renderer.draw(view, RenderSettings(), edits=edits, highlight=highlight)
             stages = renderer.finished_stats().ms
             if frame:  # the first compiles
                 for stage, values in times[kind].items():

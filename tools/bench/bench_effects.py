@@ -34,7 +34,7 @@ from splatview.renderers.gl.context import create_headless_context, describe, he
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import IDENTITY, SELECTED, Adjustment, SceneEdits
 from splatview.scene.effects import settings_for
@@ -89,7 +89,9 @@ def on_gpu(
         camera = frame_camera(gaussians, 64, 64)
         marks = np.full(len(gaussians), SELECTED, np.uint32)
         with chosen():
-            renderer.draw(camera, settings, edits=SceneEdits(marks=marks, flags=SELECTED), overlay=Overlay())
+            renderer.draw(
+                camera, settings, edits=SceneEdits(marks=marks, flags=SELECTED), highlight=Highlight()
+            )
 
     def draw(camera: Camera) -> dict[str, float]:
         with chosen():

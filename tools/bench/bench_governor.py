@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from splatview.measure.machine import FOLDER, write_results
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 BUDGETS = {"cpu": (20.0, 30.0, 45.0), "quads": (250.0, 400.0)}
 """ms, within what software OpenGL and the CPU can do with half a million splats."""
@@ -36,21 +36,22 @@ LEARNING = 12
 PATIENCE = 200.0
 
 
-def fly(core: Core, number: int) -> None:
+def fly(app: AppState, number: int) -> None:
     """The next of the way's positions."""
     from splatview.viewer.navigation import orbit
     from splatview.viewer.navigation.controllers import dolly
 
-    core.steer(dolly(orbit(core.view, 0.012, 0.0), 1.0 + 0.01 * np.sin(number / 15)))
+    app.steer(dolly(orbit(app.view, 0.012, 0.0), 1.0 + 0.01 * np.sin(number / 15)))
 
 
 def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
     from splatview.renderers.cpu_async import CpuTexture
-    from splatview.viewer import app, viewport
+    from splatview.viewer import app as app_module
+    from splatview.viewer import viewport
 
     real_render = CpuTexture._render
-    app.look_for_abandoned = lambda core: None  # no dialog over the picture
+    app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
     real_draw, started, found = viewport.draw_picture, [], {}
     frames: list[tuple[int, float, tuple[int, int], str]] = []
 
@@ -61,75 +62,75 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             (len(frames), sum(self._stats.ms.values()), (wish.camera.width, wish.camera.height), reduced)
         )
 
-    def note(core: Core) -> None:
+    def note(app: AppState) -> None:
         if renderer == "cpu":
             return  # drawn in a thread of its own, and noted there
-        stats, picture = core.stats, core.picture
+        stats, picture = app.stats, app.picture
         if stats is None or picture is None or not stats.ms:
             return
         if not frames or frames[-1][0] != stats.drawn:
-            reduced = core.accuracy.note or picture.note
+            reduced = app.accuracy.note or picture.note
             frames.append((stats.drawn, sum(stats.ms.values()), picture.texture.size, reduced))
 
-    def draw(core: Core, *arguments: Any) -> None:
-        real_draw(core, *arguments)
-        note(core)
+    def draw(app: AppState, *arguments: Any) -> None:
+        real_draw(app, *arguments)
+        note(app)
         if not started:
             started.append(True)
-            threading.Thread(target=act, args=(core,), daemon=True).start()
+            threading.Thread(target=act, args=(app,), daemon=True).start()
 
-    def settle(core: Core) -> None:
+    def settle(app: AppState) -> None:
         time.sleep(0.5)
         limit = time.monotonic() + PATIENCE
-        while core.waiting or core.transition or core.scene is None or pricing():
+        while app.waiting or app.transition or app.scene is None or pricing():
             assert time.monotonic() < limit, "the window does not settle"
             time.sleep(0.01)
 
-    def one_step(core: Core, number: int, done: threading.Event) -> None:
-        fly(core, number)
+    def one_step(app: AppState, number: int, done: threading.Event) -> None:
+        fly(app, number)
         done.set()
 
-    def begin_to_measure(core: Core, begun: threading.Event) -> None:
-        core.accuracy.measure(core)
+    def begin_to_measure(app: AppState, begun: threading.Event) -> None:
+        app.accuracy.measure(app)
         begun.set()
 
-    def pictures_while_flying(core: Core, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
+    def pictures_while_flying(app: AppState, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
         frames.clear()
         number, limit = 0, time.monotonic() + PATIENCE
         while len(frames) < wanted and time.monotonic() < limit:
             done = threading.Event()
-            core.post(one_step, number, done)
-            core.accuracy.wake()
+            app.post(one_step, number, done)
+            app.accuracy.wake()
             done.wait(1.0)
             number += 1
         return list(frames)
 
-    def act(core: Core) -> None:
+    def act(app: AppState) -> None:
         try:
-            settle(core)
-            core.prefer(smooth=False)
+            settle(app)
+            app.prefer(smooth=False)
             begun = threading.Event()
-            core.post(begin_to_measure, begun)
+            app.post(begin_to_measure, begun)
             assert begun.wait(PATIENCE), "nothing is measured"
-            settle(core)
-            found["size"] = list(core.picture_size)
-            ladder = core.accuracy.ladder
+            settle(app)
+            found["size"] = list(app.picture_size)
+            ladder = app.accuracy.ladder
             found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
-            exact = core.picture.texture.size if core.picture else None
-            full = [ms for _, ms, size, note in pictures_while_flying(core, LEARNING) if not note]
+            exact = app.picture.texture.size if app.picture else None
+            full = [ms for _, ms, size, note in pictures_while_flying(app, LEARNING) if not note]
             found["full_ms"] = float(np.median(full)) if full else None
-            settle(core)
+            settle(app)
             found["budgets"] = []
             for budget in BUDGETS[renderer]:
-                core.post(lambda core, budget=budget: core.accuracy.hold(core, budget))
-                pictures_while_flying(core, LEARNING)
-                settle(core)  # what is to be found out about prices is found out at rest
-                pictures_while_flying(core, LEARNING)
-                flown = pictures_while_flying(core, pictures)
+                app.post(lambda app, budget=budget: app.accuracy.hold(app, budget))
+                pictures_while_flying(app, LEARNING)
+                settle(app)  # what is to be found out about prices is found out at rest
+                pictures_while_flying(app, LEARNING)
+                flown = pictures_while_flying(app, pictures)
                 frames.clear()
-                settle(core)
-                if renderer != "cpu" and core.picture is not None:  # times come a frame late, or never
-                    frames.append((-1, 0.0, core.picture.texture.size, core.accuracy.note))
+                settle(app)
+                if renderer != "cpu" and app.picture is not None:  # times come a frame late, or never
+                    frames.append((-1, 0.0, app.picture.texture.size, app.accuracy.note))
                 after = [(size == exact and not note) for _, _, size, note in frames]
                 times = [ms for _, ms, _, _ in flown]
                 found["budgets"].append(
@@ -144,11 +145,11 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
                 )
             report.write_text(json.dumps(found))
         finally:
-            core.quitting = True
+            app.quitting = True
 
     viewport.draw_picture = draw
     CpuTexture._render = render
-    app.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer=renderer)
+    app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer=renderer)
 
 
 def pricing() -> bool:

@@ -27,7 +27,7 @@ from splatview.measure.machine import FOLDER, write_results
 from splatview.renderers.gl import scene_buffers as harmonics
 from splatview.renderers.gl.context import create_headless_context, describe, held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.formats import load_scene
@@ -38,7 +38,7 @@ SETTINGS = RenderSettings(blend="float32")
 BASELINE, AGAIN, PADDED = "SH 0", "SH 0 again", "SH 0 padded to SH 3"
 HALF, HALF_ALIKE, FULL = "half SH 0, half SH 3", "the same, stored alike", "SH 3"
 
-RENDERERS = {"quads": QuadsRenderer, "tiles": TilesRenderer, "quads, OpenGL 3.3": LegacyQuadsRenderer}
+RENDERERS = {"quads": QuadsRenderer, "tiles": TilesRenderer, "quads, OpenGL 3.3": QuadsGL33Renderer}
 
 Draw = Callable[[Camera], float]
 """Draws a view; returns the milliseconds of projection, in which harmonics are read."""

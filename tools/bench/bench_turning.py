@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from splatview.measure.machine import FOLDER, write_results
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 WAYS = {
     "clock": "all splats, frames by the clock",
@@ -59,7 +59,8 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
     """Run in a process of its own: the window, and what is seen in it."""
     from splatview.renderers import cpu_async as cpu_texture
     from splatview.renderers import moving_quality as moving
-    from splatview.viewer import app, viewport
+    from splatview.viewer import app as app_module
+    from splatview.viewer import viewport
 
     started: list[bool] = []
     notes: list[str] = []
@@ -70,52 +71,52 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
         cpu_texture.make_levels = lambda gaussians, stop: (moving.Level(gaussians),)
     if way == "clock":
         cpu_texture.CpuTexture.wait = lambda self, seconds: None
-        app.MAX_FPS = app.SOFTWARE_FPS = CLOCK_FPS
-    app.look_for_abandoned = lambda core: None  # no dialog over the picture
+        app_module.MAX_FPS = app_module.SOFTWARE_FPS = CLOCK_FPS
+    app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
     real_upload, real_draw = cpu_texture.CpuTexture._upload, viewport.draw_picture
 
-    def act(core: Core) -> None:
+    def act(app: AppState) -> None:
         """What a user does, beside the frame loop. ImGui's test engine would shut out the real mouse."""
-        settle(core)
+        settle(app)
         drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), 1.0).wait()  # prices are found out
-        settle(core)
+        settle(app)
         drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), 2.0).wait()  # and compared with what it takes
-        settle(core)
+        settle(app)
         frames.clear()
         pictures.clear()
         begun = os.times()
         drag(os.environ["DISPLAY"], (250, 60 + size[1] // 2), seconds).wait()
         ended, done = time.perf_counter(), os.times()
-        settle(core)
+        settle(app)
         found.update(summary(frames, pictures, ended))
         used = done.user + done.system - begun.user - begun.system
         found["cores"] = used / (done.elapsed - begun.elapsed)
-        found["size"] = list(core.picture_size)
+        found["size"] = list(app.picture_size)
         found["note"] = next((note for note in reversed(notes) if note), "in full")
         report.write_text(json.dumps(found))
-        core.quitting = True
+        app.quitting = True
 
     def upload(self, image):
         real_upload(self, image)
         pictures.append((time.perf_counter(), image.shape[0]))
         notes.append(self.note)
 
-    def draw(core, *arguments):
+    def draw(app, *arguments):
         if not started:
             started.append(True)
-            threading.Thread(target=act, args=(core,), daemon=True).start()
+            threading.Thread(target=act, args=(app,), daemon=True).start()
         frames.append(time.perf_counter())
-        real_draw(core, *arguments)
+        real_draw(app, *arguments)
 
     cpu_texture.CpuTexture._upload = upload
     viewport.draw_picture = draw
-    app.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer="cpu")
+    app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer="cpu")
 
 
-def settle(core: Core) -> None:
+def settle(app: AppState) -> None:
     """Waits until nothing is on its way."""
     time.sleep(0.5)
-    while core.waiting or core.transition or core.scene is None or pricing():
+    while app.waiting or app.transition or app.scene is None or pricing():
         time.sleep(0.01)
 
 

@@ -29,8 +29,8 @@ from splatview.cli import train as train_window
 from splatview.measure.machine import FOLDER, write_results
 from splatview.viewer.commands import quit_window
 from splatview.viewer.navigation import Transition, orbit
-from splatview.viewer.state import Core, process_memory
-from splatview.viewer.training.live import Training
+from splatview.viewer.state import AppState, process_memory
+from splatview.viewer.training.live import LiveTraining
 
 BLOCK_SECONDS = 4.0
 SETTLING_SECONDS = 2.0
@@ -46,7 +46,7 @@ class Soak:
 
     def __init__(self, minutes: float):
         self.seconds = 60 * minutes
-        self.core: Core | None = None
+        self.app: AppState | None = None
         self.kind: str | None = None
         self.frames: dict[str, list[float]] = defaultdict(list)
         """Seconds between frames, by kind."""
@@ -63,33 +63,33 @@ class Soak:
         self.window: dict[str, Any] = {}
         self._last_frame: tuple[str, float] | None = None
 
-    def watch(self, training: Training) -> None:
-        """Called for every frame, in place of `Training.advance`."""
-        core, now = training.core, time.perf_counter()
-        if core is not None and self.core is None:
-            self.core = core
-            threading.Thread(target=self.act, args=(core, training), daemon=True).start()
+    def watch(self, training: LiveTraining) -> None:
+        """Called for every frame, in place of `LiveTraining.advance`."""
+        app, now = training.app, time.perf_counter()
+        if app is not None and self.app is None:
+            self.app = app
+            threading.Thread(target=self.act, args=(app, training), daemon=True).start()
         if self.kind is not None and self._last_frame is not None and self._last_frame[0] == self.kind:
             self.frames[self.kind].append(now - self._last_frame[1])
         self._last_frame = None if self.kind is None else (self.kind, now)
         if training.shown is not None and training.shown.iteration not in self.shown[-1:]:
             self.shown.append(training.shown.iteration)
 
-    def act(self, core: Core, training: Training) -> None:
+    def act(self, app: AppState, training: LiveTraining) -> None:
         try:
-            self.turns(core, training)
+            self.turns(app, training)
         except BaseException as error:
             self.problems.append(f"{type(error).__name__}: {error}")
         finally:
-            core.post(quit_window)
+            app.post(quit_window)
 
-    def turns(self, core: Core, training: Training) -> None:
+    def turns(self, app: AppState, training: LiveTraining) -> None:
         wait(lambda: training.shown is not None and training.status.iteration > 100, 120)
         until = time.monotonic() + self.seconds
         direction = 1.0
         while time.monotonic() < until:
             for kind in KINDS:
-                self.block(core, training, kind, direction)
+                self.block(app, training, kind, direction)
             direction = -direction
             snapshot = training.shown
             assert snapshot is not None
@@ -104,29 +104,29 @@ class Soak:
         assert training.shown is not None
         if not np.array_equal(answer.result(60), training.shown.gaussians.means):
             self.problems.append("the last picture is not of the trainer's scene")
-        assert core.stats is not None and core.picture is not None
+        assert app.stats is not None and app.picture is not None
         self.window = {
-            "picture": list(core.picture_size),
-            "renderer": core.picture.name,
-            "gpu": core.gpu_name,
+            "picture": list(app.picture_size),
+            "renderer": app.picture.name,
+            "gpu": app.gpu_name,
             "splats": training.status.gaussians,
             "steps": training.status.iteration,
-            "share": core.preferences.training_share,
+            "share": app.preferences.training_share,
             "snapshots": training.thread.published,
             "publishing_share": training.thread.publishing_seconds / training.status.seconds,
         }
 
-    def block(self, core: Core, training: Training, kind: str, direction: float) -> None:
+    def block(self, app: AppState, training: LiveTraining, kind: str, direction: float) -> None:
         if kind == "flown, training paused":
             training.thread.pause()
             wait(lambda: training.status.state == "paused", 60)
         time.sleep(SETTLING_SECONDS)
         if kind == "no viewer":
             # Frames stop, and with them all drawing.
-            core.post(lambda core: time.sleep(BLOCK_SECONDS + 0.2))
+            app.post(lambda app: time.sleep(BLOCK_SECONDS + 0.2))
             training.thread.share = 1.0
         elif kind.startswith("flown"):
-            core.post(self.fly, direction)
+            app.post(self.fly, direction)
         time.sleep(0.1)
         self.kind = kind
         begun, step, busy = time.perf_counter(), training.status.iteration, time.process_time()
@@ -143,9 +143,9 @@ class Soak:
             training.thread.resume()
 
     @staticmethod
-    def fly(core: Core, direction: float) -> None:
-        end = orbit(core.view, direction * TURN, 0.0)
-        core.transition = Transition(start=core.view, end=end, began=core.now(), duration=BLOCK_SECONDS + 0.5)
+    def fly(app: AppState, direction: float) -> None:
+        end = orbit(app.view, direction * TURN, 0.0)
+        app.transition = Transition(start=app.view, end=end, began=app.now(), duration=BLOCK_SECONDS + 0.5)
 
 
 def wait(condition, seconds: float) -> None:
@@ -250,13 +250,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "training_window.json")
     options = parser.parse_args()
     soak = Soak(options.minutes)
-    real = Training.advance
+    real = LiveTraining.advance
 
-    def watched(self: Training, core: Core) -> None:
-        real(self, core)
+    def watched(self: LiveTraining, app: AppState) -> None:
+        real(self, app)
         soak.watch(self)
 
-    Training.advance = watched
+    LiveTraining.advance = watched
     with tempfile.TemporaryDirectory() as folder, screen():
         os.environ["SPLATVIEW_CONFIG_DIR"] = folder
         arguments = ["--demo"] if options.capture is None else [options.capture]

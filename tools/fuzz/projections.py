@@ -13,7 +13,7 @@ from patterns import Block
 from splatview.raster import Frame, Parameters, Workspace, differentiate, draw_frame, parameters_of
 from splatview.raster.project import BLUE, CONIC_SCALE, LOG2_OPACITY, RED, X_REST, A, C, X
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_buffers import placement_of
 from splatview.scene import Gaussians
 from splatview.scene.projection import FLOAT32_MAX, project
@@ -82,7 +82,7 @@ class GLProjection:
     """That of the `quads` renderer, which `tiles` shares, or of the one for old OpenGL; pictures as well."""
 
     def __init__(self, ctx: moderngl.Context, *, legacy: bool) -> None:
-        self._renderer = LegacyQuadsRenderer(ctx) if legacy else QuadsRenderer(ctx)
+        self._renderer = QuadsGL33Renderer(ctx) if legacy else QuadsRenderer(ctx)
         self._legacy = legacy
 
     def __call__(self, block: Block) -> Projected:

@@ -16,13 +16,13 @@ from imgui_bundle import ImVec2, imgui
 from splatview.viewer.app import run_window
 from splatview.viewer.panels import effects as effect_commands
 from splatview.viewer.quality import state as commands
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 READY = "readme-ready"
 """File, beside the settings, that says: now is the moment."""
 
 
-def editing(core: Core, ctx: Any) -> None:
+def editing(app: AppState, ctx: Any) -> None:
     """A brushed selection, a crop box, and what the detector of floaters would take."""
 
     def frames(count: int = 5) -> None:
@@ -30,7 +30,7 @@ def editing(core: Core, ctx: Any) -> None:
 
     def settle() -> None:
         frames()
-        while core.waiting or core.scene is None or core.transition is not None:
+        while app.waiting or app.scene is None or app.transition is not None:
             ctx.yield_(1)
         frames(10)
 
@@ -55,53 +55,53 @@ def editing(core: Core, ctx: Any) -> None:
     ctx.key_press(imgui.Key.escape)
     ctx.item_click("Clean up/Look for them")
     settle()
-    if core.desk is not None and core.desk.forms.clean.count:
+    if app.session is not None and app.session.forms.clean.count:
         ctx.item_click("Clean up/What would it cost?")
         settle()
     ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
     settle()
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while not core.quitting:
+    while not app.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 
 
-def accuracy(core: Core, ctx: Any) -> None:
+def accuracy(app: AppState, ctx: Any) -> None:
     """Prices of shortcuts, one taken, and where an eye would notice it."""
-    while core.waiting or core.scene is None or core.transition is not None:
+    while app.waiting or app.scene is None or app.transition is not None:
         ctx.yield_(1)
     ctx.window_focus("//Accuracy")
-    core.accuracy.rounds = 5
-    core.post(commands.measure)
+    app.accuracy.rounds = 5
+    app.post(commands.measure)
     ctx.yield_(3)
-    while core.accuracy.ladder is None:
+    while app.accuracy.ladder is None:
         ctx.yield_(1)
-    core.post(commands.choose, "sh-degree", "0")
-    core.accuracy.comparing.right = "perceptual"
+    app.post(commands.choose, "sh-degree", "0")
+    app.accuracy.comparing.right = "perceptual"
     ctx.yield_(10)
-    while core.waiting:
+    while app.waiting:
         ctx.yield_(1)
     ctx.yield_(5)
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while not core.quitting:
+    while not app.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 
 
-def effects(core: Core, ctx: Any) -> None:
+def effects(app: AppState, ctx: Any) -> None:
     """The receipt with its prices, and the mouse on the evidence of one line."""
-    while core.waiting or core.scene is None or core.transition is not None:
+    while app.waiting or app.scene is None or app.transition is not None:
         ctx.yield_(1)
     ctx.window_focus("//Effects")
-    core.effects.seconds = 20.0
-    core.post(effect_commands.measure)
+    app.effects.seconds = 20.0
+    app.post(effect_commands.measure)
     ctx.yield_(3)
-    while not core.effects.prices:
+    while not app.effects.prices:
         ctx.yield_(1)
     ctx.set_ref("//Effects")
     ctx.mouse_move("**/##SH band 3")
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
-    while not core.quitting:
+    while not app.quitting:
         ctx.yield_(1)
         time.sleep(0.05)
 

@@ -21,7 +21,7 @@ from splatview.viewer.picture import choose_picture
 from splatview.viewer.quality import state as accuracy
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
@@ -73,7 +73,7 @@ def home(user: Soaked, rng: np.random.Generator) -> str:
     """Back to where something is to be seen, in full."""
     user.press("1")
     user.press("F")
-    user.core.prefer(resolution_scale=1.0)
+    user.app.prefer(resolution_scale=1.0)
     user.post(accuracy.exact)
     user.post(accuracy.hold, None)
     return ""
@@ -93,7 +93,7 @@ def panels(user: Soaked, rng: np.random.Generator) -> str:
     name = str(rng.choice(["toggle_panels", "toggle_help", "toggle_palette", "screenshot_as"]))
     user.post(actions.ACTIONS[name])
     user.frames(3)
-    user.core.dialog, user.core.panels_hidden = None, False
+    user.app.dialog, user.app.panels_hidden = None, False
     user.frames(3)
     return name
 
@@ -107,23 +107,23 @@ def screenshot(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def settings(user: Soaked, rng: np.random.Generator) -> str:
-    core = user.core
+    app = user.app
     choice = int(rng.integers(0, 6))
     if choice == 0:
         r, g, b = (float(value) for value in rng.uniform(0, 1, 3))
-        core.prefer(background=(r, g, b))
+        app.prefer(background=(r, g, b))
     elif choice == 1:
-        core.prefer(resolution_scale=float(rng.choice([0.5, 1.0, 1.0, 1.5])))
+        app.prefer(resolution_scale=float(rng.choice([0.5, 1.0, 1.0, 1.5])))
     elif choice == 2:
-        core.prefer(blend="float32" if core.preferences.blend == "float16" else "float16")
+        app.prefer(blend="float32" if app.preferences.blend == "float16" else "float16")
     elif choice == 3:
         degree = [None, None, 0, 1][int(rng.integers(0, 4))]
-        core.settings = replace(core.settings, sh_degree=degree)
+        app.settings = replace(app.settings, sh_degree=degree)
     elif choice == 4:
-        model = core.settings.model
-        core.settings = replace(core.settings, model=replace(model, antialiased=not model.antialiased))
+        model = app.settings.model
+        app.settings = replace(app.settings, model=replace(model, antialiased=not model.antialiased))
     else:
-        core.prefer(fov_y=float(rng.uniform(20, 100)))
+        app.prefer(fov_y=float(rng.uniform(20, 100)))
     user.frames(2)
     return str(choice)
 
@@ -139,24 +139,24 @@ def renderer(user: Soaked, rng: np.random.Generator) -> str:
     return chosen
 
 
-def switch(core: Core, name: str) -> None:
-    old, desk = core.picture, core.desk
+def switch(app: AppState, name: str) -> None:
+    old, session = app.picture, app.session
     assert old is not None
     new = choose_picture(moderngl.get_context(), name, on_ready=glfw.post_empty_event)
-    scene = desk.document.gaussians if desk else core.scene.gaussians if core.scene else None
-    if core.training is not None:
-        core.training._drop_arriving()
-    if desk is not None and desk.loading is not None:
-        desk.loading[1].close()
-        desk.loading = None
+    scene = session.document.gaussians if session else app.scene.gaussians if app.scene else None
+    if app.training is not None:
+        app.training._drop_arriving()
+    if session is not None and session.loading is not None:
+        session.loading[1].close()
+        session.loading = None
     if scene is not None:
         for _ in new.load_steps(scene):
             pass
-    if desk is not None:
-        desk.loaded = scene
-    core.picture = new
+    if session is not None:
+        session.loaded = scene
+    app.picture = new
     old.release()
-    accuracy.hold(core, core.accuracy.budget_ms)
+    accuracy.hold(app, app.accuracy.budget_ms)
 
 
 # ---- scenes
@@ -166,8 +166,8 @@ def open_scene(user: Soaked, rng: np.random.Generator) -> str:
     name = str(rng.choice(GOOD))
     user.drop(str(user.folder / name))
     if rng.uniform() < 0.8:
-        core = user.core
-        user.wait(lambda: core.loading is None and core.scene is not None and core.scene.name == name, name)
+        app = user.app
+        user.wait(lambda: app.loading is None and app.scene is not None and app.scene.name == name, name)
         return name
     return f"{name}, without waiting"
 
@@ -179,19 +179,19 @@ def open_two(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def open_broken(user: Soaked, rng: np.random.Generator) -> str:
-    before = user.core.scene
+    before = user.app.scene
     user.drop(str(user.folder / BROKEN))
-    user.wait(lambda: user.core.problem is not None, "the refusal")
-    if before is not user.core.scene and not user.shows_training:
+    user.wait(lambda: user.app.problem is not None, "the refusal")
+    if before is not user.app.scene and not user.shows_training:
         raise AssertionError("the old scene is gone")
     return BROKEN
 
 
 def reload(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.core.scene is None or user.shows_training:
+    if user.app.scene is None or user.shows_training:
         return None
     user.post(opening.reload)
-    return user.core.scene.name
+    return user.app.scene.name
 
 
 def cancel_load(user: Soaked, rng: np.random.Generator) -> str:
@@ -204,10 +204,10 @@ def cancel_load(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def back_to_training(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.shows_training or user.core.loading is not None:
+    if user.shows_training or user.app.loading is not None:
         return None
     user.post(training.show_training)
-    user.wait(lambda: user.core.training is not None and user.core.training.shown is not None, "the training")
+    user.wait(lambda: user.app.training is not None and user.app.training.shown is not None, "the training")
     return ""
 
 
@@ -224,7 +224,7 @@ def step_once(user: Soaked, rng: np.random.Generator) -> str:
 def change_recipe(user: Soaked, rng: np.random.Generator) -> str:
     limit = int(rng.integers(300, 1500 if user.small else 4000))
     changes = {"max_splats": limit, "means_rate": float(rng.uniform(1e-4, 3e-4))}
-    user.post(lambda core: training.change_settings(core, **changes))
+    user.post(lambda app: training.change_settings(app, **changes))
     return f"at most {limit}"
 
 
@@ -246,7 +246,7 @@ def photo(user: Soaked, rng: np.random.Generator) -> str:
 
 def shares(user: Soaked, rng: np.random.Generator) -> str:
     share, updates = float(rng.uniform(0.05, 1)), str(rng.choice(["off", "low", "live", "live"]))
-    user.core.prefer(training_share=share, training_updates=updates)
+    user.app.prefer(training_share=share, training_updates=updates)
     return f"{share:.2f}, {updates}"
 
 
@@ -277,7 +277,7 @@ def budget(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def measure(user: Soaked, rng: np.random.Generator) -> str:
-    user.core.accuracy.seconds = 0.3
+    user.app.accuracy.seconds = 0.3
     user.ctx.window_focus("//Accuracy")
     user.post(accuracy.measure)
     if rng.uniform() < 0.5:
@@ -288,9 +288,9 @@ def measure(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def compare(user: Soaked, rng: np.random.Generator) -> str:
-    user.core.accuracy.comparing.right = RIGHTS[int(rng.integers(0, len(RIGHTS)))]
+    user.app.accuracy.comparing.right = RIGHTS[int(rng.integers(0, len(RIGHTS)))]
     user.frames(5)
-    return user.core.accuracy.comparing.right
+    return user.app.accuracy.comparing.right
 
 
 ACTIONS: dict[str, tuple[float, Callable[[Soaked, np.random.Generator], Any]]] = {

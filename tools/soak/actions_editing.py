@@ -51,25 +51,25 @@ class Soaked(User):
 
     @property
     def shows_training(self) -> bool:
-        return self.core.training is not None and self.core.training.followed_by(self.core)
+        return self.app.training is not None and self.app.training.followed_by(self.app)
 
     def apply(self, operation: Operation) -> str | None:
         """As a button does."""
-        if self.core.scene is None or self.core.loading is not None:
+        if self.app.scene is None or self.app.loading is not None:
             return None
         self.post(commands.apply, operation)
         return operation.op
 
     def place(self, rng: np.random.Generator) -> tuple[tuple[float, float, float], float]:
         """Somewhere in the scene, and its size."""
-        scene = self.core.scene
+        scene = self.app.scene
         assert scene is not None
         x, y, z = (float(v) for v in scene.centre + rng.uniform(-0.5, 0.5, 3) * scene.radius)
         return (x, y, z), float(scene.radius)
 
 
 def select(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.core.scene is None:
+    if user.app.scene is None:
         return None
     centre, radius = user.place(rng)
     how = rng.choice(["set", "set", "add", "remove", "intersect"])
@@ -78,14 +78,14 @@ def select(user: Soaked, rng: np.random.Generator) -> str | None:
 
 
 def select_by_mouse(user: Soaked, rng: np.random.Generator) -> str | None:
-    if not user.core.can_edit or user.core.loading is not None:
+    if not user.app.can_edit or user.app.loading is not None:
         return None
     key = str(rng.choice(["R", "C"]))
     user.press(key)
     x, y = (float(value) for value in rng.uniform(0.2, 0.6, 2))
     user.drag(float(rng.uniform(20, 120)), float(rng.uniform(20, 90)), over=(x, y))
     user.calm()
-    if user.core.desk is not None and user.core.desk.tool != "none":
+    if user.app.session is not None and user.app.session.tool != "none":
         user.press("Escape")
     return key
 
@@ -125,25 +125,25 @@ def look(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def preview(user: Soaked, rng: np.random.Generator) -> str | None:
     """A slider that is dragged, and let go or taken back."""
-    desk = user.core.desk
-    if not user.at_rest or desk is None:
+    session = user.app.session
+    if not user.at_rest or session is None:
         return None
     for _ in range(4):
         operation = Opacity(value=float(rng.uniform(0, 1)), scope="scene")
-        user.post(lambda core, operation=operation: desk.preview("look", operation))
+        user.post(lambda app, operation=operation: session.preview("look", operation))
     kept = rng.uniform() < 0.5
-    user.post(lambda core: desk.commit_preview() if kept else desk.cancel_preview())
+    user.post(lambda app: session.commit_preview() if kept else session.cancel_preview())
     return "kept" if kept else "cancelled"
 
 
 def crop(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.core.scene is None:
+    if user.app.scene is None:
         return None
     centre, radius = user.place(rng)
     a, b, c = (float(v) * radius for v in rng.uniform(0.4, 1.5, 3))
     shape, keep = str(rng.choice(["box", "sphere"])), str(rng.choice(["inside", "inside", "outside"]))
     made: Any = {"shape": shape, "keep": keep, "centre": centre, "half_extents": (a, b, c)}
-    crops = user.core.desk.document.crops if user.core.desk else ()
+    crops = user.app.session.document.crops if user.app.session else ()
     if not crops or rng.uniform() < 0.5:
         return user.apply(AddCrop(crop=Crop(**made)))
     index = int(rng.integers(0, len(crops)))
@@ -156,7 +156,7 @@ def crop(user: Soaked, rng: np.random.Generator) -> str | None:
 
 
 def uncrop(user: Soaked, rng: np.random.Generator) -> str | None:
-    count = len(user.core.desk.document.crops) if user.core.desk else 0
+    count = len(user.app.session.document.crops) if user.app.session else 0
     for index in reversed(range(count)):
         user.apply(RemoveCrop(index=index))
     return f"{count} crops" if count else None
@@ -164,29 +164,29 @@ def uncrop(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def slowly(user: Soaked, rng: np.random.Generator) -> str | None:
     """What runs beside the window: growing, merging, splitting, cleaning up."""
-    desk = user.core.desk
-    if not user.at_rest or desk is None or desk.job is not None:
+    session = user.app.session
+    if not user.at_rest or session is None or session.job is not None:
         return None
     choice = str(
         rng.choice(["grow", "shrink", "merge", "split", "find", "find", "prune", "duplicate", "decimate"])
     )
-    document = desk.document
+    document = session.document
     large = len(document.gaussians) > (3000 if user.small else 40_000)
     if choice in ("grow", "shrink"):
         user.post(commands.grow_or_shrink, (Grow if choice == "grow" else Shrink)(neighbours=4))
     elif choice == "merge" and not large:
-        user.post(lambda core: desk.apply_slowly(Merge(path=str(user.folder / "flat.ply")), "Reading"))
+        user.post(lambda app: session.apply_slowly(Merge(path=str(user.folder / "flat.ply")), "Reading"))
     elif choice == "split" and 0 < document.counts.selected < document.counts.kept:
         path = str(user.folder / f"part-{int(rng.integers(0, 4))}.ply")
-        user.post(lambda core: desk.apply_slowly(Split(path=path), "Writing"))
+        user.post(lambda app: session.apply_slowly(Split(path=path), "Writing"))
     elif choice == "find":
         user.post(cleaning.find, str(rng.choice(list(DETECTORS))))
-    elif choice == "prune" and desk.forms.clean.scores is not None:
+    elif choice == "prune" and session.forms.clean.scores is not None:
         user.post(cleaning.prune)
     elif choice == "duplicate" and not large:
         user.post(commands.EDIT_ACTIONS["duplicate"])
     elif choice == "decimate" and document.counts.kept > 50:
-        desk.forms.clean.keep = document.counts.kept // 2
+        session.forms.clean.keep = document.counts.kept // 2
         user.post(cleaning.keep_best)
     else:
         return None
@@ -204,20 +204,20 @@ def undo(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def jump(user: Soaked, rng: np.random.Generator) -> str | None:
-    desk = user.core.desk
-    if not user.at_rest or desk is None or not desk.document.history.steps:
+    session = user.app.session
+    if not user.at_rest or session is None or not session.document.history.steps:
         return None
-    position = int(rng.integers(0, len(desk.document.history.steps) + 1))
+    position = int(rng.integers(0, len(session.document.history.steps) + 1))
     user.post(commands.jump, position)
     return f"to step {position}"
 
 
 def undo_all(user: Soaked, rng: np.random.Generator) -> str | None:
     """All the way back, and forth again: each state is compared as it comes by."""
-    desk = user.core.desk
-    if not user.at_rest or desk is None or desk.job is not None:
+    session = user.app.session
+    if not user.at_rest or session is None or session.job is not None:
         return None
-    position = desk.document.history.position
+    position = session.document.history.position
     user.post(commands.jump, 0)
     user.post(commands.jump, position)
     return f"{position} steps"
@@ -225,14 +225,14 @@ def undo_all(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def export(user: Soaked, rng: np.random.Generator) -> str | None:
     """The file is the document, baked."""
-    desk = user.core.desk
-    if not user.at_rest or desk is None or desk.job is not None:
+    session = user.app.session
+    if not user.at_rest or session is None or session.job is not None:
         return None
     path = user.folder / "exported.ply"
     path.unlink(missing_ok=True)
     user.post(files.export_to, path)
     user.calm()
-    document = desk.document
+    document = session.document
     wanted = bake(document.gaussians, document.edits, hidden=True)
     if not len(wanted):
         return "nothing was left" if not path.exists() else fail("an empty export")
@@ -250,7 +250,7 @@ def fail(text: str) -> str:
 
 
 def export_training(user: Soaked, rng: np.random.Generator) -> str | None:
-    training = user.core.training
+    training = user.app.training
     if training is None:
         return None
     path = user.folder / "exported-training.ply"
@@ -265,8 +265,13 @@ def export_training(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def recipe(user: Soaked, rng: np.random.Generator) -> str | None:
     """Written down, taken back, and done again by what was written."""
-    desk = user.core.desk
-    if not user.at_rest or desk is None or desk.job is not None or not desk.document.history.position:
+    session = user.app.session
+    if (
+        not user.at_rest
+        or session is None
+        or session.job is not None
+        or not session.document.history.position
+    ):
         return None
     path = user.folder / "recipe.json"
     try:
@@ -276,21 +281,21 @@ def recipe(user: Soaked, rng: np.random.Generator) -> str | None:
     user.post(commands.jump, 0)
     user.post(files.replay_file, path)
     user.calm()
-    return f"{desk.document.history.position} steps"
+    return f"{session.document.history.position} steps"
 
 
 def edit_training(user: Soaked, rng: np.random.Generator) -> str | None:
     """Some splats of the scene in training go, or the view is let go."""
-    training = user.core.training
-    if training is None or not user.shows_training or training.shown is None or user.core.loading is not None:
+    training = user.app.training
+    if training is None or not user.shows_training or training.shown is None or user.app.loading is not None:
         return None
-    if rng.uniform() < 0.5 and user.core.desk is not None:
+    if rng.uniform() < 0.5 and user.app.session is not None:
         user.post(held.let_go)
         return "let go"
     centre, radius = user.place(rng)
     user.apply(Select(by=Sphere(centre=centre, radius=0.15 * radius)))
-    desk = user.core.desk
-    if desk is None or not 0 < desk.document.counts.selected < desk.document.counts.kept // 2:
+    session = user.app.session
+    if session is None or not 0 < session.document.counts.selected < session.document.counts.kept // 2:
         return None
     user.press("Delete")
     return "deleted"
@@ -298,12 +303,12 @@ def edit_training(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def start_anew(user: Soaked, rng: np.random.Generator) -> str | None:
     """A long history is left behind."""
-    desk = user.core.desk
-    if desk is None or len(desk.document.history.steps) < MOST_STEPS:
+    session = user.app.session
+    if session is None or len(session.document.history.steps) < MOST_STEPS:
         return None
     user.drop(str(user.folder / "ball.ply"))
-    core = user.core
-    user.wait(lambda: core.loading is None and core.scene is not None and core.scene.name == "ball.ply", "it")
+    app = user.app
+    user.wait(lambda: app.loading is None and app.scene is not None and app.scene.name == "ball.ply", "it")
     return ""
 
 

@@ -22,7 +22,7 @@ from splatview import raster
 from splatview.edit.document import Document, Event, Step
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import PREVIEW, SceneEdits, bake
-from splatview.viewer.state import Core, process_memory
+from splatview.viewer.state import AppState, process_memory
 
 PIXEL_BOUND = 4 / 255
 """Pictures may differ so much anywhere: float16 blending is within it."""
@@ -63,7 +63,7 @@ class Memory:
     accounted: list[float] = field(default_factory=list)
     """MiB of scene and history."""
 
-    def note(self, core: Core, seconds: float) -> None:
+    def note(self, app: AppState, seconds: float) -> None:
         gc.collect()
         if sys.platform.startswith("linux"):
             # What is free but kept by the C library is no leak.
@@ -72,11 +72,11 @@ class Memory:
         if resident is None:
             return
         known = 0
-        if core.scene is not None:
+        if app.scene is not None:
             # As the file has it, as it is drawn, and as the picture holds it.
-            known += 3 * core.scene.gaussians.nbytes
-        if core.desk is not None:
-            known += core.desk.document.history.nbytes
+            known += 3 * app.scene.gaussians.nbytes
+        if app.session is not None:
+            known += app.session.document.history.nbytes
         self.seconds.append(seconds)
         self.resident.append(resident)
         self.accounted.append(known / 2**20)

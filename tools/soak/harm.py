@@ -12,7 +12,7 @@ from actions_editing import Soaked
 
 def picture(user: Soaked, rng: np.random.Generator) -> str:
     """The renderer forgets a part of the picture."""
-    shown = user.core.picture
+    shown = user.app.picture
     assert shown is not None
     read = shown.read
 

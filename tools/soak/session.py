@@ -25,7 +25,7 @@ from splatview.cli import train as train_window
 from splatview.scene.formats import load_scene
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer import dialogs as file_dialogs
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 LOOK_EVERY = 8
 """Actions between two looks at everything."""
@@ -68,16 +68,16 @@ class Session:
             yield number, names[int(choice.choice(len(names), p=weights / weights.sum()))]
             number += 1
 
-    def act(self, core: Core, ctx: Any) -> None:
+    def act(self, app: AppState, ctx: Any) -> None:
         """Called with the window open, in place of a person."""
         file_dialogs.has_native_dialogs = lambda: False
-        core.prefer(smooth=False, recent=())
-        user = self.user = Soaked(core, ctx, self.folder, small=self.options["size"] == "small")
+        app.prefer(smooth=False, recent=())
+        user = self.user = Soaked(app, ctx, self.folder, small=self.options["size"] == "small")
         user.compute = user.on_gl_thread(lambda: moderngl.get_context().version_code) >= 430
         began = time.monotonic()
         number, name = -1, "the start"
         try:
-            user.wait(lambda: core.scene is not None, "the first snapshot")
+            user.wait(lambda: app.scene is not None, "the first snapshot")
             for number, name in self.plan():
                 self._log.write(
                     json.dumps({"n": number, "action": name, "at": round(time.monotonic() - began, 2)}) + "\n"
@@ -89,11 +89,11 @@ class Session:
                 self._log.write(json.dumps({"n": number, "did": did}) + "\n")
                 if number % LOOK_EVERY == LOOK_EVERY - 1:
                     user.look_at_everything()
-                    self.memory.note(core, time.monotonic() - began)
+                    self.memory.note(app, time.monotonic() - began)
                 if self.problems:
                     raise Mishap("see above")
             user.look_at_everything()
-            self.memory.note(core, time.monotonic() - began)
+            self.memory.note(app, time.monotonic() - began)
             self.threads = idle_threads()
         except BaseException as error:
             traceback.print_exc()

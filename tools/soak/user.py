@@ -12,7 +12,7 @@ from checks import Mishap, Pictures, Undone, wait_for_threads
 from drives import Hand
 
 from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 EXPECTED = (
     r"^broken\.ply|/broken\.ply",
@@ -34,8 +34,8 @@ SETTLE_SECONDS = 120.0
 class User(Hand):
     """Hands, eyes, and what was seen so far."""
 
-    def __init__(self, core: Core, ctx: Any, folder: Path, *, small: bool):
-        super().__init__(core, ctx)
+    def __init__(self, app: AppState, ctx: Any, folder: Path, *, small: bool):
+        super().__init__(app, ctx)
         self.folder, self.small = folder, small
         self.pictures = Pictures(folder)
         self.undone = Undone()
@@ -45,13 +45,13 @@ class User(Hand):
     @property
     def at_rest(self) -> bool:
         """Whether every edit can be made."""
-        return self.core.at_rest and self.core.loading is None
+        return self.app.at_rest and self.app.loading is None
 
     def post(self, command: Any, *args: Any) -> None:
         """As a menu entry does; returns when it has run."""
         done: list[bool] = []
-        self.core.post(command, *args)
-        self.core.post(lambda core: done.append(True))
+        self.app.post(command, *args)
+        self.app.post(lambda app: done.append(True))
         self.wait(lambda: bool(done), "the frame loop")
         self.frames(1)
 
@@ -65,98 +65,92 @@ class User(Hand):
         self.frames(2)
 
     def _under_way(self) -> list[str]:
-        core, desk = self.core, self.core.desk
+        app, session = self.app, self.app.session
         waits = {
-            "loading": core.loading is not None,
-            "a turn of the view": core.transition is not None,
-            "looking at the splats": not core.examined or core.examining is not None,
-            "an edit": desk is not None and desk.job is not None,
-            "a changed scene": desk is not None and desk.loading is not None,
-            "a picture": core.picture is not None and core.picture.busy and not self._trains,
-            "measuring": core.accuracy.measurement is not None,
+            "loading": app.loading is not None,
+            "a turn of the view": app.transition is not None,
+            "looking at the splats": not app.examined or app.examining is not None,
+            "an edit": session is not None and session.job is not None,
+            "a changed scene": session is not None and session.loading is not None,
+            "a picture": app.picture is not None and app.picture.busy and not self._trains,
+            "measuring": app.accuracy.measurement is not None,
         }
         return [name for name, under_way in waits.items() if under_way]
 
     @property
     def _trains(self) -> bool:
         """New pictures come all the time."""
-        training = self.core.training
-        return (
-            training is not None and training.followed_by(self.core) and training.status.state == "training"
-        )
+        training = self.app.training
+        return training is not None and training.followed_by(self.app) and training.status.state == "training"
 
     # ---- looking
 
     def look_for_harm(self) -> None:
         """After every action. Raises Mishap."""
-        core = self.core
+        app = self.app
         self.frames(1)
-        self.undone.follow(core.desk.document if core.at_rest and core.desk else None)
+        self.undone.follow(app.session.document if app.at_rest and app.session else None)
         if self.undone.wrong:
             raise Mishap(self.undone.wrong)
-        problem, core.problem = core.problem, None
+        problem, app.problem = app.problem, None
         if problem is not None and not any(re.search(pattern, problem) for pattern in EXPECTED):
             raise Mishap(f"a dialog: {problem}")
-        new, self._told = list(core.messages)[-20:], len(core.messages)
+        new, self._told = list(app.messages)[-20:], len(app.messages)
         for message in new:
             if INSIDE in message.text:
                 raise Mishap(message.text)
         error = self.on_gl_thread(lambda: moderngl.get_context().error)
         if error != "GL_NO_ERROR":
             raise Mishap(f"OpenGL says {error}")
-        training = core.training
+        training = app.training
         if training is not None and training.status.state == "failed":
             raise Mishap(f"training failed: {training.status.failure}")
 
     def look_at_everything(self) -> None:
         """Now and then: pictures and threads. Raises Mishap."""
-        core = self.core
+        app = self.app
         resumed = False
-        if core.training is not None and core.training.status.state == "training":
-            core.training.thread.pause()
+        if app.training is not None and app.training.status.state == "training":
+            app.training.thread.pause()
             resumed = True
-            self.wait(
-                lambda: core.training is not None and core.training.status.state == "paused", "the pause"
-            )
-        if core.desk is not None and core.desk.job is not None:
-            core.desk.job.cancel()
-        if core.accuracy.measurement is not None:
-            core.accuracy.cancel()
+            self.wait(lambda: app.training is not None and app.training.status.state == "paused", "the pause")
+        if app.session is not None and app.session.job is not None:
+            app.session.job.cancel()
+        if app.accuracy.measurement is not None:
+            app.accuracy.cancel()
         self.calm()
         self.look_for_harm()
         if (
-            core.scene is not None
-            and core.desk is not None
-            and core.desk.gaussians is not core.scene.gaussians
+            app.scene is not None
+            and app.session is not None
+            and app.session.gaussians is not app.scene.gaussians
         ):
             raise Mishap("the panels look at other splats than the edits")
         self.look_at_the_picture()
         wait_for_threads(lambda: self.frames(1))
-        if resumed and core.training is not None:
-            core.training.thread.resume()
-            self.wait(
-                lambda: core.training is not None and core.training.status.state != "paused", "training"
-            )
+        if resumed and app.training is not None:
+            app.training.thread.resume()
+            self.wait(lambda: app.training is not None and app.training.status.state != "paused", "training")
 
     def look_at_the_picture(self) -> None:
         """What is shown, and what would be saved, are what the CPU draws of the baked scene."""
-        core = self.core
-        picture, scene = core.picture, core.scene
+        app = self.app
+        picture, scene = app.picture, app.scene
         if picture is None or scene is None:
             return
-        gaussians = core.desk.document.gaussians if core.desk else scene.gaussians
-        edits, camera, settings = core.edits, core.camera, core.settings
-        if core.mode == "splats":
+        gaussians = app.session.document.gaussians if app.session else scene.gaussians
+        edits, camera, settings = app.edits, app.camera, app.settings
+        if app.mode == "splats":
             saved = self.on_gl_thread(lambda: picture.read(camera, settings, "splats", edits=edits))
             self.pictures.compare("a saved picture", saved, gaussians, camera, settings, edits)
         else:
-            saved = self.on_gl_thread(lambda: picture.read(camera, settings, core.mode, edits=edits))
+            saved = self.on_gl_thread(lambda: picture.read(camera, settings, app.mode, edits=edits))
             if not np.isfinite(saved).all():
-                raise Mishap(f"{core.mode}: numbers that are not finite")
+                raise Mishap(f"{app.mode}: numbers that are not finite")
         self.calm()
         lit = edits is not None and edits.flags & (SELECTED | LOCKED | PREVIEW)
-        exact = not core.accuracy.choices and core.accuracy.budget_ms is None
-        if core.mode == "splats" and exact and not lit and core.preferences.resolution_scale == 1:
+        exact = not app.accuracy.choices and app.accuracy.budget_ms is None
+        if app.mode == "splats" and exact and not lit and app.preferences.resolution_scale == 1:
             texture = picture.texture
             if texture.size != (camera.width, camera.height):
                 raise Mishap(
@@ -167,7 +161,7 @@ class User(Hand):
 
     @property
     def renderer(self) -> str:
-        picture = self.core.picture
+        picture = self.app.picture
         return "" if picture is None else picture.name.split()[0]
 
 

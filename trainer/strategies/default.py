@@ -16,7 +16,7 @@ from splatview.raster.compiling import kernel
 from splatview.scene.projection import rotation_matrices
 from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
 from splatview.trainer.splats import Splats
-from splatview.trainer.strategies.ops import ill_splats, inside_any
+from splatview.trainer.strategies.ops import inside_any, invalid_splats
 
 KEEP, CLONE, SPLIT, PRUNE = range(4)
 
@@ -68,7 +68,7 @@ def decide(
 
 
 @dataclass(eq=False)
-class ClassicControl:
+class DefaultStrategy:
     """Adds up what steps show of each splat, and refines the scene by it."""
 
     settings: TrainSettings
@@ -113,7 +113,7 @@ class ClassicControl:
             actions[~(scales <= limits.largest_scale * self.extent)] = PRUNE
         growing = (actions == CLONE) | (actions == SPLIT)
         actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
-        actions[ill_splats(parameters)] = PRUNE
+        actions[invalid_splats(parameters)] = PRUNE
         if (actions == PRUNE).all():
             actions[:] = KEEP  # there would be nothing left to train
         self._respect_limit(actions)

@@ -19,7 +19,7 @@ from splatview.raster.project import rotation_matrix, sigmoid
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.default import sigmoid as sigmoids
-from splatview.trainer.strategies.ops import ill_splats, inside_any
+from splatview.trainer.strategies.ops import inside_any, invalid_splats
 
 DEAD = 0.005
 """Splats no more opaque than this are moved."""
@@ -40,7 +40,7 @@ LEAST_NOISE = 1e-4
 
 
 @dataclass(eq=False)
-class SampledControl:
+class MCMCStrategy:
     """The strategy; it keeps nothing from step to step."""
 
     settings: TrainSettings
@@ -60,7 +60,7 @@ class SampledControl:
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
         opacities = sigmoids(splats.parameters.opacity_logits)
-        living = (opacities > DEAD) & ~ill_splats(splats.parameters)
+        living = (opacities > DEAD) & ~invalid_splats(splats.parameters)
         dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
         growing = ~inside_any(self.settings.no_growth, splats.parameters.means)

@@ -21,7 +21,7 @@ LARGEST_LOG_SCALE = math.log(FLOAT32_MAX)
 """exp of more is infinite."""
 
 
-def ill_splats(parameters: Parameters) -> np.ndarray:
+def invalid_splats(parameters: Parameters) -> np.ndarray:
     """(N,) bool: a value is not finite, a log-scale is beyond float32's exp, or the quaternion is zero."""
     ill = np.empty(len(parameters.means), np.bool_)
     threads = available_threads()

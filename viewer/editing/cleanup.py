@@ -13,10 +13,10 @@ from splatview.edit.operations.cleanup import Decimate, Prune, Repair, editable
 from splatview.edit.progress import Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 VIEWS = 8
@@ -26,40 +26,40 @@ MOST_LOADED = 16
 """Of loaded cameras, spread evenly."""
 
 
-def choose_detector(desk: Desk, name: str) -> None:
+def choose_detector(session: EditSession, name: str) -> None:
     """Another of DETECTORS; what the one before has found is forgotten."""
-    form = desk.forms.clean
+    form = session.forms.clean
     form.detector, form.scores, form.mask, form.price = name, None, None, None
-    form.threshold, desk.highlight = DETECTORS[name].threshold, None
+    form.threshold, session.preview_mask = DETECTORS[name].threshold, None
 
 
-def find(core: Core, detector: str) -> None:
+def find(app: AppState, detector: str) -> None:
     """Looks for splats by one of DETECTORS and shows the section that says what was found."""
-    if core.desk is None:
-        core.tell("Open a scene first")
+    if app.session is None:
+        app.tell("Open a scene first")
         return
-    choose_detector(core.desk, detector)
-    core.desk.forms.open_section = "Clean up"
-    look(core)
+    choose_detector(app.session, detector)
+    app.session.forms.open_section = "Clean up"
+    look(app)
 
 
-def views(core: Core, desk: Desk) -> tuple[Camera, ...]:
+def views(app: AppState, session: EditSession) -> tuple[Camera, ...]:
     """The loaded cameras if there are some, else views from around the scene."""
-    if core.cameras:
-        step = -(-len(core.cameras) // MOST_LOADED)
-        return tuple(core.cameras[::step])
-    return tuple(sample_cameras(desk.document.gaussians, desk.document.edits, VIEWS))
+    if app.cameras:
+        step = -(-len(app.cameras) // MOST_LOADED)
+        return tuple(app.cameras[::step])
+    return tuple(sample_cameras(session.document.gaussians, session.document.edits, VIEWS))
 
 
-def look(core: Core) -> None:
+def look(app: AppState) -> None:
     """Scores in a thread; then the slider's first threshold."""
-    desk = core.desk
-    if desk is None:
+    session = app.session
+    if session is None:
         return
-    form, document = desk.forms.clean, desk.document
+    form, document = session.forms.clean, session.document
     name, detector = form.detector, DETECTORS[form.detector]
     key = (name, document.versions)
-    cameras = views(core, desk) if detector.renders else ()
+    cameras = views(app, session) if detector.renders else ()
 
     def work(watch: Watch) -> np.ndarray:
         # The document keeps them for the deletion that may follow.
@@ -67,31 +67,31 @@ def look(core: Core) -> None:
 
     def done(scores: np.ndarray) -> None:
         form.scores, form.of, form.threshold = scores, key, detector.threshold
-        set_threshold(desk, detector.threshold)
+        set_threshold(session, detector.threshold)
 
-    desk.start(f"Looking for {detector.label.lower()}", work, done)
+    session.start(f"Looking for {detector.label.lower()}", work, done)
 
 
-def set_threshold(desk: Desk, value: float) -> None:
+def set_threshold(session: EditSession, value: float) -> None:
     """Lights up what scores above it, as far as it may be deleted."""
-    form = desk.forms.clean
+    form = session.forms.clean
     if form.scores is None:
         return
     form.threshold, form.price = value, None
-    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & editable(desk.document)
+    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & editable(session.document)
     form.count = int(np.count_nonzero(form.mask))
-    desk.highlight = form.mask
+    session.preview_mask = form.mask
 
 
-def measure_price(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
+def measure_price(app: AppState) -> None:
+    session = app.session
+    if session is None:
         return
-    form, document = desk.forms.clean, desk.document
+    form, document = session.forms.clean, session.document
     mask, before = form.mask, unchanging(document.edits)
     if mask is None:
         return
-    after, cameras = with_deleted(before, mask), views(core, desk)
+    after, cameras = with_deleted(before, mask), views(app, session)
 
     def work(watch: Watch) -> Any:
         return price(document.gaussians, before, after, document.tools, cameras, watch=watch)
@@ -100,32 +100,32 @@ def measure_price(core: Core) -> None:
         if form.mask is mask:
             form.price = cost
 
-    desk.start("Measuring the price", work, done)
+    session.start("Measuring the price", work, done)
 
 
-def prune(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
+def prune(app: AppState) -> None:
+    session = app.session
+    if session is None:
         return
-    form = desk.forms.clean
+    form = session.forms.clean
     detector = DETECTORS[form.detector]
-    cameras = views(core, desk) if detector.renders else ()
-    desk.highlight = None
-    desk.apply_slowly(Prune(by=detector(), threshold=form.threshold, cameras=cameras), "Deleting")
+    cameras = views(app, session) if detector.renders else ()
+    session.preview_mask = None
+    session.apply_slowly(Prune(by=detector(), threshold=form.threshold, cameras=cameras), "Deleting")
 
 
-def forget(core: Core) -> None:
-    if core.desk is not None:
-        form = core.desk.forms.clean
-        form.scores, form.mask, form.price, core.desk.highlight = None, None, None, None
+def forget(app: AppState) -> None:
+    if app.session is not None:
+        form = app.session.forms.clean
+        form.scores, form.mask, form.price, app.session.preview_mask = None, None, None, None
 
 
-def price_decimation(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
+def price_decimation(app: AppState) -> None:
+    session = app.session
+    if session is None:
         return
-    form, document = desk.forms.clean, desk.document
-    key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(core, desk)
+    form, document = session.forms.clean, session.document
+    key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(app, session)
 
     def work(watch: Watch) -> Any:
         part = watch.part(0.0, 0.4)
@@ -136,13 +136,13 @@ def price_decimation(core: Core) -> None:
     def done(cost: Any) -> None:
         form.kept_price = (key, cost)
 
-    desk.start("Measuring the price", work, done)
+    session.start("Measuring the price", work, done)
 
 
-def keep_best(core: Core) -> None:
-    if core.desk is not None:
-        keep = core.desk.forms.clean.keep
-        core.desk.apply_slowly(Decimate(keep=keep, cameras=views(core, core.desk)), "Keeping the best")
+def keep_best(app: AppState) -> None:
+    if app.session is not None:
+        keep = app.session.forms.clean.keep
+        app.session.apply_slowly(Decimate(keep=keep, cameras=views(app, app.session)), "Keeping the best")
 
 
 # ---- What repairs of the health report would cost, measured in a thread.
@@ -151,22 +151,22 @@ def keep_best(core: Core) -> None:
 __all__ = ["VIEWS", "measure", "prices"]
 
 
-def prices(core: Core) -> dict[str, Price]:
+def prices(app: AppState) -> dict[str, Price]:
     """By finding; none where they were not measured, or the scene was edited since."""
-    if core.desk is None:
+    if app.session is None:
         return {}
-    form = core.desk.forms.health
-    return form.prices if form.of == core.desk.document.versions else {}
+    form = app.session.forms.health
+    return form.prices if form.of == app.session.document.versions else {}
 
 
-def measure(core: Core, names: Sequence[str]) -> None:
+def measure(app: AppState, names: Sequence[str]) -> None:
     """Of the repairs of the findings `names`, each by itself, by the renderer of all prices."""
-    desk = core.desk
-    if desk is None:
+    session = app.session
+    if session is None:
         return
-    form, document = desk.forms.health, desk.document
+    form, document = session.forms.health, session.document
     repairs = {name: Repair(finding=name) for name in names}
-    of, cameras = document.versions, views(core, desk)
+    of, cameras = document.versions, views(app, session)
 
     def work(watch: Watch) -> dict[str, Price]:
         return price_operations(document, repairs, cameras, watch=watch)
@@ -174,4 +174,4 @@ def measure(core: Core, names: Sequence[str]) -> None:
     def done(found: dict[str, Price]) -> None:
         form.prices, form.of = found, of
 
-    desk.start("Measuring what repairs cost", work, done)
+    session.start("Measuring what repairs cost", work, done)

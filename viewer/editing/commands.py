@@ -14,13 +14,13 @@ from splatview.edit.operations.select import Grow, Shrink
 from splatview.scene.edits import Crop
 from splatview.viewer.editing.cleanup import find
 from splatview.viewer.editing.files import FILE_ACTIONS
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import Depth, ToolName
 from splatview.viewer.open import bounds
 from splatview.viewer.training.live_edits import hold
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 # ---- A new crop, about where the scene is.
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
 Shape = Literal["box", "sphere"]
 
 
-def add_crop(core: Core, shape: Shape) -> None:
+def add_crop(app: AppState, shape: Shape) -> None:
     """Adds a box or sphere that fits the scene, and gives it the handles."""
-    desk = core.desk
-    if desk is None:
-        core.tell("Open a scene first")
-    elif desk.apply(AddCrop(crop=fitting(core, desk, shape))):
-        desk.forms.crop = len(desk.document.crops) - 1
-        desk.forms.open_section = "Crop"
+    session = app.session
+    if session is None:
+        app.tell("Open a scene first")
+    elif session.apply(AddCrop(crop=fitting(app, session, shape))):
+        session.forms.crop = len(session.document.crops) - 1
+        session.forms.open_section = "Crop"
 
 
-def fitting(core: Core, desk: Desk, shape: Shape) -> Crop:
+def fitting(app: AppState, session: EditSession, shape: Shape) -> Crop:
     """A first crop: about the bulk of what is shown."""
-    number = 1 + len(desk.document.crops)
-    if core.training is not None and desk.trainee is not None:
-        settings = core.training.status.settings
+    number = 1 + len(session.document.crops)
+    if app.training is not None and session.target is not None:
+        settings = app.training.status.settings
         number += len(settings.cut) + len(settings.no_growth)
-    found = bounds(core)
+    found = bounds(app)
     if found is None:
         return Crop(name=f"crop {number}", shape=shape)
     (x, y, z), half = found[0].tolist(), found[1]
@@ -66,89 +66,89 @@ SELECT_FIRST = "Select splats first: R for a rectangle, C for a brush, Ctrl+A fo
 
 
 def with_desk(command: Callable[..., None]) -> Callable[..., None]:
-    """`command(core, desk, *args)` as `command(core, *args)`, which does nothing where no scene is open."""
+    """`command(app, session, *args)` as `command(app, *args)`, which does nothing where no scene is open."""
 
-    def run(core: Core, *args: object, **options: object) -> None:
-        desk = hold(core)
-        if desk is None:
-            core.tell("Open a scene first")
+    def run(app: AppState, *args: object, **options: object) -> None:
+        session = hold(app)
+        if session is None:
+            app.tell("Open a scene first")
         else:
-            command(core, desk, *args, **options)
+            command(app, session, *args, **options)
 
     return run
 
 
 @with_desk
-def undo(core: Core, desk: Desk) -> None:
-    desk.undo()
+def undo(app: AppState, session: EditSession) -> None:
+    session.undo()
 
 
 @with_desk
-def redo(core: Core, desk: Desk) -> None:
-    desk.redo()
+def redo(app: AppState, session: EditSession) -> None:
+    session.redo()
 
 
 @with_desk
-def jump(core: Core, desk: Desk, position: int) -> None:
+def jump(app: AppState, session: EditSession, position: int) -> None:
     """Undoes or redoes until `position` steps are in force."""
-    desk.jump(position)
+    session.jump(position)
 
 
 @with_desk
-def apply(core: Core, desk: Desk, operation: Operation) -> None:
-    desk.apply(operation)
+def apply(app: AppState, session: EditSession, operation: Operation) -> None:
+    session.apply(operation)
 
 
 @with_desk
-def apply_to_selection(core: Core, desk: Desk, operation: Operation) -> None:
+def apply_to_selection(app: AppState, session: EditSession, operation: Operation) -> None:
     """As `apply`, for what would do nothing without a selection: says so instead."""
-    if desk.document.counts.selected:
-        desk.apply(operation)
+    if session.document.counts.selected:
+        session.apply(operation)
     else:
-        desk.news = SELECT_FIRST
+        session.news = SELECT_FIRST
 
 
 @with_desk
-def grow_or_shrink(core: Core, desk: Desk, operation: Grow | Shrink) -> None:
+def grow_or_shrink(app: AppState, session: EditSession, operation: Grow | Shrink) -> None:
     """In a thread: it looks for the neighbours of every splat."""
-    if desk.document.counts.selected:
-        desk.apply_slowly(operation, "Grow" if isinstance(operation, Grow) else "Shrink")
+    if session.document.counts.selected:
+        session.apply_slowly(operation, "Grow" if isinstance(operation, Grow) else "Shrink")
     else:
-        desk.news = SELECT_FIRST
+        session.news = SELECT_FIRST
 
 
 @with_desk
-def take_tool(core: Core, desk: Desk, tool: ToolName) -> None:
+def take_tool(app: AppState, session: EditSession, tool: ToolName) -> None:
     """Takes a tool; the one in hand is put back by asking for it again."""
-    desk.tool = "none" if desk.tool == tool else tool
-    desk.stroke = None
-    desk.picked.clear()
+    session.tool = "none" if session.tool == tool else tool
+    session.stroke = None
+    session.picked.clear()
 
 
 @with_desk
-def next_depth(core: Core, desk: Desk) -> None:
+def next_depth(app: AppState, session: EditSession) -> None:
     depths: tuple[Depth, ...] = get_args(Depth)
-    desk.depth = depths[(depths.index(desk.depth) + 1) % len(depths)]
-    text = "through everything" if desk.depth == "through" else "the front surface only"
-    desk.news = f"Screen tools select {text}"
+    session.depth = depths[(depths.index(session.depth) + 1) % len(depths)]
+    text = "through everything" if session.depth == "through" else "the front surface only"
+    session.news = f"Screen tools select {text}"
 
 
 @with_desk
-def scale_brush(core: Core, desk: Desk, factor: float) -> None:
-    desk.brush_radius = min(max(desk.brush_radius * factor, LEAST_BRUSH), MOST_BRUSH)
+def scale_brush(app: AppState, session: EditSession, factor: float) -> None:
+    session.brush_radius = min(max(session.brush_radius * factor, LEAST_BRUSH), MOST_BRUSH)
 
 
 @with_desk
-def cancel_job(core: Core, desk: Desk) -> None:
-    if desk.job is not None:
-        desk.job.cancel()
+def cancel_job(app: AppState, session: EditSession) -> None:
+    if session.job is not None:
+        session.job.cancel()
 
 
 def _operation(name: str, **fields: object) -> Operation:
     return OPERATIONS[name](**fields)
 
 
-EDIT_ACTIONS: dict[str, Callable[[Core], None]] = {
+EDIT_ACTIONS: dict[str, Callable[[AppState], None]] = {
     **FILE_ACTIONS,
     "undo": undo,
     "redo": redo,

@@ -14,218 +14,220 @@ from splatview.edit.progress import Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from splatview.scene import InputError
 from splatview.scene.user_dirs import config_folder
-from splatview.viewer.editing.session import JOURNALS, Desk
+from splatview.viewer.editing.session import JOURNALS, EditSession
 from splatview.viewer.loading import stamp_of, stamps_of
 from splatview.viewer.training.live import export as export_training
 from splatview.viewer.training.live_edits import AT_REST
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
-def at_rest(core: Core) -> bool:
+def at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes; says so where not."""
-    if not core.at_rest:
-        core.tell(AT_REST if core.can_edit else "Open a scene first")
-    return core.at_rest
+    if not app.at_rest:
+        app.tell(AT_REST if app.can_edit else "Open a scene first")
+    return app.at_rest
 
 
-def choose_export(core: Core) -> None:
+def choose_export(app: AppState) -> None:
     """Asks where the edited scene goes."""
-    if core.can_edit and not core.at_rest:
-        export_training(core)
+    if app.can_edit and not app.at_rest:
+        export_training(app)
         return
-    if not at_rest(core):
+    if not at_rest(app):
         return
-    core.choose_files(
+    app.choose_files(
         "Export the edited scene",
-        lambda paths: core.post(export_to, paths[0]),
+        lambda paths: app.post(export_to, paths[0]),
         kind="save_scene",
-        name=f"{_stem(core)}-edited.ply",
+        name=f"{_stem(app)}-edited.ply",
     )
 
 
-def export_to(core: Core, path: Path) -> None:
+def export_to(app: AppState, path: Path) -> None:
     """Writes the edited scene, whole or not at all, in a thread."""
-    desk = core.desk
-    if desk is None:
+    session = app.session
+    if session is None:
         return
     target = path if path.suffix else path.with_suffix(".ply")
-    read = desk.stamps.get(target.resolve())
+    read = session.stamps.get(target.resolve())
     if read is not None and stamp_of(target) not in (read, None):
-        core.complain(
+        app.complain(
             f"{target}: another program has changed it since it was opened here; export under another name,"
             " or open it again"
         )
         return
-    desk.document.cancel_preview()
-    document = desk.document
+    session.document.cancel_preview()
+    document = session.document
 
     def work(watch: Watch) -> int:
         return export(document, target)
 
     def done(count: int) -> None:
         if read is not None:
-            desk.stamps.update(stamps_of([target]))
-        desk.news = f"Exported {count:,} splats to {target}"
+            session.stamps.update(stamps_of([target]))
+        session.news = f"Exported {count:,} splats to {target}"
 
-    desk.start(f"Exporting {target.name}", work, done)
+    session.start(f"Exporting {target.name}", work, done)
 
 
-def choose_recipe_to_save(core: Core) -> None:
-    if not at_rest(core):
+def choose_recipe_to_save(app: AppState) -> None:
+    if not at_rest(app):
         return
-    if core.desk is None or not core.desk.document.history.position:
-        core.tell("Nothing has been done yet that a recipe could hold")
+    if app.session is None or not app.session.document.history.position:
+        app.tell("Nothing has been done yet that a recipe could hold")
         return
-    core.choose_files(
+    app.choose_files(
         "Save what was done as a recipe",
-        lambda paths: core.post(save_recipe_to, paths[0]),
+        lambda paths: app.post(save_recipe_to, paths[0]),
         kind="save_recipe",
-        name=f"{_stem(core)}-recipe.json",
+        name=f"{_stem(app)}-recipe.json",
     )
 
 
-def save_recipe_to(core: Core, path: Path) -> None:
-    if core.desk is None:
+def save_recipe_to(app: AppState, path: Path) -> None:
+    if app.session is None:
         return
     target = path if path.suffix else path.with_suffix(".json")
     try:
-        save_recipe(recipe_of(core.desk.document), target)
+        save_recipe(recipe_of(app.session.document), target)
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
         return
-    core.tell(f"{target}: {core.desk.document.history.position} steps; splatview edit replays them on a file")
+    app.tell(
+        f"{target}: {app.session.document.history.position} steps; splatview edit replays them on a file"
+    )
 
 
-def choose_recipe_to_replay(core: Core) -> None:
-    if not at_rest(core):
+def choose_recipe_to_replay(app: AppState) -> None:
+    if not at_rest(app):
         return
-    core.choose_files("Replay a recipe", lambda paths: core.post(replay_file, paths[0]), kind="recipe")
+    app.choose_files("Replay a recipe", lambda paths: app.post(replay_file, paths[0]), kind="recipe")
 
 
-def replay_file(core: Core, path: Path) -> None:
-    desk = core.desk
-    if desk is None:
+def replay_file(app: AppState, path: Path) -> None:
+    session = app.session
+    if session is None:
         return
     try:
         recipe = load_recipe(path)
-        check_scene(recipe, desk.document, any_scene=True)
+        check_scene(recipe, session.document, any_scene=True)
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
         return
-    replay_on(core, desk, recipe, f"Replaying {path.name}")
+    replay_on(app, session, recipe, f"Replaying {path.name}")
 
 
-def replay_on(core: Core, desk: Desk, recipe: Recipe, title: str) -> None:
+def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -> None:
     """Does every step again, as steps of this history. The document waits for it: nothing else may edit."""
-    desk.cancel_preview()
-    folder, desk.document.folder = desk.document.folder, recipe.folder or desk.document.folder
+    session.cancel_preview()
+    folder, session.document.folder = session.document.folder, recipe.folder or session.document.folder
 
     def work(watch: Watch) -> None:
         try:
-            replay(recipe, desk.document, watch=watch)
+            replay(recipe, session.document, watch=watch)
         finally:
-            desk.document.folder = folder
+            session.document.folder = folder
 
     def done(_: None) -> None:
-        desk.news = f"{len(recipe.steps)} steps done again"
+        session.news = f"{len(recipe.steps)} steps done again"
 
-    desk.start(title, work, done, edits=True)
+    session.start(title, work, done, edits=True)
 
 
-def choose_merge(core: Core) -> None:
+def choose_merge(app: AppState) -> None:
     """Adds a file's splats as an edit, which can be undone and replayed."""
-    if not at_rest(core):
+    if not at_rest(app):
         return
-    core.choose_files("Merge another scene", lambda paths: core.post(merge_files, paths), kind="scene")
+    app.choose_files("Merge another scene", lambda paths: app.post(merge_files, paths), kind="scene")
 
 
-def merge_files(core: Core, paths: Sequence[Path]) -> None:
+def merge_files(app: AppState, paths: Sequence[Path]) -> None:
     """Each is a step of its own; one that cannot be read ends it."""
-    if core.desk is not None and paths:
+    if app.session is not None and paths:
         merge = Merge(path=str(paths[0].absolute()))
-        core.desk.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(core, paths[1:]))
+        app.session.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(app, paths[1:]))
 
 
-def choose_addition(core: Core) -> None:
-    core.choose_files("Add a scene", lambda paths: core.post(add_files, paths), kind="scene")
+def choose_addition(app: AppState) -> None:
+    app.choose_files("Add a scene", lambda paths: app.post(add_files, paths), kind="scene")
 
 
-def add_files(core: Core, paths: Sequence[Path]) -> None:
+def add_files(app: AppState, paths: Sequence[Path]) -> None:
     """Opens the scene that is open again with those of `paths` besides. Where it is edited that would leave
     the edits behind, so there each file is a step of editing."""
     from splatview.viewer import open as opening
 
-    if core.desk is not None and core.desk.document.history.can_undo:
-        merge_files(core, paths)
+    if app.session is not None and app.session.document.history.can_undo:
+        merge_files(app, paths)
     else:
-        opening.begin(core, paths, add=True)
+        opening.begin(app, paths, add=True)
 
 
-def choose_split(core: Core) -> None:
+def choose_split(app: AppState) -> None:
     """Moves the selection to a file of its own."""
-    if not at_rest(core):
+    if not at_rest(app):
         return
-    if core.desk is None or not core.desk.document.counts.selected:
-        core.tell("Select the splats that are to go to a file of their own")
+    if app.session is None or not app.session.document.counts.selected:
+        app.tell("Select the splats that are to go to a file of their own")
         return
-    core.choose_files(
+    app.choose_files(
         "Split the selection to a scene of its own",
-        lambda paths: core.post(split_to, paths[0]),
+        lambda paths: app.post(split_to, paths[0]),
         kind="save_scene",
-        name=f"{_stem(core)}-part.ply",
+        name=f"{_stem(app)}-part.ply",
     )
 
 
-def split_to(core: Core, path: Path) -> None:
-    if core.desk is not None:
+def split_to(app: AppState, path: Path) -> None:
+    if app.session is not None:
         target = path if path.suffix else path.with_suffix(".ply")
-        core.desk.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
+        app.session.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
 
 
-def _stem(core: Core) -> str:
-    return core.scene_path.stem if core.scene_path else "scene"
+def _stem(app: AppState) -> str:
+    return app.scene_path.stem if app.scene_path else "scene"
 
 
 # ---- after a crash
 
 
-def look_for_abandoned(core: Core) -> None:
+def look_for_abandoned(app: AppState) -> None:
     """At the start: offers what a window that did not end well, or with unsaved edits, was doing."""
-    core.abandoned = [
+    app.abandoned = [
         journal
         for journal in find_abandoned_journals(config_folder() / JOURNALS)
         if journal.scene is not None
     ]
-    if core.abandoned:
-        core.dialog = "restore"
+    if app.abandoned:
+        app.dialog = "restore"
 
 
-def restore(core: Core, journal: AbandonedJournal) -> None:
+def restore(app: AppState, journal: AbandonedJournal) -> None:
     """Opens the journal's scene; its steps follow when that is loaded."""
     from splatview.viewer import open as opening
 
     if journal.scene is None or not journal.scene.exists():
-        core.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
+        app.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
         return
-    core.restoring = journal
-    opening.open_paths(core, [journal.scene])
+    app.restoring = journal
+    opening.open_paths(app, [journal.scene])
 
 
-def continue_restoring(core: Core) -> None:
+def continue_restoring(app: AppState) -> None:
     """Called every frame: replays the steps once their scene is on the desk."""
-    journal, desk = core.restoring, core.desk
-    if journal is None or desk is None or core.loading is not None or core.scene_path != journal.scene:
+    journal, session = app.restoring, app.session
+    if journal is None or session is None or app.loading is not None or app.scene_path != journal.scene:
         return
-    core.restoring = None
+    app.restoring = None
     try:
-        check_scene(journal.recipe, desk.document)
+        check_scene(journal.recipe, session.document)
     except InputError as error:
-        core.complain(f"The scene has changed since it was edited: {error}")
+        app.complain(f"The scene has changed since it was edited: {error}")
         return
     journal.discard()
-    replay_on(core, desk, journal.recipe, "Restoring")
+    replay_on(app, session, journal.recipe, "Restoring")
 
 
 def described(journal: AbandonedJournal) -> str:

@@ -25,7 +25,7 @@ from splatview.edit.selectors import Histogram
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
 from splatview.renderers.headless import RasterTools
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, SceneEdits
 from splatview.scene.user_dirs import config_folder
@@ -34,8 +34,8 @@ from splatview.viewer.loading import Examination, Stamp
 
 if TYPE_CHECKING:
     from splatview.viewer.loading import LoadedScene
-    from splatview.viewer.state import Core
-    from splatview.viewer.training.live_edits import Trainee
+    from splatview.viewer.state import AppState
+    from splatview.viewer.training.live_edits import TrainingTarget
 
 
 # ---- What is filled in on the editing panels, until it is applied.
@@ -192,11 +192,11 @@ class Job:
 
 
 @dataclass(eq=False, kw_only=True)
-class Desk:
+class EditSession:
     """Edits of the open scene. Panels read it freely; what changes the document runs between frames."""
 
     document: Document
-    overlay: Overlay = field(default_factory=Overlay)
+    highlight: Highlight = field(default_factory=Highlight)
     tool: ToolName = "none"
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
@@ -204,10 +204,10 @@ class Desk:
     tolerance: float = TOLERANCE
     """How much colours may differ, for the magic wand and the eyedropper; Oklab, black to white being 1."""
     forms: Forms = field(default_factory=Forms)
-    highlight: np.ndarray | None = None
+    preview_mask: np.ndarray | None = None
     """(N,) bool: splats that a tool would take, lit up on the picture until the next edit; never written
     to."""
-    trainee: Trainee | None = None
+    target: TrainingTarget | None = None
     """Where the scene is in training: what edits mean to the trainer."""
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
@@ -232,8 +232,8 @@ class Desk:
     _shown: tuple[object, SceneEdits] | None = None
     _latest: SceneEdits | None = None
     _held: SceneEdits | None = None
-    _highlighted: np.ndarray | None = None
-    _highlighted_at: object = None
+    _previewed: np.ndarray | None = None
+    _previewed_at: object = None
     news: str | None = None
     """Likewise, of less weight."""
 
@@ -254,12 +254,12 @@ class Desk:
             # The picture still holds the scene of before: it is shown as it was until the new one is there.
             return self._latest
         self._latest = edits = self.document.edits
-        mask = self.highlight
+        mask = self.preview_mask
         versions = self.document.versions
-        if mask is not None and self._highlighted is not mask:
-            self._highlighted, self._highlighted_at = mask, versions
-        if mask is None or self._highlighted_at != versions:
-            self.highlight = self._highlighted = None
+        if mask is not None and self._previewed is not mask:
+            self._previewed, self._previewed_at = mask, versions
+        if mask is None or self._previewed_at != versions:
+            self.preview_mask = self._previewed = None
             return edits
         key = (versions, id(mask))
         if self._shown is None or self._shown[0] != key:
@@ -301,13 +301,13 @@ class Desk:
 
     def _refused(self, operation: Operation) -> bool:
         """Says so where it cannot be done in training."""
-        refusal = self.trainee.refusal(operation) if self.trainee else None
+        refusal = self.target.refusal(operation) if self.target else None
         self.news = refusal or self.news
         return refusal is not None
 
     def _final(self) -> bool:
         """Says so where the trainer has been told of what would be undone."""
-        final = self.trainee.final if self.trainee else None
+        final = self.target.final if self.target else None
         self.news = final or self.news
         return final is not None
 
@@ -328,8 +328,8 @@ class Desk:
             self.problem = str(error)
             return False
         self.news = change.title
-        if self.trainee is not None:
-            self.trainee.edited(self.document)
+        if self.target is not None:
+            self.target.edited(self.document)
         return True
 
     def apply_slowly(
@@ -408,57 +408,57 @@ LOAD_SECONDS = 0.012
 """Of each frame, for giving the picture the changed scene."""
 
 
-def load_changed_scene(core: Core, desk: Desk) -> None:
+def load_changed_scene(app: AppState, session: EditSession) -> None:
     """Gives the picture a scene whose values or number of splats an edit has changed, some at each frame."""
-    wanted = desk.document.gaussians
-    if desk.loaded is None:
-        desk.loaded = wanted
-    if desk.job is not None or core.loading is not None or core.picture is None:
+    wanted = session.document.gaussians
+    if session.loaded is None:
+        session.loaded = wanted
+    if session.job is not None or app.loading is not None or app.picture is None:
         return
-    if desk.loading is not None and desk.loading[0] is not wanted:
-        desk.loading[1].close()
-        desk.loading = None
-    if desk.loaded is wanted:
+    if session.loading is not None and session.loading[0] is not wanted:
+        session.loading[1].close()
+        session.loading = None
+    if session.loaded is wanted:
         return
-    if desk.loading is None:
-        desk.loading = (wanted, core.picture.load_steps(wanted))
+    if session.loading is None:
+        session.loading = (wanted, app.picture.load_steps(wanted))
     until = time.perf_counter() + LOAD_SECONDS
     try:
         while time.perf_counter() < until:
-            next(desk.loading[1])
+            next(session.loading[1])
     except StopIteration:
-        desk.loaded, desk.loading = wanted, None
-        take_over(core, wanted)
+        session.loaded, session.loading = wanted, None
+        take_over(app, wanted)
     except InputError as error:
-        desk.loading = None
-        desk.problem = f"{error}; the last step is taken back"
-        desk.undo()
+        session.loading = None
+        session.problem = f"{error}; the last step is taken back"
+        session.undo()
 
 
-def take_over(core: Core, gaussians: Gaussians) -> None:
+def take_over(app: AppState, gaussians: Gaussians) -> None:
     """The picture holds these splats of the open scene now: so does whatever else looks at them."""
-    if core.scene is not None:
-        core.scene = replace(core.scene, gaussians=gaussians)
+    if app.scene is not None:
+        app.scene = replace(app.scene, gaussians=gaussians)
         # One at a time: of many steps undone in a row only the last state is looked through.
-        core.examining = core.examining or Examination(gaussians)
+        app.examining = app.examining or Examination(gaussians)
 
 
-def continue_examining(core: Core) -> None:
+def continue_examining(app: AppState) -> None:
     """Called every frame: takes over what has been found out about changed splats. Settings follow what they
     call for, where the user has not set them otherwise."""
-    found = core.examining
+    found = app.examining
     if found is None or not found.done:
         return
-    core.examining = None
-    scene = core.scene
+    app.examining = None
+    scene = app.scene
     if scene is None or scene.gaussians is not found.gaussians:
-        if scene is not None and core.desk is not None and core.desk.loaded is scene.gaussians:
-            core.examining = Examination(scene.gaussians)
+        if scene is not None and app.session is not None and app.session.loaded is scene.gaussians:
+            app.examining = Examination(scene.gaussians)
         return
-    core.examination = found
+    app.examination = found
     if found.settings is not None:
-        core.settings = followed(core.settings, scene.settings, found.settings)
-        core.scene = replace(scene, settings=found.settings)
+        app.settings = followed(app.settings, scene.settings, found.settings)
+        app.scene = replace(scene, settings=found.settings)
 
 
 def followed(settings: RenderSettings, before: RenderSettings, after: RenderSettings) -> RenderSettings:
@@ -486,57 +486,57 @@ def compile_ahead() -> None:
     threading.Thread(target=warm_up, name="splatview-warm-up", daemon=True).start()
 
 
-def take_up(core: Core, scene: LoadedScene) -> None:
+def take_up(app: AppState, scene: LoadedScene) -> None:
     """Puts `scene`, just opened, on a desk of its own; edits of the one before end with it."""
     compile_ahead()
-    if core.desk is not None:
-        core.desk.close()
+    if app.session is not None:
+        app.session.close()
     folder = scene.paths[0].parent if scene.paths else None
     try:
         document = Document(scene.gaussians, name=scene.name, folder=folder, tools=RasterTools())
     except InputError as error:
-        core.desk = None
-        core.tell(f"{error}; it can be looked at")
+        app.session = None
+        app.tell(f"{error}; it can be looked at")
         return
-    core.desk = Desk(document=document, stamps=dict(scene.stamps))
-    core.desk.journal = Journal(
+    app.session = EditSession(document=document, stamps=dict(scene.stamps))
+    app.session.journal = Journal(
         document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
     )
 
 
-def continue_editing(core: Core) -> None:
+def continue_editing(app: AppState) -> None:
     """Called every frame: ends jobs, tells what they and the user's edits came to."""
-    continue_examining(core)
-    desk = core.desk
-    if desk is None:
+    continue_examining(app)
+    session = app.session
+    if session is None:
         return
-    desk.advance()
-    load_changed_scene(core, desk)
-    if desk.journal is not None and desk.journal.problem is not None:
-        core.tell(desk.journal.problem)
-        desk.journal.close(keep=True)
-        desk.journal = None
-    if desk.problem is not None:
-        core.complain(desk.problem)
-        desk.problem = None
-    if desk.news is not None:
-        core.tell(desk.news)
-        desk.news = None
+    session.advance()
+    load_changed_scene(app, session)
+    if session.journal is not None and session.journal.problem is not None:
+        app.tell(session.journal.problem)
+        session.journal.close(keep=True)
+        session.journal = None
+    if session.problem is not None:
+        app.complain(session.problem)
+        session.problem = None
+    if session.news is not None:
+        app.tell(session.news)
+        session.news = None
 
 
 LEAVING_SECONDS = 60.0
 """For so long a window that closes waits for a file that is being written; other work is given up at once."""
 
 
-def put_away(core: Core) -> str | None:
+def put_away(app: AppState) -> str | None:
     """The window closes: a line for the user where edits are in no file."""
-    desk, core.desk = core.desk, None
-    if desk is None:
+    session, app.session = app.session, None
+    if session is None:
         return None
-    if desk.job is not None:
-        desk.job.cancel()
-        desk.job.join(LEAVING_SECONDS)
-    offered = core.scene is not None and len(core.scene.paths) == 1
-    kept = offered and desk.journal is not None and desk.document.history.modified
-    desk.close()
+    if session.job is not None:
+        session.job.cancel()
+        session.job.join(LEAVING_SECONDS)
+    offered = app.scene is not None and len(app.scene.paths) == 1
+    kept = offered and session.journal is not None and session.document.history.modified
+    session.close()
     return "the edits are in no file yet; the next start offers to restore them" if kept else None

@@ -17,7 +17,7 @@ from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, adjusted_means
 from splatview.viewer import theme
 from splatview.viewer.editing.gizmos import grabbed
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import (
     CLICKED,
     DRAGGED,
@@ -33,7 +33,7 @@ from splatview.viewer.panels import edit as move
 from splatview.viewer.theme import point_on_picture
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 # ---- What a click on the picture means to the tools that pick a splat: magic wand, eyedropper, measure.
@@ -47,9 +47,9 @@ class Hit(NamedTuple):
     """Its mean as edited, world units."""
 
 
-def hit(desk: Desk, camera: Camera, x: float, y: float) -> Hit | None:
+def hit(session: EditSession, camera: Camera, x: float, y: float) -> Hit | None:
     """What is at pixel (x, y) of what `camera` sees; None: the background. Raises InputError."""
-    document = desk.document
+    document = session.document
     splat = picked(document.gaussians, document.edits, document.tools, camera, x, y)
     return None if splat is None else Hit(splat, place_of(document.gaussians, document.edits, splat))
 
@@ -62,42 +62,44 @@ def place_of(gaussians: Gaussians, edits: SceneEdits, splat: int) -> Place:
     return x, y, z
 
 
-def click(core: Core, desk: Desk, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+def click(
+    app: AppState, session: EditSession, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float
+) -> None:
     """A click at (x, y) px of what `camera` sees, with a tool that picks."""
-    found = hit(desk, camera, x, y)
+    found = hit(session, camera, x, y)
     if found is None:
-        desk.news = "Nothing there: the pixel shows the background"
+        session.news = "Nothing there: the pixel shows the background"
         return
     if tool == "flood":
-        by = Flood(seed=found.splat, tolerance=desk.tolerance)
-        desk.apply_slowly(Select(by=by, mode=mode), "Magic wand")
+        by = Flood(seed=found.splat, tolerance=session.tolerance)
+        session.apply_slowly(Select(by=by, mode=mode), "Magic wand")
     elif tool == "colour":
         alone = SceneEdits(
-            marks=desk.document.edits.marks[[found.splat]], palette=desk.document.edits.palette
+            marks=session.document.edits.marks[[found.splat]], palette=session.document.edits.palette
         )
         red, green, blue = (
-            float(v) for v in base_colours(desk.gaussians.take(np.array([found.splat])), alone)[0]
+            float(v) for v in base_colours(session.gaussians.take(np.array([found.splat])), alone)[0]
         )
-        by = SimilarColour(rgb=(red, green, blue), tolerance=desk.tolerance)
-        desk.apply(Select(by=by, mode=mode))
+        by = SimilarColour(rgb=(red, green, blue), tolerance=session.tolerance)
+        session.apply(Select(by=by, mode=mode))
     else:
-        pick_point(desk, tool, found.place)
+        pick_point(session, tool, found.place)
 
 
-def pick_point(desk: Desk, tool: ToolName, place: Place) -> None:
+def pick_point(session: EditSession, tool: ToolName, place: Place) -> None:
     """One more point for the tape measure (two) or the ground (three)."""
-    desk.picked.append(place)
-    if tool == "measure" and len(desk.picked) == 2:
-        desk.measured = Measured(start=desk.picked[0], end=desk.picked[1])
-        desk.news = f"Distance: {desk.measured.length:.6g} units"
-        desk.picked.clear()
-    elif tool == "ground" and len(desk.picked) == 3:
-        first, second, third = desk.picked
-        desk.picked.clear()
-        desk.tool = "none"
-        desk.apply(Ground(points=(first, second, third)))
+    session.picked.append(place)
+    if tool == "measure" and len(session.picked) == 2:
+        session.measured = Measured(start=session.picked[0], end=session.picked[1])
+        session.news = f"Distance: {session.measured.length:.6g} units"
+        session.picked.clear()
+    elif tool == "ground" and len(session.picked) == 3:
+        first, second, third = session.picked
+        session.picked.clear()
+        session.tool = "none"
+        session.apply(Ground(points=(first, second, third)))
     else:
-        desk.news = f"Point {len(desk.picked)} of {2 if tool == 'measure' else 3}"
+        session.news = f"Point {len(session.picked)} of {2 if tool == 'measure' else 3}"
 
 
 _LEFT = imgui.MouseButton_.left
@@ -111,99 +113,103 @@ COLOURS: dict[Mode, tuple[float, float, float]] = {
 """Of the outline, by what the selection will do."""
 
 
-def use_tool(core: Core, corner: ImVec2, width: int, height: int) -> bool:
+def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:
     """Lets the tool in hand have the left button over the picture's item, which was submitted last. Returns
     whether navigation is to leave that button alone."""
-    desk = core.desk
+    session = app.session
     io = imgui.get_io()
-    if desk is None or desk.tool == "none" or (io.key_alt and desk.stroke is None):
+    if session is None or session.tool == "none" or (io.key_alt and session.stroke is None):
         return False
     x, y = io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y
     mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
-    if desk.tool in DRAGGED:
-        drag(core, desk, mode, x, y, width, height)
-    elif desk.tool == "polygon":
-        outline(core, desk, mode, x, y, width, height)
-    elif desk.tool in CLICKED and imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
-        core.post(_click, desk.tool, mode, core.view.camera(width, height), x, y)
+    if session.tool in DRAGGED:
+        drag(app, session, mode, x, y, width, height)
+    elif session.tool == "polygon":
+        outline(app, session, mode, x, y, width, height)
+    elif session.tool in CLICKED and imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
+        app.post(_click, session.tool, mode, app.view.camera(width, height), x, y)
     return True
 
 
-def _click(core: Core, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
-    if core.desk is not None:
+def _click(app: AppState, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+    if app.session is not None:
         try:
-            click(core, core.desk, tool, mode, camera, x, y)
+            click(app, app.session, tool, mode, camera, x, y)
         except InputError as error:
-            core.complain(str(error))
+            app.complain(str(error))
 
 
-def on_handles(core: Core) -> bool:
+def on_handles(app: AppState) -> bool:
     """Whether the mouse is on handles on the picture: navigation leaves the left button alone then."""
-    desk = core.desk
-    return desk is not None and (desk.forms.move.gizmo or desk.forms.crop >= 0) and grabbed()
+    session = app.session
+    return session is not None and (session.forms.move.gizmo or session.forms.crop >= 0) and grabbed()
 
 
-def drag(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+def drag(
+    app: AppState, session: EditSession, mode: Mode, x: float, y: float, width: int, height: int
+) -> None:
     if (
         imgui.is_item_activated()
         and imgui.is_mouse_down(_LEFT)
-        and desk.tool in ("rectangle", "lasso", "brush")
+        and session.tool in ("rectangle", "lasso", "brush")
     ):
-        desk.stroke = Stroke(tool=desk.tool, mode=mode, radius=desk.brush_radius)
-    stroke = desk.stroke
+        session.stroke = Stroke(tool=session.tool, mode=mode, radius=session.brush_radius)
+    stroke = session.stroke
     if stroke is None:
         return
     if imgui.is_mouse_down(_LEFT):
         stroke.to(x, y)
     else:
-        finish(core, desk, stroke, width, height)
+        finish(app, session, stroke, width, height)
 
 
-def outline(core: Core, desk: Desk, mode: Mode, x: float, y: float, width: int, height: int) -> None:
+def outline(
+    app: AppState, session: EditSession, mode: Mode, x: float, y: float, width: int, height: int
+) -> None:
     """A polygon, corner by corner: a click on the first one, Enter or a double click closes it."""
     closed = imgui.is_key_pressed(imgui.Key.enter)
     if imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
-        if desk.stroke is None:
-            desk.stroke = Stroke(tool="polygon", mode=mode, radius=0)
-        if imgui.is_mouse_double_clicked(_LEFT) or desk.stroke.corner(x, y):
+        if session.stroke is None:
+            session.stroke = Stroke(tool="polygon", mode=mode, radius=0)
+        if imgui.is_mouse_double_clicked(_LEFT) or session.stroke.corner(x, y):
             closed = True
-    if closed and desk.stroke is not None:
-        finish(core, desk, desk.stroke, width, height)
+    if closed and session.stroke is not None:
+        finish(app, session, session.stroke, width, height)
 
 
-def finish(core: Core, desk: Desk, stroke: Stroke, width: int, height: int) -> None:
+def finish(app: AppState, session: EditSession, stroke: Stroke, width: int, height: int) -> None:
     """Selects what the stroke means; a click with nothing drawn selects nothing."""
-    desk.stroke = None
-    operation = stroke.operation(core.view.camera(width, height), desk.depth)
+    session.stroke = None
+    operation = stroke.operation(app.view.camera(width, height), session.depth)
     if operation is not None:
-        core.post(_apply, operation)
+        app.post(_apply, operation)
 
 
-def _apply(core: Core, operation: Operation) -> None:
-    if core.desk is not None:
-        core.desk.apply(operation)
+def _apply(app: AppState, operation: Operation) -> None:
+    if app.session is not None:
+        app.session.apply(operation)
 
 
-def draw_tool(core: Core, corner: ImVec2, width: int, height: int) -> None:
+def draw_tool(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     """The outline under way, the brush's circle, picked points and the last measured distance."""
-    desk = core.desk
+    session = app.session
     draw = imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
-    for crop in core.training.pointed if core.training and not core.at_rest else ():
-        crops.draw_outline(crop, core.view.camera(width, height), corner, crops.CUTTING, 2.0)
-    if desk is None:
+    for crop in app.training.pointed if app.training and not app.at_rest else ():
+        crops.draw_outline(crop, app.view.camera(width, height), corner, crops.CUTTING, 2.0)
+    if session is None:
         draw.pop_clip_rect()
         return
-    if desk.stroke is not None:
-        draw_stroke(draw, desk.stroke, corner)
+    if session.stroke is not None:
+        draw_stroke(draw, session.stroke, corner)
     io = imgui.get_io()
-    if desk.tool == "brush" and imgui.is_item_hovered():
+    if session.tool == "brush" and imgui.is_item_hovered():
         mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
-        draw.add_circle(io.mouse_pos, desk.brush_radius, colour(mode, 0.9), 0, 1.5)
-    draw_points(core, draw, desk, corner, width, height)
-    camera = core.view.camera(width, height)
-    crops.draw(core, desk, camera, corner)
-    move.handles(core, desk, camera, corner)
+        draw.add_circle(io.mouse_pos, session.brush_radius, colour(mode, 0.9), 0, 1.5)
+    draw_points(app, draw, session, corner, width, height)
+    camera = app.view.camera(width, height)
+    crops.draw(app, session, camera, corner)
+    move.handles(app, session, camera, corner)
     draw.pop_clip_rect()
 
 
@@ -235,17 +241,17 @@ def draw_stroke(draw: imgui.ImDrawList, stroke: Stroke, corner: ImVec2) -> None:
 
 
 def draw_points(
-    core: Core, draw: imgui.ImDrawList, desk: Desk, corner: ImVec2, width: int, height: int
+    app: AppState, draw: imgui.ImDrawList, session: EditSession, corner: ImVec2, width: int, height: int
 ) -> None:
     """Picked points in the scene, and the tape between the two of the last measurement."""
-    camera = core.view.camera(width, height)
+    camera = app.view.camera(width, height)
     place = partial(point_on_picture, camera, corner)
     ink = imgui.get_color_u32(ImVec4(1, 0.9, 0.3, 1))
-    for point in desk.picked:
+    for point in session.picked:
         if (at := place(point)) is not None:
             draw.add_circle(at, 6, ink, 0, 2)
-    measured = desk.measured
-    if measured is None or desk.tool != "measure":
+    measured = session.measured
+    if measured is None or session.tool != "measure":
         return
     start, end = place(measured.start), place(measured.end)
     if start is None or end is None:

@@ -16,7 +16,7 @@ from splatview.viewer.quality import state as commands
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable, renderer_name, unpriced_knobs
 from splatview.viewer.quality.state import Accuracy, price_of
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 RIGHT_NAMES = {
     "off": "Off",
@@ -26,28 +26,28 @@ RIGHT_NAMES = {
 }
 
 
-def show(core: Core) -> None:
-    accuracy = core.accuracy
-    if core.scene is None or core.picture is None:
+def show(app: AppState) -> None:
+    accuracy = app.accuracy
+    if app.scene is None or app.picture is None:
         widgets.note("Open a scene to see what accuracy costs in it.")
         return
-    tools(core, accuracy)
+    tools(app, accuracy)
     if accuracy.ladder is None:
         widgets.note(
             "Measure draws this view with each shortcut, and tells what it saves in time and how far it is "
             "from a float64 truth, on this machine. A click on a value then draws by it."
         )
     else:
-        prices(core, accuracy, accuracy.ladder)
+        prices(app, accuracy, accuracy.ladder)
     widgets.section("Frame budget")
-    budget(core, accuracy)
+    budget(app, accuracy)
     widgets.section("Exact beside chosen")
     split(accuracy)
     if accuracy.bill is not None and imgui.collapsing_header("The bill of this view"):
         bill(accuracy)
 
 
-def tools(core: Core, accuracy: Accuracy) -> None:
+def tools(app: AppState, accuracy: Accuracy) -> None:
     """Measure or cancel, and the way back to exact."""
     measurement = accuracy.measurement
     if measurement is None:
@@ -56,22 +56,22 @@ def tools(core: Core, accuracy: Accuracy) -> None:
             f"{again}###measure",
             "Measures every shortcut in this view, beside the exact picture, for some seconds. The window "
             "can be used meanwhile; a busy machine only makes the noise floor higher.",
-            partial(core.post, commands.measure),
+            partial(app.post, commands.measure),
         )
     else:
         imgui.progress_bar(measurement.progress, (-imgui.get_font_size() * 5, 0), measurement.text)
         imgui.same_line()
-        widgets.button("Cancel###cancel", "Ends measuring.", partial(core.post, commands.cancel))
+        widgets.button("Cancel###cancel", "Ends measuring.", partial(app.post, commands.cancel))
     if accuracy.choices:
         if measurement is None:
             imgui.same_line()
-        widgets.button("Exact###exact", "Takes all shortcuts back.", partial(core.post, commands.exact))
+        widgets.button("Exact###exact", "Takes all shortcuts back.", partial(app.post, commands.exact))
 
 
-def prices(core: Core, accuracy: Accuracy, ladder: Ladder) -> None:
+def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
     """A row a value, by knob; the chosen ones are bright."""
     base = ladder.baseline
-    picture = core.picture
+    picture = app.picture
     exact = f"{base.psnr:.1f} dB" if base.psnr != float("inf") else "the truth itself"
     widgets.note(f"Exact: {base.ms:.1f} ms a frame, {exact}. Noise floor: {ladder.noise:.0%}.")
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
@@ -89,16 +89,16 @@ def prices(core: Core, accuracy: Accuracy, ladder: Ladder) -> None:
                 imgui.table_next_column()
                 imgui.text_colored(theme.QUIET, knob(before).title)
                 widgets.tooltip(knob(before).changes)
-            row(core, accuracy, ladder, one)
+            row(app, accuracy, ladder, one)
         for other in unpriced_knobs(renderer_name(picture)) if picture is not None else ():
-            unpriced(core, accuracy, other)
+            unpriced(app, accuracy, other)
         imgui.end_table()
     if ladder.left_out:
         left = ", ".join(f"{rung.knob} {rung.value}" for rung in ladder.left_out)
         widgets.note(f"There was no time for {left}: a smaller window, or splatview ladder.")
 
 
-def unpriced(core: Core, accuracy: Accuracy, other: Knob) -> None:
+def unpriced(app: AppState, accuracy: Accuracy, other: Knob) -> None:
     """A knob for which the scene is loaded anew: splatview ladder tells what it saves."""
     imgui.table_next_row()
     imgui.table_next_column()
@@ -111,10 +111,10 @@ def unpriced(core: Core, accuracy: Accuracy, other: Knob) -> None:
         if not applicable(value.apply(Plan())):
             imgui.table_next_row()
             imgui.table_next_column()
-            choice(core, accuracy, other.name, value.text, f"{other.name} {value.text}.")
+            choice(app, accuracy, other.name, value.text, f"{other.name} {value.text}.")
 
 
-def choice(core: Core, accuracy: Accuracy, name: str, value: str, words: str) -> None:
+def choice(app: AppState, accuracy: Accuracy, name: str, value: str, words: str) -> None:
     """A row's name, bright where it is chosen: a click takes the shortcut, another one gives it back."""
     chosen = accuracy.choices.get(name) == value
     colour = imgui.get_color_u32(ImVec4(*theme.ACCENT, 0.75))
@@ -125,15 +125,15 @@ def choice(core: Core, accuracy: Accuracy, name: str, value: str, words: str) ->
     imgui.pop_style_color()
     widgets.tooltip(f"{words} Click to draw by it, again for exact.")
     if clicked:
-        core.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
+        app.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
 
 
-def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
+def row(app: AppState, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
     name, value = one.rung.knob, one.rung.value
     imgui.table_next_row()
     imgui.table_next_column()
     best = " Nothing else here is both faster and nearer to the truth." if one.pareto else ""
-    choice(core, accuracy, name, value, f"{name} {value}: {price_of(one, ladder)}.{best}")
+    choice(app, accuracy, name, value, f"{name} {value}: {price_of(one, ladder)}.{best}")
     known = is_clear(one)
     saved = ladder.baseline.ms * (1 - one.ratio)
     cells = (
@@ -150,7 +150,7 @@ def row(core: Core, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
             imgui.text_unformatted(cell)
 
 
-def budget(core: Core, accuracy: Accuracy) -> None:
+def budget(app: AppState, accuracy: Accuracy) -> None:
     held = accuracy.budget_ms is not None
     changed = widgets.checkbox(
         "Hold",
@@ -159,20 +159,20 @@ def budget(core: Core, accuracy: Accuracy) -> None:
         "after it rests the exact picture is back. The badge in the picture states the present error.",
     )
     if changed is not None:
-        core.post(commands.hold, core.preferences.frame_budget_ms if changed else None)
+        app.post(commands.hold, app.preferences.frame_budget_ms if changed else None)
     milliseconds = widgets.slider(
         "A frame",
-        core.preferences.frame_budget_ms,
+        app.preferences.frame_budget_ms,
         *RANGES["frame_budget_ms"],
         "What drawing a frame may take.",
         form="%.0f ms",
         logarithmic=True,
     )
     if milliseconds is not None:
-        core.prefer(frame_budget_ms=milliseconds)
+        app.prefer(frame_budget_ms=milliseconds)
         if held:
-            core.post(commands.hold, milliseconds)
-    widgets.fact("That is", f"{1000 / core.preferences.frame_budget_ms:.0f} frames a second at most")
+            app.post(commands.hold, milliseconds)
+    widgets.fact("That is", f"{1000 / app.preferences.frame_budget_ms:.0f} frames a second at most")
     if accuracy.note:
         widgets.fact("Now", accuracy.note)
 

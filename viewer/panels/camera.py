@@ -26,7 +26,7 @@ from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.open import go_to_camera
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- Depth of field: how wide the lens is, and what is sharp.
 
@@ -38,8 +38,8 @@ FOCUS_RANGE = (0.02, 50.0)
 """Likewise."""
 
 
-def show_lens(core: Core) -> None:
-    lens = core.depth_of_field
+def show_lens(app: AppState) -> None:
+    lens = app.depth_of_field
     on = widgets.checkbox(
         "Depth of field",
         lens.on,
@@ -62,9 +62,9 @@ def show_lens(core: Core) -> None:
         lens.share = share
     focus = widgets.slider(
         "Focus",
-        lens.focus or core.view.distance,
-        FOCUS_RANGE[0] * core.view.distance,
-        FOCUS_RANGE[1] * core.view.distance,
+        lens.focus or app.view.distance,
+        FOCUS_RANGE[0] * app.view.distance,
+        FOCUS_RANGE[1] * app.view.distance,
         "The distance that is sharp, world units.",
         form="%.4g",
         logarithmic=True,
@@ -74,7 +74,7 @@ def show_lens(core: Core) -> None:
     widgets.button(
         "Focus by click",
         "What you click on in the picture next becomes sharp.",
-        lambda: core.post(focus_by_click),
+        lambda: app.post(focus_by_click),
     )
     widgets.beside("On turning point")
     widgets.button(
@@ -84,7 +84,7 @@ def show_lens(core: Core) -> None:
     )
     if lens.picking:
         widgets.note("Click what shall be sharp.")
-    elif not is_pinhole(core.camera):
+    elif not is_pinhole(app.camera):
         widgets.note("Only pinhole cameras have one: not through a lens that distorts, nor orthographic.")
     elif lens.badge:
         widgets.note(lens.badge)
@@ -94,18 +94,18 @@ def show_lens(core: Core) -> None:
 NAVIGATION_NAMES = {"orbit": "Orbit", "fly": "Fly", "trackball": "Trackball"}
 
 
-def show(core: Core) -> None:
+def show(app: AppState) -> None:
     mode = widgets.combo(
         "Navigation",
-        core.preferences.navigation,
+        app.preferences.navigation,
         NAVIGATION_MODES,
         "Orbit turns about a point and keeps the horizon level. Fly looks around from where the eye is. "
         "Trackball turns the scene freely like a ball. W A S D E Q move in all of them.",
         [NAVIGATION_NAMES[m] for m in NAVIGATION_MODES],
     )
     if mode is not None:
-        core.post(navigate, mode)
-    up = up_name(core.view)
+        app.post(navigate, mode)
+    up = up_name(app.view)
     choices = list(UP_NAMES) if up else [*UP_NAMES, "oblique"]
     chosen = widgets.combo(
         "Up",
@@ -115,62 +115,62 @@ def show(core: Core) -> None:
         f"the next, {keys_of('up_from_view')} takes what is up in the picture.",
     )
     if chosen is not None and chosen != "oblique":
-        core.post(set_up, chosen)
+        app.post(set_up, chosen)
     fov = widgets.slider(
         "Field of view",
-        core.view.lens.fov_y,
+        app.view.lens.fov_y,
         *RANGES["fov_y"],
         "Vertical angle of the picture in degrees. Small is a long lens.",
         form="%.0f°",
     )
     if fov is not None:
-        core.prefer(fov_y=fov)
-    rays(core)
-    speeds(core)
+        app.prefer(fov_y=fov)
+    rays(app)
+    speeds(app)
 
     widgets.section("Look")
-    axis_buttons(core)
-    widgets.action_button(core, "Whole scene", "frame_all")
+    axis_buttons(app)
+    widgets.action_button(app, "Whole scene", "frame_all")
     imgui.same_line()
-    widgets.action_button(core, "Level", "level")
+    widgets.action_button(app, "Level", "level")
 
     widgets.section("Position")
-    position(core)
-    widgets.action_button(core, "Copy", "copy_camera")
+    position(app)
+    widgets.action_button(app, "Copy", "copy_camera")
     imgui.same_line()
-    widgets.action_button(core, "Paste", "paste_camera")
+    widgets.action_button(app, "Paste", "paste_camera")
     imgui.same_line()
     widgets.button(
-        "Save...", "Writes the camera as JSON, for `splatview render --camera`.", lambda: ask_where(core)
+        "Save...", "Writes the camera as JSON, for `splatview render --camera`.", lambda: ask_where(app)
     )
     imgui.same_line()
-    widgets.action_button(core, "Load...", "open_cameras")
+    widgets.action_button(app, "Load...", "open_cameras")
 
     widgets.section("Lens")
-    show_lens(core)
+    show_lens(app)
 
 
-def rays(core: Core) -> None:
+def rays(app: AppState) -> None:
     parallel = widgets.checkbox(
         "Orthographic",
-        core.destination.lens.orthographic,
+        app.destination.lens.orthographic,
         f"Parallel rays: equal lengths look equal however far away ({keys_of('toggle_orthographic')}). "
         "The wheel changes the scale.",
     )
     if parallel is not None:
-        core.post(toggle_orthographic)
-    if any(camera.lens is not None for camera in core.cameras):
+        app.post(toggle_orthographic)
+    if any(camera.lens is not None for camera in app.cameras):
         through = widgets.checkbox(
             "Camera lenses",
-            core.through_lenses,
+            app.through_lenses,
             f"Shows the views of loaded cameras through their lenses ({keys_of('toggle_lenses')}).",
         )
         if through is not None:
-            core.post(toggle_lenses)
+            app.post(toggle_lenses)
 
 
-def speeds(core: Core) -> None:
-    preferences = core.preferences
+def speeds(app: AppState) -> None:
+    preferences = app.preferences
     speed = widgets.slider(
         "Flying speed",
         preferences.fly_speed,
@@ -181,7 +181,7 @@ def speeds(core: Core) -> None:
         logarithmic=True,
     )
     if speed is not None:
-        core.prefer(fly_speed=speed)
+        app.prefer(fly_speed=speed)
     turning = widgets.slider(
         "Mouse speed",
         preferences.mouse_speed,
@@ -191,30 +191,30 @@ def speeds(core: Core) -> None:
         logarithmic=True,
     )
     if turning is not None:
-        core.prefer(mouse_speed=turning)
+        app.prefer(mouse_speed=turning)
     smooth = widgets.checkbox(
         "Smooth jumps", preferences.smooth, "Shows the way from one view to the next, so you stay oriented."
     )
     if smooth is not None:
-        core.prefer(smooth=smooth)
+        app.prefer(smooth=smooth)
     inverted = widgets.checkbox(
         "Invert wheel", preferences.invert_wheel, "Turning the wheel towards you then comes nearer."
     )
     if inverted is not None:
-        core.prefer(invert_wheel=inverted)
+        app.prefer(invert_wheel=inverted)
 
 
-def axis_buttons(core: Core) -> None:
+def axis_buttons(app: AppState) -> None:
     spacing = imgui.get_style().item_spacing.x
     width = (imgui.get_content_region_avail().x - 5 * spacing) / 6
     for i, name in enumerate(AXIS_NAMES):
         if i:
             imgui.same_line()
-        widgets.action_button(core, name, f"look_from_{name}", width=width)
+        widgets.action_button(app, name, f"look_from_{name}", width=width)
 
 
-def position(core: Core) -> None:
-    view = core.view
+def position(app: AppState) -> None:
+    view = app.view
     for name, value, tip in (
         ("Eye", view.eye, "Where the eye is, world units."),
         ("Target", view.target, "The point that orbiting turns about: double-click a surface to move it."),
@@ -226,42 +226,42 @@ def position(core: Core) -> None:
         widgets.tooltip(f"{tip} Type new coordinates and press Enter: the view is moved, not turned.")
         if changed:
             moved = view.target + (typed - value)
-            core.go_to(replace(view, target=moved))
+            app.go_to(replace(view, target=moved))
     widgets.fact("Distance", f"{view.distance:.5g}", "From the eye to the target, world units.")
 
 
-def ask_where(core: Core) -> None:
-    core.choose_files(
+def ask_where(app: AppState) -> None:
+    app.choose_files(
         "Save the camera",
-        lambda paths: core.post(saving.save_current_camera, paths[0]),
+        lambda paths: app.post(saving.save_current_camera, paths[0]),
         kind="save_camera",
-        name=f"{saving.picture_stem(core)}.camera.json",
+        name=f"{saving.picture_stem(app)}.camera.json",
     )
 
 
 # ---- Views to go back to: bookmarks, and the cameras of a loaded list.
 
 
-def show_bookmarks(core: Core) -> None:
+def show_bookmarks(app: AppState) -> None:
     imgui.push_id("bookmarks")
     widgets.section("Bookmarks")
-    widgets.action_button(core, "Bookmark this view", "add_bookmark")
-    if not core.bookmarks:
+    widgets.action_button(app, "Bookmark this view", "add_bookmark")
+    if not app.bookmarks:
         widgets.note(f"None yet. {keys_of('add_bookmark')} keeps the present view, beside the scene's file.")
-    for index, bookmark in enumerate(core.bookmarks):
-        bookmark_row(core, index, bookmark.name)
+    for index, bookmark in enumerate(app.bookmarks):
+        bookmark_row(app, index, bookmark.name)
     imgui.pop_id()
     imgui.push_id("cameras")
     widgets.section("Cameras")
-    if core.cameras:
-        cameras(core)
+    if app.cameras:
+        cameras(app)
     else:
         widgets.note("A cameras.json, a COLMAP model or a saved camera: drop it on the window, or")
-        widgets.action_button(core, "Load...", "open_cameras")
+        widgets.action_button(app, "Load...", "open_cameras")
     imgui.pop_id()
 
 
-def bookmark_row(core: Core, index: int, name: str) -> None:
+def bookmark_row(app: AppState, index: int, name: str) -> None:
     imgui.push_id(index)
     style = imgui.get_style()
     signs = (icons.ICON_FA_PEN, icons.ICON_FA_TRASH)
@@ -269,8 +269,8 @@ def bookmark_row(core: Core, index: int, name: str) -> None:
         imgui.calc_text_size(sign).x + 2 * style.frame_padding.x + style.item_spacing.x for sign in signs
     )
     width = max(imgui.get_content_region_avail().x - buttons, imgui.get_font_size())
-    if imgui.selectable(name, index == core.bookmark_index, 0, (width, 0))[0]:
-        core.post(go_to_bookmark, index)
+    if imgui.selectable(name, index == app.bookmark_index, 0, (width, 0))[0]:
+        app.post(go_to_bookmark, index)
     widgets.tooltip("Go to this view")
     imgui.same_line()
     if imgui.small_button(icons.ICON_FA_PEN):
@@ -278,7 +278,7 @@ def bookmark_row(core: Core, index: int, name: str) -> None:
     widgets.tooltip("Rename")
     imgui.same_line()
     if imgui.small_button(icons.ICON_FA_TRASH):
-        core.post(delete_bookmark, index)
+        app.post(delete_bookmark, index)
     widgets.tooltip("Delete this bookmark")
     if imgui.begin_popup("rename"):
         if imgui.is_window_appearing():
@@ -286,27 +286,27 @@ def bookmark_row(core: Core, index: int, name: str) -> None:
         imgui.set_next_item_width(imgui.get_font_size() * 14)
         done, text = imgui.input_text("##name", name, imgui.InputTextFlags_.enter_returns_true)
         if done:
-            core.post(rename_bookmark, index, text)
+            app.post(rename_bookmark, index, text)
             imgui.close_current_popup()
         imgui.end_popup()
     imgui.pop_id()
 
 
-def cameras(core: Core) -> None:
-    widgets.action_button(core, "Previous", "previous_camera")
+def cameras(app: AppState) -> None:
+    widgets.action_button(app, "Previous", "previous_camera")
     imgui.same_line()
-    widgets.action_button(core, "Next", "next_camera")
+    widgets.action_button(app, "Next", "next_camera")
     imgui.same_line()
-    changed, shown = imgui.checkbox("In the view", core.preferences.show_cameras)
+    changed, shown = imgui.checkbox("In the view", app.preferences.show_cameras)
     widgets.tooltip("Draws each camera as a small pyramid that opens the way it looks.")
     if changed:
-        core.prefer(show_cameras=shown)
+        app.prefer(show_cameras=shown)
     clipper = imgui.ListClipper()
-    clipper.begin(len(core.cameras))
+    clipper.begin(len(app.cameras))
     while clipper.step():
         for index in range(clipper.display_start, clipper.display_end):
-            camera = core.cameras[index]
+            camera = app.cameras[index]
             text = f"{camera.name or f'Camera {index + 1}'}##{index}"
-            if imgui.selectable(text, index == core.camera_index)[0]:
-                core.post(go_to_camera, index)
+            if imgui.selectable(text, index == app.camera_index)[0]:
+                app.post(go_to_camera, index)
             widgets.tooltip(f"{camera.width} x {camera.height} px")

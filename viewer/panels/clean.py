@@ -13,50 +13,50 @@ from splatview.edit.operations.cleanup import Decimate
 from splatview.viewer import theme
 from splatview.viewer.editing import cleanup as cleaning
 from splatview.viewer.editing.cleanup import VIEWS
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.panels import widgets
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 GOOD, FAIR = 45.0, 35.0
 """dB: above the one nobody sees the difference; below the other anybody does."""
 
 
-def show(core: Core, desk: Desk) -> None:
-    form = desk.forms.clean
+def show(app: AppState, session: EditSession) -> None:
+    form = session.forms.clean
     names = tuple(DETECTORS)
     detector = DETECTORS[form.detector]
     chosen = widgets.combo(
         "Find", form.detector, names, detector.what, [DETECTORS[name].label for name in names]
     )
     if chosen is not None:
-        cleaning.choose_detector(desk, chosen)
+        cleaning.choose_detector(session, chosen)
         detector = DETECTORS[chosen]
     widgets.note(detector.what)
-    key = (form.detector, desk.document.versions)
+    key = (form.detector, session.document.versions)
     if form.scores is None or form.of != key:
         if form.scores is not None:
-            form.scores, form.mask, form.price, desk.highlight = None, None, None, None
+            form.scores, form.mask, form.price, session.preview_mask = None, None, None, None
         tip = "Looks at every splat" + (", in pictures from around the scene." if detector.renders else ".")
-        widgets.button("Look for them", tip, partial(core.post, cleaning.look), width=-1)
+        widgets.button("Look for them", tip, partial(app.post, cleaning.look), width=-1)
     else:
-        threshold(core, desk)
-    if desk.trainee is None:  # training fills up again to its number
+        threshold(app, session)
+    if session.target is None:  # training fills up again to its number
         widgets.section("Fewer splats")
-        decimation(core, desk)
+        decimation(app, session)
 
 
-def threshold(core: Core, desk: Desk) -> None:
-    form = desk.forms.clean
+def threshold(app: AppState, session: EditSession) -> None:
+    form = session.forms.clean
     detector = DETECTORS[form.detector]()
     low, high = detector.slider
     value = widgets.slider(
         "Threshold", form.threshold, low, high, f"In {detector.unit}.", form="%.4g", logarithmic=detector.log
     )
     if value is not None:
-        cleaning.set_threshold(desk, value)
+        cleaning.set_threshold(session, value)
     widgets.note(f"{form.count:,} splats are {detector.meaning(form.threshold)}: red on the picture.")
     if not form.count:
         return
@@ -65,13 +65,13 @@ def threshold(core: Core, desk: Desk) -> None:
         widgets.button(
             "What would it cost?",
             f"Draws {VIEWS} views with and without them and compares.",
-            partial(core.post, cleaning.measure_price),
+            partial(app.post, cleaning.measure_price),
         )
         widgets.beside(f"Delete {form.count:,}")
-    tip = "Undo brings them back." if desk.trainee is None else "From the training; there is no way back."
-    widgets.button(f"Delete {form.count:,}", tip, partial(core.post, cleaning.prune))
+    tip = "Undo brings them back." if session.target is None else "From the training; there is no way back."
+    widgets.button(f"Delete {form.count:,}", tip, partial(app.post, cleaning.prune))
     widgets.beside("Leave them")
-    widgets.button("Leave them", "Nothing is deleted.", partial(core.post, cleaning.forget))
+    widgets.button("Leave them", "Nothing is deleted.", partial(app.post, cleaning.forget))
 
 
 def show_price(cost: Any) -> None:
@@ -92,26 +92,26 @@ def quality(cost: Price) -> ImVec4:
     return theme.WARNING if cost.worst >= FAIR else theme.ERROR
 
 
-def decimation(core: Core, desk: Desk) -> None:
+def decimation(app: AppState, session: EditSession) -> None:
     """Keeps the splats that matter most to the views."""
-    form, counts = desk.forms.clean, desk.document.counts
+    form, counts = session.forms.clean, session.document.counts
     if not 1 <= form.keep <= counts.kept:
         form.keep = max(counts.kept // 2, 1)
     widgets.label("Keep", "How many splats are left: those that contribute most to the pictures.")
     changed, value = imgui.input_int("##keep", form.keep, max(counts.kept // 20, 1), max(counts.kept // 5, 1))
     if changed:
         form.keep, form.kept_price = min(max(int(value), 1), counts.kept), None
-    if form.kept_price is not None and form.kept_price[0] == (form.keep, desk.document.versions):
+    if form.kept_price is not None and form.kept_price[0] == (form.keep, session.document.versions):
         show_price(form.kept_price[1])
     else:
         widgets.button(
             "What would that cost?##keep",
             f"Draws {VIEWS} views with all splats and with the {form.keep:,} that matter most.",
-            partial(core.post, cleaning.price_decimation),
+            partial(app.post, cleaning.price_decimation),
         )
         widgets.beside(f"Keep {form.keep:,} of {counts.kept:,}")
     widgets.button(
         f"Keep {form.keep:,} of {counts.kept:,}",
         Decimate.summary + ".",
-        partial(core.post, cleaning.keep_best),
+        partial(app.post, cleaning.keep_best),
     )

@@ -20,14 +20,14 @@ from splatview.viewer import theme
 from splatview.viewer.editing import gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 from splatview.viewer.theme import point_on_picture
 from splatview.viewer.training import live_edits as held
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 SECTION = "crop"
@@ -43,7 +43,7 @@ CUTTING = ImVec4(1, 0.45, 0.4, 0.8)
 CIRCLE = np.linspace(0, 2 * np.pi, 49)
 
 
-def show(core: Core, desk: Desk) -> None:
+def show(app: AppState, session: EditSession) -> None:
     shapes: tuple[tuple[str, Shape], ...] = (("Add a box", "box"), ("Add a sphere", "sphere"))
     for number, (name, shape) in enumerate(shapes):
         if number:
@@ -51,51 +51,51 @@ def show(core: Core, desk: Desk) -> None:
         widgets.button(
             name,
             "Shows only what is inside; no splat is touched. Several add up; each can also cut out instead.",
-            partial(core.post, partial(add_crop, shape=shape)),
+            partial(app.post, partial(add_crop, shape=shape)),
         )
-    crops = desk.document.crops
+    crops = session.document.crops
     if not crops:
-        desk.forms.crop = -1
+        session.forms.crop = -1
         widgets.note(
             "No crops. Export leaves out what they cut away."
-            if desk.trainee is None
+            if session.target is None
             else "No crops. They show what is left; then let them cut, or let nothing grow inside."
         )
         return
-    desk.forms.crop = min(desk.forms.crop, len(crops) - 1)
+    session.forms.crop = min(session.forms.crop, len(crops) - 1)
     for index, crop in enumerate(crops):
         imgui.push_id(index)
         toggled, enabled = imgui.checkbox("##on", crop.enabled)
         widgets.tooltip("Switches this crop on or off.")
         if toggled:
-            _post(core, EnableCrop(index=index, enabled=enabled))
+            _post(app, EnableCrop(index=index, enabled=enabled))
         imgui.same_line()
         word = "keeps" if crop.keep == "inside" else "cuts out"
         clicked, _ = imgui.selectable(
-            f"{crop.name}: {crop.shape}, {word} its inside", index == desk.forms.crop
+            f"{crop.name}: {crop.shape}, {word} its inside", index == session.forms.crop
         )
         if clicked:
-            desk.forms.crop = -1 if index == desk.forms.crop else index
+            session.forms.crop = -1 if index == session.forms.crop else index
         imgui.pop_id()
-    if desk.forms.crop >= 0:
-        numbers(core, desk, desk.forms.crop)
+    if session.forms.crop >= 0:
+        numbers(app, session, session.forms.crop)
     if not any(crop.enabled for crop in crops):
         return
-    if desk.trainee is not None:
+    if session.target is not None:
         widgets.button(
             "Cut away in training",
             "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
-            partial(core.post, held.cut_away),
+            partial(app.post, held.cut_away),
         )
     else:
         operation = DeleteCropped()
-        widgets.button("Delete what is cut away", operation.summary, partial(_post, core, operation))
+        widgets.button("Delete what is cut away", operation.summary, partial(_post, app, operation))
 
 
-def numbers(core: Core, desk: Desk, index: int) -> None:
+def numbers(app: AppState, session: EditSession, index: int) -> None:
     """Every number of a crop, to type or to drag; undo goes back over a whole drag."""
-    crop = desk.document.crops[index]
-    speed = max(core.scene.radius if core.scene else 1.0, 1e-6) / 300
+    crop = session.document.crops[index]
+    speed = max(app.scene.radius if app.scene else 1.0, 1e-6) / 300
     new, settled = crop, False
     widgets.label("Name", "For you and the history.")
     changed, name = imgui.input_text("##name", crop.name, imgui.InputTextFlags_.enter_returns_true)
@@ -122,29 +122,29 @@ def numbers(core: Core, desk: Desk, index: int) -> None:
         new = replace(new, rotation=quat_of(values))
     settled |= imgui.is_item_deactivated_after_edit()
     handle = widgets.combo(
-        "Handles", KINDS[desk.forms.crop_handles], KINDS, "What the handles on the picture do."
+        "Handles", KINDS[session.forms.crop_handles], KINDS, "What the handles on the picture do."
     )
     if handle is not None:
-        desk.forms.crop_handles = KINDS.index(handle)
-    change(core, desk, index, new, settled=settled)
+        session.forms.crop_handles = KINDS.index(handle)
+    change(app, session, index, new, settled=settled)
     by = volume(crop)
     imgui.begin_disabled(by is None)
     if imgui.button("Select inside") and by is not None:
         io = imgui.get_io()
-        _post(core, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
+        _post(app, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
     widgets.tooltip(
         "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
     )
     imgui.end_disabled()
     widgets.beside("Remove")
     if imgui.button("Remove"):
-        _post(core, RemoveCrop(index=index))
+        _post(app, RemoveCrop(index=index))
     widgets.tooltip("Removes this crop; what it cut away is back.")
-    if desk.trainee is not None:
+    if session.target is not None:
         widgets.button(
             "No growth inside",
             "From now on no splat is born in it. Those that are there are trained on, and may die.",
-            partial(core.post, held.stop_growth, index),
+            partial(app.post, held.stop_growth, index),
         )
 
 
@@ -156,25 +156,25 @@ def volume(crop: Crop) -> Box | Sphere | None:
     return Sphere(centre=crop.centre, radius=high) if high - low <= 1e-6 * high else None
 
 
-def change(core: Core, desk: Desk, index: int, new: Crop, *, settled: bool) -> None:
+def change(app: AppState, session: EditSession, index: int, new: Crop, *, settled: bool) -> None:
     """Previews a crop while it is dragged, and makes one step of the drag when it ends."""
-    if new != desk.document.crops[index]:
+    if new != session.document.crops[index]:
         operation = ChangeCrop(index=index, crop=new)
-        core.post(lambda core: core.desk.preview(SECTION, operation) if core.desk else None)
+        app.post(lambda app: app.session.preview(SECTION, operation) if app.session else None)
     if settled:
-        core.post(lambda core: core.desk.commit_preview() if core.desk else None)
+        app.post(lambda app: app.session.commit_preview() if app.session else None)
 
 
-def draw(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
+def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
-    for index, crop in enumerate(desk.document.crops):
-        chosen = index == desk.forms.crop
+    for index, crop in enumerate(session.document.crops):
+        chosen = index == session.forms.crop
         if not (crop.enabled or chosen):
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
         draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
-    if 0 <= desk.forms.crop < len(desk.document.crops) and not desk.forms.move.gizmo:
-        drag_handles(core, desk, camera, corner)
+    if 0 <= session.forms.crop < len(session.document.crops) and not session.forms.move.gizmo:
+        drag_handles(app, session, camera, corner)
 
 
 def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thickness: float) -> None:
@@ -188,16 +188,16 @@ def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thi
                 ink.add_line(a, b, packed, thickness)
 
 
-def drag_handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
-    index = desk.forms.crop
-    crop = desk.document.crops[index]
+def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
+    index = session.forms.crop
+    crop = session.document.crops[index]
     R_world_own = Adjustment(rotation=crop.rotation).R
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = R_world_own * np.array(crop.half_extents), crop.centre
-    kind = KINDS[desk.forms.crop_handles]
+    kind = KINDS[session.forms.crop_handles]
     moved = gizmos.handles("crop", camera, corner, matrix, kind, local=kind != "move")
     if moved is not None:
-        desk.forms.crop_dragged = True
+        session.forms.crop_dragged = True
         lengths = np.maximum(np.linalg.norm(moved[:3, :3], axis=0), 1e-9)
         x, y, z = moved[:3, 3].tolist()
         if kind == "move":
@@ -207,10 +207,10 @@ def drag_handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None
             new = replace(crop, half_extents=(ex, ey, ez))
         else:
             new = replace(crop, rotation=quat_from_matrix(moved[:3, :3] / lengths))
-        change(core, desk, index, new, settled=False)
-    elif desk.forms.crop_dragged and not gizmos.dragging():
-        desk.forms.crop_dragged = False
-        core.post(lambda core: core.desk.commit_preview() if core.desk else None)
+        change(app, session, index, new, settled=False)
+    elif session.forms.crop_dragged and not gizmos.dragging():
+        session.forms.crop_dragged = False
+        app.post(lambda app: app.session.commit_preview() if app.session else None)
 
 
 def outline(crop: Crop) -> list[np.ndarray]:
@@ -227,5 +227,5 @@ def outline(crop: Crop) -> list[np.ndarray]:
     return circles
 
 
-def _post(core: Core, operation: Operation) -> None:
-    core.post(lambda core: core.desk.apply(operation) if core.desk else None)
+def _post(app: AppState, operation: Operation) -> None:
+    app.post(lambda app: app.session.apply(operation) if app.session else None)

@@ -7,8 +7,8 @@ from imgui_bundle import ImVec4, imgui, implot
 
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
-from splatview.viewer.state import Core
-from splatview.viewer.training.live import Training
+from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
 
 SMOOTHED = 60
 """The bright line of the loss is a mean over this share of the curve: photos differ, so steps jump."""
@@ -18,8 +18,8 @@ SCORE = ImVec4(0.45, 0.80, 0.50, 1)
 COUNT = ImVec4(*theme.ACCENT, 1)
 
 
-def show(core: Core) -> None:
-    training = core.training
+def show(app: AppState) -> None:
+    training = app.training
     if training is None:
         return
     imgui.align_text_to_frame_padding()
@@ -59,7 +59,7 @@ def begin(
     return True
 
 
-def loss(training: Training, over: str, size: tuple[float, float]) -> None:
+def loss(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "loss")
     good = np.isfinite(values) & (values > 0)
     x, values = x[good], values[good]
@@ -71,7 +71,7 @@ def loss(training: Training, over: str, size: tuple[float, float]) -> None:
         implot.end_plot()
 
 
-def score(training: Training, over: str, size: tuple[float, float]) -> None:
+def score(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.evaluations.read(over, "psnr")
     good = np.isfinite(values)
     x, values = x[good], values[good]
@@ -90,7 +90,7 @@ def score(training: Training, over: str, size: tuple[float, float]) -> None:
         implot.end_plot()
 
 
-def count(training: Training, over: str, size: tuple[float, float]) -> None:
+def count(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "gaussians")
     if begin("Splats", over, size, len(x)):
         if len(x) > 1:

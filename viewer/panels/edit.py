@@ -18,45 +18,45 @@ from splatview.scene.framing import robust_bounds
 from splatview.viewer import theme
 from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import Desk, LookForm, MoveForm
+from splatview.viewer.editing.session import EditSession, LookForm, MoveForm
 from splatview.viewer.editing.tool_state import Place, ToolName
 from splatview.viewer.open import bounds
 from splatview.viewer.panels import clean, crops, select, widgets
 from splatview.viewer.panels import recipe as rules
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 # ---- What a change is about, and the buttons that put a preview in force or take it back.
 
 
-def choose_scope(desk: Desk) -> bool:
+def choose_scope(session: EditSession) -> bool:
     """Selection or whole scene; returns whether it changed."""
     chosen = widgets.combo(
         "Of",
-        desk.forms.scope,
+        session.forms.scope,
         ("selection", "scene"),
         "What is changed: the selected splats, or all that are neither deleted nor locked.",
         ("The selection", "The whole scene"),
     )
     if chosen is None:
         return False
-    desk.forms.scope = chosen
+    session.forms.scope = chosen
     return True
 
 
-def nothing_to_change(desk: Desk) -> bool:
+def nothing_to_change(session: EditSession) -> bool:
     """Says so where the scope is an empty selection."""
-    if desk.forms.scope == "selection" and not desk.document.counts.selected:
+    if session.forms.scope == "selection" and not session.document.counts.selected:
         widgets.note("Nothing is selected: select splats, or choose the whole scene above.")
         return True
     return False
 
 
-def keep_or_cancel(core: Core, desk: Desk, section: str) -> bool | None:
+def keep_or_cancel(app: AppState, session: EditSession, section: str) -> bool | None:
     """The buttons, while this section's preview is in force; True where it was kept, False where not."""
-    if desk.forms.previewing != section:
+    if session.forms.previewing != section:
         return None
     kept = imgui.button(f"Apply##{section}")
     widgets.tooltip("Keep the change as a step of the history.")
@@ -64,10 +64,10 @@ def keep_or_cancel(core: Core, desk: Desk, section: str) -> bool | None:
     cancelled = imgui.button(f"Cancel##{section}")
     widgets.tooltip("Take the preview back.")
     if kept:
-        core.post(lambda core: core.desk.commit_preview() if core.desk else None)
+        app.post(lambda app: app.session.commit_preview() if app.session else None)
         return True
     if cancelled:
-        core.post(lambda core: core.desk.cancel_preview() if core.desk else None)
+        app.post(lambda app: app.session.cancel_preview() if app.session else None)
         return False
     return None
 
@@ -89,57 +89,61 @@ GRADES = {
 """Field of `Grade` -> name, range of the slider, tooltip."""
 
 
-def show_appearance(core: Core, desk: Desk) -> None:
-    changed_scope = choose_scope(desk)
-    if nothing_to_change(desk):
+def show_appearance(app: AppState, session: EditSession) -> None:
+    changed_scope = choose_scope(session)
+    if nothing_to_change(session):
         return
-    form = desk.forms.look
-    opacity_and_size(core, desk)
-    form = desk.forms.look
+    form = session.forms.look
+    opacity_and_size(app, session)
+    form = session.forms.look
     grade = form.grade
     for field, (name, low, high, tip) in GRADES.items():
         value = widgets.slider(name, getattr(grade, field), low, high, tip)
         if value is not None:
             grade = _changed(grade, field, value)
     if grade != form.grade or (
-        changed_scope and desk.forms.previewing == APPEARANCE_SECTION and grade != Grade()
+        changed_scope and session.forms.previewing == APPEARANCE_SECTION and grade != Grade()
     ):
-        desk.forms.look = LookForm(grade=grade)
-        desk.preview(APPEARANCE_SECTION, ColourGrade(grade=grade, scope=desk.forms.scope))
-    if keep_or_cancel(core, desk, APPEARANCE_SECTION) is not None or (
-        desk.forms.previewing != APPEARANCE_SECTION
-        and desk.forms.look != LookForm()
+        session.forms.look = LookForm(grade=grade)
+        session.preview(APPEARANCE_SECTION, ColourGrade(grade=grade, scope=session.forms.scope))
+    if keep_or_cancel(app, session, APPEARANCE_SECTION) is not None or (
+        session.forms.previewing != APPEARANCE_SECTION
+        and session.forms.look != LookForm()
         and not imgui.is_any_item_active()
     ):
-        desk.forms.look = LookForm()
+        session.forms.look = LookForm()
 
 
-def opacity_and_size(core: Core, desk: Desk) -> None:
+def opacity_and_size(app: AppState, session: EditSession) -> None:
     """By a factor, or the same value for all."""
     how = widgets.combo(
         "Opacity, size",
-        desk.forms.how,
+        session.forms.how,
         ("scale", "set"),
         "Multiply what each splat has, or give all of them one value. A set size keeps each splat's shape.",
         ("times a factor", "set to a value"),
     )
     if how is not None:
-        desk.forms.how = how
-        core.post(lambda core: core.desk.cancel_preview() if core.desk else None)
-    form, factor = desk.forms.look, desk.forms.how == "scale"
+        session.forms.how = how
+        app.post(lambda app: app.session.cancel_preview() if app.session else None)
+    form, factor = session.forms.look, session.forms.how == "scale"
     tip = "Factor on the opacity of each splat." if factor else "The opacity that all get, 0 to 1."
     name, high = ("Opacity x", 3.0) if factor else ("Opacity", 1.0)
     opacity = widgets.slider(name, form.opacity, 0.0, high, tip)
     if opacity is not None:
-        desk.forms.look = LookForm(opacity=opacity)
-        desk.preview(APPEARANCE_SECTION, Opacity(value=opacity, how=desk.forms.how, scope=desk.forms.scope))
-    radius = max(core.scene.radius if core.scene else 1.0, 1e-6)
+        session.forms.look = LookForm(opacity=opacity)
+        session.preview(
+            APPEARANCE_SECTION, Opacity(value=opacity, how=session.forms.how, scope=session.forms.scope)
+        )
+    radius = max(app.scene.radius if app.scene else 1.0, 1e-6)
     tip = "Factor on the size of each splat, about its centre." if factor else "Mean deviation, world units."
     name, low, high = ("Size x", 0.1, 10.0) if factor else ("Size", 1e-5 * radius, 0.1 * radius)
     size = widgets.slider(name, form.size, low, high, tip, form="%.3g", logarithmic=True)
     if size is not None:
-        desk.forms.look = LookForm(size=size)
-        desk.preview(APPEARANCE_SECTION, Size(value=size, how=desk.forms.how, scope=desk.forms.scope))
+        session.forms.look = LookForm(size=size)
+        session.preview(
+            APPEARANCE_SECTION, Size(value=size, how=session.forms.how, scope=session.forms.scope)
+        )
 
 
 def _changed(grade: Grade, field: str, value: float) -> Grade:
@@ -169,19 +173,19 @@ UPS: tuple[tuple[str, Place], ...] = (
 )
 
 
-def show_transform(core: Core, desk: Desk) -> None:
-    if choose_scope(desk):
-        desk.forms.move = MoveForm(gizmo=desk.forms.move.gizmo)
-        core.post(lambda core: core.desk.cancel_preview() if core.desk else None)
-    if not nothing_to_change(desk):
-        by_numbers(core, desk)
+def show_transform(app: AppState, session: EditSession) -> None:
+    if choose_scope(session):
+        session.forms.move = MoveForm(gizmo=session.forms.move.gizmo)
+        app.post(lambda app: app.session.cancel_preview() if app.session else None)
+    if not nothing_to_change(session):
+        by_numbers(app, session)
     widgets.section("Upright")
-    upright(core, desk)
+    upright(app, session)
 
 
-def by_numbers(core: Core, desk: Desk) -> None:
-    form = desk.forms.move
-    speed = max(core.scene.radius if core.scene else 1.0, 1e-6) / 300
+def by_numbers(app: AppState, session: EditSession) -> None:
+    form = session.forms.move
+    speed = max(app.scene.radius if app.scene else 1.0, 1e-6) / 300
     changed = False
     moved = widgets.vector("Move", form.translation, speed, "World units along x, y, z.")
     if moved is not None:
@@ -201,46 +205,48 @@ def by_numbers(core: Core, desk: Desk) -> None:
         turning = widgets.checkbox("Turn by them", form.turning, "The handles turn rather than move.")
         form.turning = form.turning if turning is None else turning
     if changed:
-        preview(desk)
-    if keep_or_cancel(core, desk, TRANSFORM_SECTION) is not None:
-        desk.forms.move = MoveForm(gizmo=form.gizmo, turning=form.turning)
+        preview(session)
+    if keep_or_cancel(app, session, TRANSFORM_SECTION) is not None:
+        session.forms.move = MoveForm(gizmo=form.gizmo, turning=form.turning)
 
 
-def preview(desk: Desk) -> None:
-    form = desk.forms.move
+def preview(session: EditSession) -> None:
+    form = session.forms.move
     if any(not np.isfinite(v) for v in (*form.translation, *form.rotation)) or not form.scale > 0:
         return
     operation = Transform(
-        scope=desk.forms.scope,
+        scope=session.forms.scope,
         translation=form.translation,
         rotation=quat_of(form.rotation),
         scale=form.scale,
-        pivot=pivot(desk),
+        pivot=pivot(session),
     )
-    desk.preview(TRANSFORM_SECTION, operation)
+    session.preview(TRANSFORM_SECTION, operation)
 
 
-def pivot(desk: Desk) -> Place:
+def pivot(session: EditSession) -> Place:
     """The middle of what is to be moved, as it is without the preview; kept while one is in force."""
-    key = (desk.forms.scope, desk.document.versions)
-    if desk.pivot is None or (desk.forms.previewing != TRANSFORM_SECTION and desk.pivot[0] != key):
-        document = desk.document
+    key = (session.forms.scope, session.document.versions)
+    if session.pivot is None or (session.forms.previewing != TRANSFORM_SECTION and session.pivot[0] != key):
+        document = session.document
         splats = (
-            document.selected.indices if desk.forms.scope == "selection" else np.arange(len(document.marks))
+            document.selected.indices
+            if session.forms.scope == "selection"
+            else np.arange(len(document.marks))
         )
         chosen = splats[:: max(1, len(splats) // SAMPLE)]
         places = positions_of(document.gaussians, document.edits)[chosen]
         x, y, z = (float(value) for value in robust_bounds(places)[0])
-        desk.pivot = (key, (x, y, z))
-    return desk.pivot[1]
+        session.pivot = (key, (x, y, z))
+    return session.pivot[1]
 
 
-def handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
+def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """Over the picture; what they do is the same as typing the numbers."""
-    form = desk.forms.move
-    if not form.gizmo or (desk.forms.scope == "selection" and not desk.document.counts.selected):
+    form = session.forms.move
+    if not form.gizmo or (session.forms.scope == "selection" and not session.document.counts.selected):
         return
-    centre = np.array(pivot(desk))
+    centre = np.array(pivot(session))
     matrix = np.eye(4)
     matrix[:3, 3] = centre + form.translation
     if form.turning:
@@ -255,38 +261,38 @@ def handles(core: Core, desk: Desk, camera: Camera, corner: ImVec2) -> None:
     else:
         x, y, z = (new[:3, 3] - centre).tolist()
         form.translation = (x, y, z)
-    core.post(lambda core: preview(core.desk) if core.desk else None)
+    app.post(lambda app: preview(app.session) if app.session else None)
 
 
-def upright(core: Core, desk: Desk) -> None:
+def upright(app: AppState, session: EditSession) -> None:
     """The whole scene turned so that it stands: by an axis, by the view, or by three points on the ground."""
     widgets.note("What points up in the scene now?")
     for number, (name, axis) in enumerate(UPS):
         if number:
             widgets.beside(name)
         tip = f"Turns the scene: its {name} becomes up (-Y)."
-        widgets.button(f"{name}##up", tip, partial(core.post, orient, axis))
+        widgets.button(f"{name}##up", tip, partial(app.post, orient, axis))
     if imgui.button("The view's up"):
-        up = -core.view.R_camera_world[1]
-        core.post(orient, (float(up[0]), float(up[1]), float(up[2])))
+        up = -app.view.R_camera_world[1]
+        app.post(orient, (float(up[0]), float(up[1]), float(up[2])))
     widgets.tooltip("Turns the scene so that what is up in the picture now is up (-Y).")
-    chosen = desk.tool == "ground"
-    text = f"Pick {3 - len(desk.picked)} more..." if chosen else "Three points on the ground"
+    chosen = session.tool == "ground"
+    text = f"Pick {3 - len(session.picked)} more..." if chosen else "Three points on the ground"
     widgets.beside(text)
     if imgui.button(f"{text}###ground"):
-        core.post(commands.take_tool, "ground")
+        app.post(commands.take_tool, "ground")
     widgets.tooltip("Click three points of the floor: it becomes level, at y = 0.")
 
 
-def orient(core: Core, up: Place) -> None:
+def orient(app: AppState, up: Place) -> None:
     """Turns what is shown about its middle until `up` points up."""
-    found = bounds(core)
-    if core.desk is not None and found is not None:
+    found = bounds(app)
+    if app.session is not None and found is not None:
         x, y, z = found[0].tolist()
-        core.desk.apply(Orient(up=up, pivot=(x, y, z)))
+        app.session.apply(Orient(up=up, pivot=(x, y, z)))
 
 
-SECTIONS: tuple[tuple[str, bool, Callable[[Core, Desk], None]], ...] = (
+SECTIONS: tuple[tuple[str, bool, Callable[[AppState, EditSession], None]], ...] = (
     ("Select", True, select.show),
     ("Clean up", False, clean.show),
     ("Crop", False, crops.show),
@@ -311,53 +317,53 @@ TOOLS: tuple[tuple[str, ToolName], ...] = (
 )
 
 
-def show(core: Core) -> None:
-    desk = core.desk
-    if not core.can_edit:
+def show(app: AppState) -> None:
+    session = app.session
+    if not app.can_edit:
         widgets.note("Open a scene to edit it.")
         return
-    toolbar(core, desk)
-    training = None if core.at_rest else core.training
+    toolbar(app, session)
+    training = None if app.at_rest else app.training
     if training is not None:
-        rules.show_rules(core, training)
-    if desk is not None:
-        job(core, desk)
+        rules.show_rules(app, training)
+    if session is not None:
+        job(app, session)
         for title, opened, contents in SECTIONS:
             if training is not None and contents not in IN_TRAINING:
                 continue
             flags = imgui.TreeNodeFlags_.default_open if opened else 0
-            if desk.forms.open_section == title:
+            if session.forms.open_section == title:
                 imgui.set_next_item_open(True)
-                desk.forms.open_section = ""
+                session.forms.open_section = ""
             if imgui.collapsing_header(title, flags):
                 imgui.push_id(title)
-                contents(core, desk)
+                contents(app, session)
                 imgui.pop_id()
     if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
         imgui.push_id(RULES)
-        rules.in_force(core, training)
+        rules.in_force(app, training)
         imgui.pop_id()
 
 
-def toolbar(core: Core, desk: Desk | None) -> None:
+def toolbar(app: AppState, session: EditSession | None) -> None:
     """A button a tool; the one in hand is bright."""
     for number, (name, tool) in enumerate(TOOLS):
         if number:
             widgets.beside(name)
-        chosen = desk is not None and desk.tool == tool
+        chosen = session is not None and session.tool == tool
         if chosen:
             imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))
-        widgets.action_button(core, name, f"tool_{tool}")
+        widgets.action_button(app, name, f"tool_{tool}")
         if chosen:
             imgui.pop_style_color()
-    if desk is not None and desk.tool != "none":
+    if session is not None and session.tool != "none":
         widgets.note("Shift adds, Ctrl removes, both keep what is common. Alt + drag turns. Esc: done.")
 
 
-def job(core: Core, desk: Desk) -> None:
+def job(app: AppState, session: EditSession) -> None:
     """Slow work under way, with a way to stop it."""
-    if desk.job is None:
+    if session.job is None:
         return
-    imgui.progress_bar(desk.job.progress, (-imgui.get_font_size() * 5, 0), desk.job.title)
+    imgui.progress_bar(session.job.progress, (-imgui.get_font_size() * 5, 0), session.job.title)
     imgui.same_line()
-    widgets.action_button(core, "Cancel", "cancel")
+    widgets.action_button(app, "Cancel", "cancel")

@@ -12,54 +12,54 @@ from splatview.scene.effects import Effect, grey_levels
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
 from splatview.viewer.quality.effects import Effects
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- What the Effects panel asks for, run between two frames.
 
 
-def measure(core: Core) -> None:
+def measure(app: AppState) -> None:
     """Begins to price the effects in the view that is seen."""
-    core.effects.measure(core)
+    app.effects.measure(app)
 
 
-def cancel(core: Core) -> None:
-    core.effects.cancel()
+def cancel(app: AppState) -> None:
+    app.effects.cancel()
 
 
-def switch(core: Core, name: str, on: bool) -> None:
-    core.effects.switch(core, name, on)
+def switch(app: AppState, name: str, on: bool) -> None:
+    app.effects.switch(app, name, on)
 
 
-def as_called_for(core: Core) -> None:
-    core.effects.as_called_for(core)
+def as_called_for(app: AppState) -> None:
+    app.effects.as_called_for(app)
 
 
 EDIT_EFFECTS = ("hidden splats", "crop", "adjusted splats", "colour grade")
 """Of the census: those whose price is that of the edits together."""
 
 
-def show(core: Core) -> None:
-    effects = core.effects
-    if core.scene is None:
+def show(app: AppState) -> None:
+    effects = app.effects
+    if app.scene is None:
         widgets.note("Open a scene to see which effects it calls for.")
         return
-    if core.examination is None or not core.examination.done:
+    if app.examination is None or not app.examination.done:
         widgets.note("Looking at the splats...")
         return
-    receipt = effects.receipt(core)
+    receipt = effects.receipt(app)
     on = sum(effect.in_force for effect in receipt)
     widgets.note(f"{on} of {len(receipt)} effects are computed: those that can be seen in this scene.")
-    tools(core, effects)
+    tools(app, effects)
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
     if imgui.begin_table("effects", 3, flags):
         for title, width in (("", 0.6), ("effect", 3.0), ("time", 1.4)):
             imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch, width)
         for effect in receipt:
-            row(core, effects, effect)
+            row(app, effects, effect)
         imgui.end_table()
 
 
-def tools(core: Core, effects: Effects) -> None:
+def tools(app: AppState, effects: Effects) -> None:
     pricing = effects.pricing
     if pricing is None:
         again = "Measure again" if effects.prices else "Measure"
@@ -67,21 +67,21 @@ def tools(core: Core, effects: Effects) -> None:
             f"{again}###measure effects",
             "Draws this view with each effect the other way, beside the picture as it is, for some seconds, "
             "and tells the difference in time.",
-            partial(core.post, measure),
+            partial(app.post, measure),
         )
     else:
         imgui.progress_bar(pricing.progress, (-imgui.get_font_size() * 5, 0), pricing.text)
         imgui.same_line()
-        widgets.button("Cancel###cancel effects", "Ends measuring.", partial(core.post, cancel))
-    if effects.overridden(core):
+        widgets.button("Cancel###cancel effects", "Ends measuring.", partial(app.post, cancel))
+    if effects.overridden(app):
         widgets.button(
             "As the scene calls for###as called for",
             "Takes all switches back.",
-            partial(core.post, as_called_for),
+            partial(app.post, as_called_for),
         )
 
 
-def row(core: Core, effects: Effects, effect: Effect) -> None:
+def row(app: AppState, effects: Effects, effect: Effect) -> None:
     """On or off, the name with the evidence as its tooltip, and the time it costs or would cost."""
     imgui.table_next_row()
     imgui.table_next_column()
@@ -89,7 +89,7 @@ def row(core: Core, effects: Effects, effect: Effect) -> None:
         changed, on = imgui.checkbox(f"##{effect.name}", effect.in_force)
         widgets.tooltip("Computed or not, whatever the scene calls for.")
         if changed:
-            core.post(switch, effect.name, on)
+            app.post(switch, effect.name, on)
     else:
         imgui.align_text_to_frame_padding()
         colour = ImVec4(*theme.ACCENT, 1) if effect.in_force else theme.QUIET

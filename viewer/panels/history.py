@@ -17,30 +17,30 @@ from splatview.viewer.training.live_edits import NO_WAY_BACK
 
 if TYPE_CHECKING:
     from splatview.edit.journal import AbandonedJournal
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
-def show(core: Core) -> None:
-    desk = core.desk
-    if desk is None:
-        widgets.note("Nothing is held: take a tool first." if core.can_edit else "Nothing is open.")
+def show(app: AppState) -> None:
+    session = app.session
+    if session is None:
+        widgets.note("Nothing is held: take a tool first." if app.can_edit else "Nothing is open.")
         return
-    history = desk.document.history
-    if desk.trainee is not None:
+    history = session.document.history
+    if session.target is not None:
         widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
     imgui.begin_disabled(not history.can_undo)
-    widgets.action_button(core, "Undo", "undo")
+    widgets.action_button(app, "Undo", "undo")
     imgui.end_disabled()
     imgui.same_line()
     imgui.begin_disabled(not history.can_redo)
-    widgets.action_button(core, "Redo", "redo")
+    widgets.action_button(app, "Redo", "redo")
     imgui.end_disabled()
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
     used = f"{number}, {memory(history.nbytes)}"
     widgets.beside(used)
     imgui.text_colored(theme.QUIET, used)
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
-    if core.at_rest:
+    if app.at_rest:
         for number, (name, action) in enumerate(
             (
                 ("Export...", "export"),
@@ -50,7 +50,7 @@ def show(core: Core) -> None:
         ):
             if number:
                 widgets.beside(name)
-            widgets.action_button(core, name, action)
+            widgets.action_button(app, name, action)
     imgui.begin_child("##steps", ImVec2(0, 0))
     steps = ["As opened", *(step.title for step in history.steps)]
     for position, title in enumerate(steps):
@@ -61,9 +61,9 @@ def show(core: Core) -> None:
         if waiting:
             imgui.pop_style_color()
         if clicked:
-            core.post(partial(commands.jump, position=position))
-    if desk.seen_position != history.position:
-        desk.seen_position = history.position
+            app.post(partial(commands.jump, position=position))
+    if session.seen_position != history.position:
+        session.seen_position = history.position
         imgui.set_scroll_here_y(1.0) if history.position == len(history.steps) else None
     imgui.end_child()
 
@@ -76,38 +76,38 @@ def memory(size: int) -> str:
 # ---- The offer to go on with edits that an earlier window left in no file.
 
 
-def show_restore(core: Core) -> None:
-    if core.dialog != "restore" or not core.abandoned:
+def show_restore(app: AppState) -> None:
+    if app.dialog != "restore" or not app.abandoned:
         return
     centred(34)
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
-    for journal in tuple(core.abandoned):
+    for journal in tuple(app.abandoned):
         imgui.push_id(str(journal.file))
         widgets.button(
-            "Restore", "Opens the scene and does its steps again.", partial(_restore, core, journal)
+            "Restore", "Opens the scene and does its steps again.", partial(_restore, app, journal)
         )
         imgui.same_line()
-        widgets.button("Discard", "Forgets these steps for good.", partial(_discard, core, journal))
+        widgets.button("Discard", "Forgets these steps for good.", partial(_discard, app, journal))
         imgui.same_line()
         imgui.text_unformatted(described(journal))
         widgets.tooltip(str(journal.scene))
         imgui.pop_id()
-    widgets.button("Later", "Asks again at the next start.", partial(_close, core))
+    widgets.button("Later", "Asks again at the next start.", partial(_close, app))
     imgui.end()
-    if not opened or not core.abandoned:
-        core.dialog = None
+    if not opened or not app.abandoned:
+        app.dialog = None
 
 
-def _restore(core: Core, journal: AbandonedJournal) -> None:
-    _close(core)
-    core.post(partial(restore_journal, journal=journal))
+def _restore(app: AppState, journal: AbandonedJournal) -> None:
+    _close(app)
+    app.post(partial(restore_journal, journal=journal))
 
 
-def _discard(core: Core, journal: AbandonedJournal) -> None:
+def _discard(app: AppState, journal: AbandonedJournal) -> None:
     journal.discard()
-    core.abandoned.remove(journal)
+    app.abandoned.remove(journal)
 
 
-def _close(core: Core) -> None:
-    core.dialog = None
+def _close(app: AppState) -> None:
+    app.dialog = None

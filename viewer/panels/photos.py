@@ -10,34 +10,34 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training.comparison import Wish, shrink_for
-from splatview.viewer.training.live import Training, viewer_threads
+from splatview.viewer.training.live import LiveTraining, viewer_threads
 
 
-def show(core: Core) -> None:
-    training = core.training
+def show(app: AppState) -> None:
+    training = app.training
     if training is None:
         return
     widgets.button(
         "Go to this camera",
         "Looks from where the chosen photo was taken. A double click on a photo does it, too.",
-        partial(core.post, actions.go_to_photo, training.photo_index),
+        partial(app.post, actions.go_to_photo, training.photo_index),
     )
     imgui.same_line()
-    changed, shown = imgui.checkbox("In the view", core.preferences.show_photos)
+    changed, shown = imgui.checkbox("In the view", app.preferences.show_photos)
     widgets.tooltip("Draws each photo's camera as a small pyramid; a click on one goes there.")
     if changed:
-        core.prefer(show_photos=shown)
+        app.prefer(show_photos=shown)
     if any(photo.held_out for photo in training.photos):
         imgui.same_line()
-        widgets.button("Measure", "Scores the held-out photos now.", partial(core.post, actions.evaluate))
-    table(core)
+        widgets.button("Measure", "Scores the held-out photos now.", partial(app.post, actions.evaluate))
+    table(app)
 
 
-def table(core: Core) -> None:
-    training = core.training
+def table(app: AppState) -> None:
+    training = app.training
     assert training is not None
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_stretch_prop
     if not imgui.begin_table("photos", 3, flags):
@@ -58,7 +58,7 @@ def table(core: Core) -> None:
             flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
             if imgui.selectable(f"{photo.label}##{index}", index == training.photo_index, flags)[0]:
                 double = imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
-                core.post(actions.go_to_photo if double else actions.compare_photo, index)
+                app.post(actions.go_to_photo if double else actions.compare_photo, index)
             widgets.tooltip(f"{photo.name}: {photo.camera.width} x {photo.camera.height} px")
             imgui.table_next_column()
             if photo.held_out:
@@ -82,18 +82,18 @@ LENS_SHARE = 1 / 6
 """Of a picture's width, that the magnifying tooltip shows."""
 
 
-def show_comparison(core: Core) -> None:
-    training = core.training
+def show_comparison(app: AppState) -> None:
+    training = app.training
     if training is None:
         return
-    tools(core, training)
+    tools(app, training)
     comparison = training.comparer.latest
     room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing
     camera = training.photo.camera
     width = (room.x - 2 * spacing.x) / 3
     width = max(min(width, room.y * camera.width / camera.height), 16.0)
     height = width * camera.height / camera.width
-    want(core, training, width, height)
+    want(app, training, width, height)
     if comparison is None or comparison.wish.shot is not training.photo.shot:
         widgets.note(training.comparer.problem or "Drawing...")
         return
@@ -118,25 +118,25 @@ def caption(text: str) -> None:
     draw.add_text(ImVec2(low.x + edge, low.y + edge / 2), imgui.get_color_u32(ImVec4(1, 1, 1, 0.9)), text)
 
 
-def tools(core: Core, training: Training) -> None:
+def tools(app: AppState, training: LiveTraining) -> None:
     """Which photo, its score, and how strongly differences are shown."""
     index = training.photo_index
     widgets.button(
         f"{icons.ICON_FA_CHEVRON_LEFT}###previous",
         "Previous photo",
-        partial(core.post, actions.compare_photo, index - 1),
+        partial(app.post, actions.compare_photo, index - 1),
     )
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_CHEVRON_RIGHT}###next",
         "Next photo",
-        partial(core.post, actions.compare_photo, index + 1),
+        partial(app.post, actions.compare_photo, index + 1),
     )
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_VIDEO}  Go there###go",
         "Looks from where this photo was taken",
-        partial(core.post, actions.go_to_photo, index),
+        partial(app.post, actions.go_to_photo, index),
     )
     imgui.same_line()
     comparison = training.comparer.latest
@@ -157,7 +157,7 @@ def tools(core: Core, training: Training) -> None:
         training.gain = min(max(gain, GAINS[0]), GAINS[1])
 
 
-def want(core: Core, training: Training, width: float, height: float) -> None:
+def want(app: AppState, training: LiveTraining, width: float, height: float) -> None:
     """Asks for the pictures in the size in which they are seen."""
     if training.shown is None:
         return
@@ -170,7 +170,7 @@ def want(core: Core, training: Training, width: float, height: float) -> None:
             shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
             gain=training.gain,
         ),
-        viewer_threads(core.preferences.training_share, training.thread.cores),
+        viewer_threads(app.preferences.training_share, training.thread.cores),
     )
 
 

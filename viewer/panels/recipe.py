@@ -11,22 +11,22 @@ from splatview.scene.edits import Crop
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training import live_edits as held
-from splatview.viewer.training.live import Training
+from splatview.viewer.training.live import LiveTraining
 
 DEFAULTS = TrainSettings()
 
 STRATEGIES = {"mcmc": "MCMC", "classic": "Classic"}
 
 
-def show(core: Core) -> None:
-    if core.training is None:
+def show(app: AppState) -> None:
+    if app.training is None:
         return
-    status = core.training.status
+    status = app.training.status
     settings = status.settings
-    length(core, settings)
+    length(app, settings)
     factor = widgets.slider(
         "Position rate",
         settings.means_rate / DEFAULTS.means_rate,
@@ -37,7 +37,7 @@ def show(core: Core) -> None:
         logarithmic=True,
     )
     if factor is not None:
-        set_position_rate(core, factor)
+        set_position_rate(app, factor)
     most = widget_count(
         "Most splats",
         settings.max_splats,
@@ -45,7 +45,7 @@ def show(core: Core) -> None:
         step=1000,
     )
     if most is not None:
-        core.post(lambda core: actions.change_settings(core, max_splats=max(most, 1)))
+        app.post(lambda app: actions.change_settings(app, max_splats=max(most, 1)))
     choices = [str(degree) for degree in range(status.sh_degree, 4)]
     degree = widgets.combo(
         "SH degree",
@@ -54,36 +54,36 @@ def show(core: Core) -> None:
         f"Bands of view-dependent colour in the end; {status.sh_degree} by now. Bands in training stay.",
     )
     if degree is not None:
-        core.post(lambda core: actions.change_settings(core, sh_degree=int(degree)))
+        app.post(lambda app: actions.change_settings(app, sh_degree=int(degree)))
     imgui.spacing()
     widgets.fact("Strategy", STRATEGIES[settings.strategy], "How splats are born and die.")
     widgets.fact("Seed", str(settings.seed), "Of all that is random.")
-    first = core.training.photos[0].camera
-    held_out = sum(photo.held_out for photo in core.training.photos)
-    widgets.fact("Photos", f"{len(core.training.photos) - held_out} + {held_out} held out")
+    first = app.training.photos[0].camera
+    held_out = sum(photo.held_out for photo in app.training.photos)
+    widgets.fact("Photos", f"{len(app.training.photos) - held_out} + {held_out} held out")
     widgets.fact("First photo", f"{first.width} x {first.height} px", "After downscaling.")
     red, green, blue = settings.background
     widgets.fact("Background", f"{red:.2f}, {green:.2f}, {blue:.2f}", "Behind the scene, RGB.")
     widgets.fact("Loss", f"{1 - settings.ssim_weight:g} L1 + {settings.ssim_weight:g} (1 - SSIM)")
     widgets.section("Effects")
-    effects(core)
+    effects(app)
 
 
-def effects(core: Core) -> None:
+def effects(app: AppState) -> None:
     """What the run computes, decided from the capture; the evidence on demand."""
-    if core.training is None:
+    if app.training is None:
         return
-    for effect in core.training.thread.effects:
+    for effect in app.training.thread.effects:
         on = effect.in_force
         if effect.name == "SH bands":
-            on = core.training.status.sh_degree > 0
+            on = app.training.status.sh_degree > 0
         imgui.text_colored(ImVec4(*theme.ACCENT, 1) if on else theme.QUIET, "on" if on else "off")
         imgui.same_line(imgui.get_font_size() * 2.6)
         imgui.text(effect.name)
         widgets.tooltip(effect.why)
 
 
-def length(core: Core, settings: TrainSettings) -> None:
+def length(app: AppState, settings: TrainSettings) -> None:
     """The end of the run: moving it changes how fast rates decay from here on."""
     if settings.iterations is not None:
         steps = widget_count(
@@ -94,14 +94,14 @@ def length(core: Core, settings: TrainSettings) -> None:
             step=1000,
         )
         if steps is not None:
-            core.post(lambda core: actions.change_settings(core, iterations=max(steps, 1)))
+            app.post(lambda app: actions.change_settings(app, iterations=max(steps, 1)))
     if settings.minutes is not None:
         tip = "When the run is over, pauses not counted. All schedules follow."
         widgets.label("Length, minutes", tip)
         changed, minutes = imgui.input_float("##Length, minutes", settings.minutes, 1.0, 10.0, "%.1f")
         widgets.tooltip(tip)
         if changed and minutes > 0:
-            core.post(lambda core: actions.change_settings(core, minutes=minutes))
+            app.post(lambda app: actions.change_settings(app, minutes=minutes))
 
 
 def widget_count(name: str, value: int, tip: str, *, step: int) -> int | None:
@@ -114,11 +114,11 @@ def widget_count(name: str, value: int, tip: str, *, step: int) -> int | None:
     return value if changed else None
 
 
-def set_position_rate(core: Core, factor: float) -> None:
+def set_position_rate(app: AppState, factor: float) -> None:
     """Both ends of the curve of the positions' rate, times what is usual."""
-    core.post(
-        lambda core: actions.change_settings(
-            core,
+    app.post(
+        lambda app: actions.change_settings(
+            app,
             means_rate=factor * DEFAULTS.means_rate,
             means_rate_end=factor * DEFAULTS.means_rate_end,
         )
@@ -134,50 +134,50 @@ WHICH = (
 )
 
 
-def waiting_note(core: Core) -> str:
+def waiting_note(app: AppState) -> str:
     """Why the view does not follow the training; "" where it does."""
-    desk = core.desk
-    if desk is None or desk.trainee is None or not held.engaged(desk):
+    session = app.session
+    if session is None or session.target is None or not held.engaged(session):
         return ""
-    step = f"{desk.trainee.snapshot.iteration:,}"
-    goes_on = core.training is not None and core.training.status.state == "training"
+    step = f"{session.target.snapshot.iteration:,}"
+    goes_on = app.training is not None and app.training.status.state == "training"
     begin = "Training goes on; the view" if goes_on else "The view"
-    counts = desk.document.counts
+    counts = session.document.counts
     why = (
         "while splats are selected"
         if counts.selected
-        else f"while a tool is in hand ({desk.tool})"
-        if desk.tool != "none"
+        else f"while a tool is in hand ({session.tool})"
+        if session.tool != "none"
         else "while crops are being set"
-        if desk.document.crops
+        if session.document.crops
         else "until it is let go"
     )
     return f"{begin} waits at step {step} {why}."
 
 
-def show_rules(core: Core, training: Training) -> None:
+def show_rules(app: AppState, training: LiveTraining) -> None:
     """On top of the Edit panel."""
-    note = waiting_note(core)
+    note = waiting_note(app)
     if note:
         widgets.note(note, theme.WARNING)
         widgets.button(
             f"{icons.ICON_FA_PLAY}  Let go###let go",
             "Puts the tool away, selects nothing, and shows the training as it goes on (Esc).",
-            partial(core.post, held.let_go),
+            partial(app.post, held.let_go),
         )
     else:
         widgets.note("Take a tool to choose splats: the view then waits, and training goes on.")
         widgets.button(
             f"{icons.ICON_FA_PAUSE}  Hold the view###hold",
             "Stays with this moment of the training, for all that the panel can do.",
-            partial(core.post, held.keep_waiting),
+            partial(app.post, held.keep_waiting),
         )
     imgui.same_line()
     imgui.text_colored(theme.QUIET, icons.ICON_FA_CIRCLE_QUESTION)
     widgets.tooltip(f"{WHICH} {held.NO_WAY_BACK}; rules can be removed below.")
 
 
-def in_force(core: Core, training: Training) -> None:
+def in_force(app: AppState, training: LiveTraining) -> None:
     """The list of rules, each with a way out. The one under the mouse is drawn on the picture."""
     settings = training.status.settings
     training.pointed = ()
@@ -186,20 +186,20 @@ def in_force(core: Core, training: Training) -> None:
         return
     for number, crops in enumerate(settings.cut):
         names = ", ".join(f"{crop.shape} {crop.name}" for crop in crops)
-        _row(core, training, "cut", number, crops, f"Cut by {names}")
+        _row(app, training, "cut", number, crops, f"Cut by {names}")
     for number, crop in enumerate(settings.no_growth):
-        _row(core, training, "no_growth", number, (crop,), f"No growth in {crop.shape} {crop.name}")
+        _row(app, training, "no_growth", number, (crop,), f"No growth in {crop.shape} {crop.name}")
     widgets.note("Checkpoints keep them.")
 
 
 def _row(
-    core: Core, training: Training, kind: held.Rule, number: int, crops: tuple[Crop, ...], text: str
+    app: AppState, training: LiveTraining, kind: held.Rule, number: int, crops: tuple[Crop, ...], text: str
 ) -> None:
     imgui.push_id(f"{kind} {number}")
     widgets.button(
         f"{icons.ICON_FA_XMARK}###remove",
         "Removes this rule. What it took out comes back only by training.",
-        partial(core.post, held.remove_rule, kind, number),
+        partial(app.post, held.remove_rule, kind, number),
     )
     pointed = imgui.is_item_hovered()
     imgui.same_line()

@@ -13,7 +13,7 @@ from splatview.viewer.background import ask_for_picture
 from splatview.viewer.commands import VISUAL_MODES, set_mode
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES, BackgroundKind
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- What is behind the scene: one colour, a sky over a ground, or a picture all around.
 
@@ -29,8 +29,8 @@ COLOURS = (
 KINDS = {"colour": "One colour", "gradient": "Gradient", "panorama": "Picture all around"}
 
 
-def show_background(core: Core) -> None:
-    preferences = core.preferences
+def show_background(app: AppState) -> None:
+    preferences = app.preferences
     kinds: tuple[BackgroundKind, ...] = get_args(BackgroundKind)
     kind = widgets.combo(
         "Behind",
@@ -42,27 +42,27 @@ def show_background(core: Core) -> None:
         [KINDS[kind] for kind in kinds],
     )
     if kind is not None:
-        core.prefer(background_kind=kind)
+        app.prefer(background_kind=kind)
         if kind == "panorama" and not preferences.panorama:
-            ask_for_picture(core)
+            ask_for_picture(app)
     match preferences.background_kind:
         case "colour":
-            one_colour(core)
+            one_colour(app)
         case "gradient":
-            colour(core, "Above", "sky", "Straight up.")
-            colour(core, "Below", "ground", "Straight down.")
+            colour(app, "Above", "sky", "Straight up.")
+            colour(app, "Below", "ground", "Straight down.")
         case "panorama":
             name = Path(preferences.panorama).name or "none yet"
             widgets.fact("Picture", name, preferences.panorama)
             widgets.button(
                 "Open picture...",
                 "An equirectangular picture: its middle is in front, its top row up.",
-                lambda: ask_for_picture(core),
+                lambda: ask_for_picture(app),
             )
 
 
-def one_colour(core: Core) -> None:
-    colour(core, "Colour", "background", "Scenes are mostly trained on black or white.")
+def one_colour(app: AppState) -> None:
+    colour(app, "Colour", "background", "Scenes are mostly trained on black or white.")
     widgets.label("Presets", "Backgrounds for one click.")
     side = imgui.get_frame_height()
     for i, (name, preset) in enumerate(COLOURS):
@@ -70,18 +70,18 @@ def one_colour(core: Core) -> None:
             imgui.same_line()
         flags = imgui.ColorEditFlags_.no_tooltip | imgui.ColorEditFlags_.no_drag_drop
         if imgui.color_button(f"{name}##background", ImVec4(*preset, 1), flags, (side, side)):
-            core.prefer(background=preset)
+            app.prefer(background=preset)
         widgets.tooltip(name)
 
 
-def colour(core: Core, name: str, preference: str, tip: str) -> None:
+def colour(app: AppState, name: str, preference: str, tip: str) -> None:
     """A row with the colour that `preference` holds."""
     widgets.label(name, tip)
-    changed, new = imgui.color_edit3(f"##{preference}", list(getattr(core.preferences, preference)))
+    changed, new = imgui.color_edit3(f"##{preference}", list(getattr(app.preferences, preference)))
     widgets.tooltip(tip)
     if changed:
         r, g, b = (min(max(float(part), 0.0), 1.0) for part in new)
-        core.prefer(**{preference: (r, g, b)})
+        app.prefer(**{preference: (r, g, b)})
 
 
 MODE_NAMES = {
@@ -98,32 +98,32 @@ MODE_TIP = (
 )
 
 
-def show(core: Core) -> None:
-    mode = widgets.combo("Show", core.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
+def show(app: AppState) -> None:
+    mode = widgets.combo("Show", app.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
     if mode is not None:
-        core.post(set_mode, mode)
-    sh_degree(core)
+        app.post(set_mode, mode)
+    sh_degree(app)
     scale = widgets.slider(
         "Resolution",
-        core.preferences.resolution_scale,
+        app.preferences.resolution_scale,
         *RANGES["resolution_scale"],
         "Rendered pixels for each pixel of the window, along each side. Half is about four times as fast; "
         "two smooths edges. Saved pictures are always at full resolution.",
         form="%.2f x",
     )
     if scale is not None:
-        core.prefer(resolution_scale=scale)
+        app.prefer(resolution_scale=scale)
     widgets.section("Background")
-    show_background(core)
+    show_background(app)
     widgets.section("Image model")
-    image_model(core)
+    image_model(app)
 
 
-def sh_degree(core: Core) -> None:
-    stored = core.scene.gaussians.sh_degree if core.scene else 3
+def sh_degree(app: AppState) -> None:
+    stored = app.scene.gaussians.sh_degree if app.scene else 3
     choices = ["all", *(str(degree) for degree in range(stored + 1))]
     names = [f"All stored ({stored})", "0: constant colour", "1", "2", "3"][: len(choices)]
-    now = core.settings.sh_degree
+    now = app.settings.sh_degree
     value = "all" if now is None or now > stored else str(now)
     chosen = widgets.combo(
         "SH degree",
@@ -133,11 +133,11 @@ def sh_degree(core: Core) -> None:
         names,
     )
     if chosen is not None:
-        core.settings = replace(core.settings, sh_degree=None if chosen == "all" else int(chosen))
+        app.settings = replace(app.settings, sh_degree=None if chosen == "all" else int(chosen))
 
 
-def image_model(core: Core) -> None:
-    model = core.settings.model
+def image_model(app: AppState) -> None:
+    model = app.settings.model
     footprint = widgets.combo(
         "Splats are",
         model.footprint,
@@ -177,22 +177,22 @@ def image_model(core: Core) -> None:
     )
     if near is not None:
         model = replace(model, near=near)
-    if model != core.settings.model:
-        core.settings = replace(core.settings, model=model)
+    if model != app.settings.model:
+        app.settings = replace(app.settings, model=model)
     blend = widgets.combo(
         "Blending",
-        core.preferences.blend,
+        app.preferences.blend,
         ("float16", "float32"),
         "Precision of the target that splats are blended into. float16 is faster and within 4/255 of the "
         "truth; float32 is for measuring, and for drivers that truncate float16 (splatview doctor).",
     )
     if blend is not None:
-        core.prefer(blend=blend)
-    called_for = core.scene.settings.model if core.scene else ImageModel()
-    if core.settings.model != called_for:
+        app.prefer(blend=blend)
+    called_for = app.scene.settings.model if app.scene else ImageModel()
+    if app.settings.model != called_for:
         widgets.button(
             "As the scene calls for",
             "Takes footprint, antialiasing, blur and near back to what the scene was trained with, as far as "
             "its file says.",
-            lambda: setattr(core, "settings", replace(core.settings, model=called_for)),
+            lambda: setattr(app, "settings", replace(app.settings, model=called_for)),
         )

@@ -18,18 +18,18 @@ from splatview.viewer.editing.commands import apply
 from splatview.viewer.loading import Examination
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.clean import quality
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 # ---- What is ill in the scene: a click selects it, a button repairs it, and says before what that costs.
 
 
-def show_health(core: Core, findings: Sequence[Finding]) -> None:
+def show_health(app: AppState, findings: Sequence[Finding]) -> None:
     """Those that concern any splat, of the scene as edits have made it, what they hide or delete included."""
     widgets.section("Health")
     ill = [finding for finding in findings if finding.count]
     if not ill:
         widgets.note("No splat is ill.")
-    prices = repairing.prices(core)
+    prices = repairing.prices(app)
     size = imgui.get_font_size()
     for finding in ill:
         imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
@@ -37,13 +37,13 @@ def show_health(core: Core, findings: Sequence[Finding]) -> None:
         clicked, _ = imgui.selectable(finding.name, False)
         widgets.tooltip(f"{finding.what} Click to select them.")
         if clicked:
-            core.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
+            app.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
         if finding.name not in REPAIRS:
             continue
         # On a line of its own, which a narrow panel holds too.
         imgui.set_cursor_pos_x(size * 4)
         if imgui.small_button(f"Repair##{finding.name}"):
-            core.post(partial(apply, operation=Repair(finding=finding.name)))
+            app.post(partial(apply, operation=Repair(finding=finding.name)))
         widgets.tooltip(f"As a step that can be undone: {REPAIRS[finding.name]}.")
         price = prices.get(finding.name)
         if price is not None:
@@ -52,20 +52,20 @@ def show_health(core: Core, findings: Sequence[Finding]) -> None:
             imgui.text_colored(quality(price), worst)
             widgets.tooltip(f"The repair: {in_words(price)}. Above 45 dB nobody sees a difference.")
     names = [finding.name for finding in ill if finding.name in REPAIRS]
-    if names and not prices and core.desk is not None:
+    if names and not prices and app.session is not None:
         widgets.button(
             "What would repairs cost?",
             f"Draws {repairing.VIEWS} views as they are and with each repair, and compares.",
-            partial(core.post, partial(repairing.measure, names=names)),
+            partial(app.post, partial(repairing.measure, names=names)),
             width=-1,
         )
 
 
-def show(core: Core) -> None:
-    scene = core.scene
+def show(app: AppState) -> None:
+    scene = app.scene
     if scene is None:
         widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
-        widgets.action_button(core, "Open...", "open")
+        widgets.action_button(app, "Open...", "open")
         return
     gaussians = scene.gaussians
     for path in scene.paths:
@@ -88,21 +88,21 @@ def show(core: Core) -> None:
     )
     widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
 
-    if core.examination is not None:
-        examination(core, core.examination)
+    if app.examination is not None:
+        examination(app, app.examination)
     if gaussians.comments:
         widgets.section("Comments in the file")
         for comment in gaussians.comments:
             widgets.note(comment)
 
 
-def examination(core: Core, found: Examination) -> None:
+def examination(app: AppState, found: Examination) -> None:
     """How many effects are computed, and splats that are ill: a click selects them."""
     if not found.done:
         widgets.note("Looking at the splats...")
         return
-    receipt = core.effects.receipt(core)
+    receipt = app.effects.receipt(app)
     on = sum(effect.in_force for effect in receipt)
     tip = "The Effects panel tells which, why, and at which price."
     widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)
-    show_health(core, found.findings)
+    show_health(app, found.findings)

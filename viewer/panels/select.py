@@ -13,12 +13,12 @@ from splatview.edit.progress import Watch
 from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
 from splatview.scene.edits import DELETED, HIDDEN
 from splatview.viewer import theme
-from splatview.viewer.editing.session import Desk
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 BINS = 96
@@ -27,8 +27,8 @@ PLOT_HEIGHT = 7.0
 """Font heights."""
 
 
-def show(core: Core, desk: Desk) -> None:
-    counts = desk.document.counts
+def show(app: AppState, session: EditSession) -> None:
+    counts = session.document.counts
     widgets.fact("Selected", f"{counts.selected:,} of {counts.selectable:,}", "Splats that can be selected.")
     if counts.hidden or counts.locked or counts.deleted:
         parts = [("hidden", counts.hidden), ("locked", counts.locked), ("deleted", counts.deleted)]
@@ -38,53 +38,53 @@ def show(core: Core, desk: Desk) -> None:
     for number, (name, action) in enumerate(zip(words, actions, strict=True)):
         if number:
             widgets.beside(name)
-        widgets.action_button(core, name, action)
+        widgets.action_button(app, name, action)
     for number, (name, action) in enumerate(
         (("Delete", "delete"), ("Hide", "hide"), ("Isolate", "isolate"), ("Lock", "lock"))
     ):
         if number:
             widgets.beside(name)
-        widgets.action_button(core, name, action)
+        widgets.action_button(app, name, action)
     if counts.hidden:
-        widgets.action_button(core, "Show hidden", "show")
+        widgets.action_button(app, "Show hidden", "show")
     if counts.locked:
         if counts.hidden:
             widgets.beside("Unlock all")
-        widgets.action_button(core, "Unlock all", "unlock")
-    options(desk)
-    by_range(core, desk)
+        widgets.action_button(app, "Unlock all", "unlock")
+    options(session)
+    by_range(app, session)
 
 
-def options(desk: Desk) -> None:
+def options(session: EditSession) -> None:
     """Of the screen tools."""
     front = widgets.checkbox(
         "Front only",
-        desk.depth == "front",
+        session.depth == "front",
         "Screen tools take only the surface that is seen, not what lies behind it (T).",
     )
     if front is not None:
-        desk.depth = "front" if front else "through"
-    if desk.tool == "brush":
+        session.depth = "front" if front else "through"
+    if session.tool == "brush":
         radius = widgets.slider(
-            "Brush", desk.brush_radius, 2.0, 600.0, "Radius in pixels.", form="%.0f px", logarithmic=True
+            "Brush", session.brush_radius, 2.0, 600.0, "Radius in pixels.", form="%.0f px", logarithmic=True
         )
-        desk.brush_radius = desk.brush_radius if radius is None else radius
-    if desk.tool in ("flood", "colour"):
+        session.brush_radius = session.brush_radius if radius is None else radius
+    if session.tool in ("flood", "colour"):
         tolerance = widgets.slider(
             "Tolerance",
-            desk.tolerance,
+            session.tolerance,
             0.005,
             1.0,
             "How far colours may be apart, as the eye sees it; black to white is 1.",
             form="%.3f",
             logarithmic=True,
         )
-        desk.tolerance = desk.tolerance if tolerance is None else tolerance
+        session.tolerance = session.tolerance if tolerance is None else tolerance
 
 
-def by_range(core: Core, desk: Desk) -> None:
+def by_range(app: AppState, session: EditSession) -> None:
     """A histogram of one attribute; the shaded range lights up on the picture as it is dragged."""
-    form = desk.forms.range
+    form = session.forms.range
     names = tuple(ATTRIBUTES)
     chosen = widgets.combo(
         "By range of",
@@ -95,26 +95,26 @@ def by_range(core: Core, desk: Desk) -> None:
     )
     if chosen is not None:
         form.attribute, form.values, form.histogram = chosen, None, None
-        desk.highlight = None
-    key = (form.attribute, desk.document.versions)
+        session.preview_mask = None
+    key = (form.attribute, session.document.versions)
     if form.values is None or form.of != key:
         if form.values is None and ATTRIBUTES[form.attribute].renders:
             tip = "Takes pictures of the scene from around it; some seconds."
-            widgets.button("Measure", tip, partial(measure, desk))
+            widgets.button("Measure", tip, partial(measure, session))
             return
-        desk.highlight = None
-        measure(desk)
+        session.preview_mask = None
+        measure(session)
     if form.histogram is None:
         widgets.note("Counting...")
         return
-    plot(desk)
-    selecting(core, desk)
+    plot(session)
+    selecting(app, session)
 
 
-def measure(desk: Desk) -> None:
+def measure(session: EditSession) -> None:
     """Computes the attribute in a thread; the histogram follows."""
-    form, document = desk.forms.range, desk.document
-    if desk.job is not None:
+    form, document = session.forms.range, session.document
+    if session.job is not None:
         return
     name, key = form.attribute, (form.attribute, document.versions)
     gaussians, edits, tools = document.gaussians, document.edits, document.tools
@@ -139,12 +139,12 @@ def measure(desk: Desk) -> None:
             form.low, form.high = float(edges[0]), float(edges[len(edges) // 10])
 
     asked = ATTRIBUTES[name].renders
-    desk.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, gives_way=not asked)
+    session.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, gives_way=not asked)
 
 
-def plot(desk: Desk) -> None:
+def plot(session: EditSession) -> None:
     """The counts, what is chosen of them in colour, between two lines to drag."""
-    form = desk.forms.range
+    form = session.forms.range
     counted = form.histogram
     if counted is None:
         return
@@ -172,45 +172,45 @@ def plot(desk: Desk) -> None:
         if changed:
             setattr(form, end, float(value))
             form.low, form.high = min(form.low, form.high), max(form.low, form.high)
-            light_up(desk)
+            light_up(session)
     implot.end_plot()
 
 
-def light_up(desk: Desk) -> None:
+def light_up(session: EditSession) -> None:
     """Shows on the picture what the range holds."""
-    form = desk.forms.range
+    form = session.forms.range
     if form.values is not None:
         mask = AttributeRange(attribute=form.attribute, low=form.low, high=form.high).of(form.values)
-        desk.highlight = mask & ((desk.document.marks & (DELETED | HIDDEN)) == 0)
+        session.preview_mask = mask & ((session.document.marks & (DELETED | HIDDEN)) == 0)
 
 
-def selecting(core: Core, desk: Desk) -> None:
-    form = desk.forms.range
+def selecting(app: AppState, session: EditSession) -> None:
+    form = session.forms.range
     attribute = ATTRIBUTES[form.attribute]
     for name, end in (("From", "low"), ("To", "high")):
         widgets.label(name, f"{attribute.label}, {attribute.unit}.")
         changed, value = imgui.input_double(f"##{end}", getattr(form, end), 0.0, 0.0, "%.6g")
         if changed and np.isfinite(value):
             setattr(form, end, float(value))
-            light_up(desk)
-    if desk.highlight is not None:
-        widgets.note(f"{int(np.count_nonzero(desk.highlight)):,} splats are in this range.")
+            light_up(session)
+    if session.preview_mask is not None:
+        widgets.note(f"{int(np.count_nonzero(session.preview_mask)):,} splats are in this range.")
     io = imgui.get_io()
     mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
     words = {"set": "Select them", "add": "Add them", "remove": "Remove them", "intersect": "Keep only these"}
     if imgui.button(words[mode]) and form.low <= form.high:
         by = AttributeRange(attribute=form.attribute, low=form.low, high=form.high)
-        desk.highlight = None
-        core.post(_apply, Select(by=by, mode=mode))
+        session.preview_mask = None
+        app.post(_apply, Select(by=by, mode=mode))
     widgets.tooltip(
         "Hold Shift to add to the selection, Ctrl to remove from it, both to keep what is common."
     )
 
 
-def _apply(core: Core, operation: Select) -> None:
-    if core.desk is None:
+def _apply(app: AppState, operation: Select) -> None:
+    if app.session is None:
         return
     if ATTRIBUTES[operation.by.attribute].renders:
-        core.desk.apply_slowly(operation, "Selecting")
+        app.session.apply_slowly(operation, "Selecting")
     else:
-        core.desk.apply(operation)
+        app.session.apply(operation)

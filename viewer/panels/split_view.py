@@ -6,7 +6,7 @@ import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.viewer import theme
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 REACH = 0.5
 """Of a line of text: so near to the line the mouse takes hold of it."""
@@ -15,9 +15,9 @@ LEFT_NAME = "exact"
 RIGHT_NAMES = {"chosen": "chosen", "signed": "signed difference", "perceptual": "what an eye notices"}
 
 
-def drag_line(core: Core, corner: ImVec2, width: int) -> bool:
+def drag_line(app: AppState, corner: ImVec2, width: int) -> bool:
     """Moves the line; to be called after the picture's button. Whether the mouse is the line's."""
-    comparing = core.accuracy.comparing
+    comparing = app.accuracy.comparing
     if comparing.right == "off":
         return False
     mouse, place = imgui.get_mouse_pos(), corner.x + comparing.line * width
@@ -32,16 +32,16 @@ def drag_line(core: Core, corner: ImVec2, width: int) -> bool:
     return comparing.dragging
 
 
-def draw_split(core: Core, corner: ImVec2, width: int, height: int) -> None:
+def draw_split(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     """Over the picture just drawn: both sides where this view has been compared, and the line."""
-    comparing = core.accuracy.comparing
+    comparing = app.accuracy.comparing
     if comparing.right == "off":
         return
-    compared = comparing.want(core, core.accuracy.wake)
+    compared = comparing.want(app, app.accuracy.wake)
     draw, place = imgui.get_window_draw_list(), comparing.line
     middle, low = corner.x + place * width, corner.y + height
-    if compared is not None and core.picture is not None:
-        left, right = comparing.textures(core.picture.texture.ctx, compared)
+    if compared is not None and app.picture is not None:
+        left, right = comparing.textures(app.picture.texture.ctx, compared)
         for texture in (left, right):
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         draw.add_image(
@@ -81,23 +81,23 @@ def caption(text: str, low: ImVec2, colour: ImVec4 | None = None) -> None:
     draw.add_text(ImVec2(low.x + edge, low.y + edge), ink, text)
 
 
-def badges(core: Core, at: ImVec2) -> None:
+def badges(app: AppState, at: ImVec2) -> None:
     """What the picture leaves out by the user's choice or the budget's, upwards from `at`."""
-    accuracy = core.accuracy
+    accuracy = app.accuracy
     lines = []
     if accuracy.note:
         lines.append((f"moving: {accuracy.note}", theme.QUIET))
     if accuracy.choices:
         taken = ", ".join(f"{name} {value}" for name, value in accuracy.choices.items())
-        lines.append((f"shortcut: {taken}{present_error(core)}", theme.WARNING))
+        lines.append((f"shortcut: {taken}{present_error(app)}", theme.WARNING))
     height = imgui.get_font_size() * 1.9
     for number, (text, colour) in enumerate(lines, 1):
         caption(text, ImVec2(at.x, at.y - number * height), colour)
 
 
-def present_error(core: Core) -> str:
+def present_error(app: AppState) -> str:
     """Of the shortcut taken, where there is one and it was measured; of several no sum would be true."""
-    accuracy = core.accuracy
+    accuracy = app.accuracy
     if accuracy.ladder is None or len(accuracy.choices) != 1:
         return ""
     ((name, value),) = accuracy.choices.items()

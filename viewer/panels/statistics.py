@@ -9,7 +9,7 @@ from imgui_bundle import imgui, implot
 
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 STAGES = {
     "project": "Projecting splats to the screen, culling them, colours.",
@@ -20,15 +20,15 @@ STAGES = {
 }
 
 
-def show(core: Core) -> None:
-    picture = core.picture
-    stats = core.stats
+def show(app: AppState) -> None:
+    picture = app.picture
+    stats = app.stats
     if picture is None or stats is None:
         return
     widgets.fact("Renderer", picture.name, "What computes the picture.")
-    widgets.fact("Runs on", core.gpu_name, "As the OpenGL driver names it.")
-    width, height = core.picture_size
-    scale = core.preferences.resolution_scale
+    widgets.fact("Runs on", app.gpu_name, "As the OpenGL driver names it.")
+    width, height = app.picture_size
+    scale = app.preferences.resolution_scale
     widgets.fact("Picture", f"{round(width * scale)} x {round(height * scale)} px", "What is rendered.")
     widgets.fact(
         "Moving",
@@ -39,8 +39,8 @@ def show(core: Core) -> None:
     widgets.fact("Splats", f"{stats.splats:,}", "In the scene.")
     share = f" ({stats.visible / stats.splats:.0%})" if stats.splats else ""
     widgets.fact("Visible", f"{stats.visible:,}{share}", "Left after culling, a frame or two ago.")
-    if core.process_mib is not None:
-        widgets.fact("Memory", f"{core.process_mib:,.0f} MiB", "Of this program, the scene included.")
+    if app.process_mib is not None:
+        widgets.fact("Memory", f"{app.process_mib:,.0f} MiB", "Of this program, the scene included.")
     widgets.section("Time of a drawn frame")
     total = sum(stats.ms.values())
     widgets.fact(
@@ -48,14 +48,14 @@ def show(core: Core) -> None:
         f"{total:.2f} ms",
         "Sum of the stages, measured where they run. Nothing is drawn while nothing changes.",
     )
-    history(core)
+    history(app)
     for stage, milliseconds in stats.ms.items():
         widgets.fact(stage.capitalize(), f"{milliseconds:.2f} ms", STAGES.get(stage, ""))
 
 
-def history(core: Core) -> None:
+def history(app: AppState) -> None:
     """The latest drawn frames, all stages together, oldest on the left."""
-    times = np.array([sum(frame.values()) for frame in core.frame_history])
+    times = np.array([sum(frame.values()) for frame in app.frame_history])
     if len(times) < 2 or not np.isfinite(times).all():
         return
     flags = implot.Flags_.canvas_only | implot.Flags_.no_inputs
@@ -72,12 +72,12 @@ def history(core: Core) -> None:
 # ---- What the program has said, newest at the bottom.
 
 
-def show_messages(core: Core) -> None:
-    if not core.messages:
+def show_messages(app: AppState) -> None:
+    if not app.messages:
         widgets.note("Nothing to report.")
         return
     follow = imgui.get_scroll_y() >= imgui.get_scroll_max_y() - 1
-    for message in core.messages:
+    for message in app.messages:
         clock = time.strftime("%H:%M:%S", time.localtime(message.at))
         imgui.text_colored(theme.QUIET, clock)
         imgui.same_line()

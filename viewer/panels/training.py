@@ -15,9 +15,9 @@ from splatview.viewer.panels import curves, recipe, widgets
 from splatview.viewer.panels import photos as compare
 from splatview.viewer.panels import photos as photo_list
 from splatview.viewer.preferences import RANGES, TrainingUpdates
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
-from splatview.viewer.training.live import Training, viewer_threads
+from splatview.viewer.training.live import LiveTraining, viewer_threads
 
 RUNNING = ImVec4(0.45, 0.80, 0.50, 1)
 
@@ -31,29 +31,29 @@ STATES = {
 UPDATES: dict[TrainingUpdates, str] = {"off": "Off", "low": "Low", "live": "Live"}
 
 
-def show(core: Core) -> None:
-    training = core.training
+def show(app: AppState) -> None:
+    training = app.training
     if training is None:
         return
     status = training.status
     headline(status)
-    buttons(core, status)
+    buttons(app, status)
     if status.failure is not None:
         widgets.note(status.failure, theme.ERROR)
         widgets.note("The scene is kept as it was: export it, or try to go on.")
-    if not training.followed_by(core):
+    if not training.followed_by(app):
         widgets.note("The view shows something else now; training goes on.", theme.WARNING)
         widgets.button(
-            "Show the training", "Back to the scene in training.", partial(core.post, actions.show_training)
+            "Show the training", "Back to the scene in training.", partial(app.post, actions.show_training)
         )
     imgui.spacing()
     numbers(training, status)
     widgets.section("This machine")
-    shares(core, training)
+    shares(app, training)
     widgets.section("Keep")
-    keep(core, training, status)
+    keep(app, training, status)
     widgets.section("Recipe")
-    recipe.show(core)
+    recipe.show(app)
 
 
 def headline(status: Status) -> None:
@@ -90,7 +90,7 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
-def buttons(core: Core, status: Status) -> None:
+def buttons(app: AppState, status: Status) -> None:
     """Three large ones, the first twice as wide."""
     style = imgui.get_style()
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (style.frame_padding.x, imgui.get_font_size() * 0.5))
@@ -111,13 +111,13 @@ def buttons(core: Core, status: Status) -> None:
         if runs
         else f"Goes on ({key})"
     )
-    widgets.button(f"{name}###pause", tip, partial(core.post, actions.pause_or_resume), width=room * 0.42)
+    widgets.button(f"{name}###pause", tip, partial(app.post, actions.pause_or_resume), width=room * 0.42)
     imgui.pop_style_color(3)
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_FORWARD_STEP}  Step###step",
         f"One step, then a pause ({keys_of('step_training')})",
-        partial(core.post, actions.step_once),
+        partial(app.post, actions.step_once),
         width=room * 0.25,
     )
     imgui.end_disabled()
@@ -125,13 +125,13 @@ def buttons(core: Core, status: Status) -> None:
     widgets.button(
         f"{icons.ICON_FA_STOP}  Stop, save###stop",
         "Pauses and writes scene and checkpoint. Resume goes on all the same.",
-        partial(core.post, actions.stop_and_save),
+        partial(app.post, actions.stop_and_save),
         width=room * 0.33,
     )
     imgui.pop_style_var()
 
 
-def numbers(training: Training, status: Status) -> None:
+def numbers(training: LiveTraining, status: Status) -> None:
     limit = status.settings.max_splats
     widgets.fact("Splats", f"{status.gaussians:,} of at most {limit:,}", "Gaussians in the scene now.")
     rate = f"{status.rate:.1f}" if status.rate < 100 else f"{status.rate:.0f}"
@@ -150,8 +150,8 @@ def numbers(training: Training, status: Status) -> None:
         widgets.fact("Shown", f"step {training.shown.iteration:,}", "The snapshot that the view shows.")
 
 
-def shares(core: Core, training: Training) -> None:
-    preferences, cores = core.preferences, training.thread.cores
+def shares(app: AppState, training: LiveTraining) -> None:
+    preferences, cores = app.preferences, training.thread.cores
     low, high = RANGES["training_share"]
     wanted = preferences.training_share
     tip = (
@@ -161,14 +161,14 @@ def shares(core: Core, training: Training) -> None:
     )
     share = widgets.slider("Share of cores", 100 * wanted, 100 * low, 100 * high, tip, form="%.0f %%")
     if share is not None:
-        core.prefer(training_share=min(max(share / 100, low), high))
+        app.prefer(training_share=min(max(share / 100, low), high))
     idle = widgets.checkbox(
         "All when idle",
         preferences.training_takes_idle_cores,
         "Training takes every core while nobody moves the view.",
     )
     if idle is not None:
-        core.prefer(training_takes_idle_cores=idle)
+        app.prefer(training_takes_idle_cores=idle)
     updates = widgets.combo(
         "Show progress",
         preferences.training_updates,
@@ -179,10 +179,10 @@ def shares(core: Core, training: Training) -> None:
         tuple(UPDATES.values()),
     )
     if updates is not None:
-        core.prefer(training_updates=updates)
+        app.prefer(training_updates=updates)
     if preferences.training_updates == "off":
         widgets.button(
-            "Show it now", "The scene as it is after this step.", partial(core.post, actions.show_now)
+            "Show it now", "The scene as it is after this step.", partial(app.post, actions.show_now)
         )
     pace = pace_of(training.thread.share, cores)
     now = f"{pace.threads} of {cores} cores" + ("" if pace.duty > 0.999 else f", {pace.duty:.0%} of the time")
@@ -191,18 +191,18 @@ def shares(core: Core, training: Training) -> None:
     widgets.fact("Training takes", now, "At this moment.")
 
 
-def keep(core: Core, training: Training, status: Status) -> None:
+def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     widgets.button(
         f"{icons.ICON_FA_FILE_EXPORT}  Export .ply...###export",
         "Writes the scene as it stands, for any viewer.",
-        partial(core.post, actions.export),
+        partial(app.post, actions.export),
     )
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_FLOPPY_DISK}  Checkpoint###checkpoint",
         f"Writes {training.thread.outputs.checkpoint}, from which --resume goes on bit for bit. "
         "It is also written every minute.",
-        partial(core.post, actions.save_checkpoint),
+        partial(app.post, actions.save_checkpoint),
     )
     outputs = training.thread.outputs
     at = status.saved_at
@@ -217,7 +217,7 @@ def keep(core: Core, training: Training, status: Status) -> None:
 STRIP = "Strip"
 """The dock under the picture."""
 
-PANELS: tuple[tuple[str, str, Callable[[Core], None]], ...] = (
+PANELS: tuple[tuple[str, str, Callable[[AppState], None]], ...] = (
     ("Training", "Upper", show),
     ("Photos", "Lower", photo_list.show),
     ("Curves", STRIP, curves.show),

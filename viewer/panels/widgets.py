@@ -11,7 +11,7 @@ from imgui_bundle import ImVec4, imgui
 
 from splatview.viewer import theme
 from splatview.viewer.commands import ACTIONS, keys_of, text_of
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 
 Choice = TypeVar("Choice", bound=str)
 
@@ -117,10 +117,10 @@ def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
     imgui.pop_text_wrap_pos()
 
 
-def action_button(core: Core, name: str, action: str, *, width: float = 0) -> None:
+def action_button(app: AppState, name: str, action: str, *, width: float = 0) -> None:
     """A button for an action of the shortcut table; its tooltip names the key."""
     if imgui.button(name, (width, 0)):
-        core.post(ACTIONS[action])
+        app.post(ACTIONS[action])
     key = keys_of(action)
     tooltip(f"{text_of(action)} ({key})" if key else text_of(action))
 

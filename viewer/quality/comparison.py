@@ -18,7 +18,7 @@ from splatview.scene.edits import SceneEdits
 from splatview.viewer.quality.measurement import Cancelled, Painter
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 Right = Literal["off", "chosen", "signed", "perceptual"]
@@ -93,27 +93,27 @@ class Comparing:
         waiting = self._wish is not None and not self._wish.same_as(self._tried)
         return self.right != "off" and (waiting or self._thread is not None)
 
-    def want(self, core: Core, wake: Callable[[], object]) -> Compared | None:
+    def want(self, app: AppState, wake: Callable[[], object]) -> Compared | None:
         """Called every frame while it is on: the comparison of what is seen now, if there is one."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
-        if core.scene is None or core.picture is None or core.mode != "splats":
+        if app.scene is None or app.picture is None or app.mode != "splats":
             return None
         wish = Wish(
-            gaussians=core.scene.gaussians,
-            edits=core.edits,
-            camera=core.camera,
-            exact=Plan(settings=core.settings),
-            chosen=core.accuracy.plan(core),
+            gaussians=app.scene.gaussians,
+            edits=app.edits,
+            camera=app.camera,
+            exact=Plan(settings=app.settings),
+            chosen=app.accuracy.plan(app),
             gain=self.gain,
         )
-        now = core.now()
+        now = app.now()
         if not wish.same_as(self._wish):
             self._wish, self._since = wish, now
         rested = now - self._since >= REST_SECONDS
         if self._thread is None and rested and not wish.same_as(self._tried):
             self._tried, self.problem = wish, None
-            painter = Painter(core, self._stop, wake)
+            painter = Painter(app, self._stop, wake)
             self._thread = threading.Thread(
                 target=self._work, args=(painter, wish, wake), name="splatview-compare", daemon=True
             )

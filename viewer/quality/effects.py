@@ -16,7 +16,7 @@ from splatview.scene.effects.overrides import as_settings_have_them, switched
 from splatview.viewer.quality.measurement import EFFECT_SECONDS, Pricing
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 EDITS_SHARE = 50
@@ -26,7 +26,7 @@ would be looked at in every frame."""
 
 @dataclass(eq=False, kw_only=True)
 class Effects:
-    """Part of the window's `Core`; for the GL thread."""
+    """Part of the window's `AppState`; for the GL thread."""
 
     wake: Callable[[], object] = lambda: None
     """Makes an idle window draw its next frame. May be called from any thread."""
@@ -45,60 +45,60 @@ class Effects:
     _cameras: tuple[Camera | None, Camera | None] = (None, None)
     """Of the frame before, and of this one."""
 
-    def receipt(self, core: Core) -> tuple[Effect, ...]:
+    def receipt(self, app: AppState) -> tuple[Effect, ...]:
         """Every effect of the picture that is shown, as far as the scene has been looked through."""
-        scene, found = core.scene, core.examination
+        scene, found = app.scene, app.examination
         if scene is None or found is None or not found.done:
             return ()
-        if self._own is None or self._own[0] is not found.effects or self._own[1] != core.settings:
-            own = as_settings_have_them(found.effects, scene.gaussians, core.settings)
-            self._own = found.effects, core.settings, own
+        if self._own is None or self._own[0] is not found.effects or self._own[1] != app.settings:
+            own = as_settings_have_them(found.effects, scene.gaussians, app.settings)
+            self._own = found.effects, app.settings, own
         return (
             *self._own[2],
-            lens_effect(core.camera),
-            background_effect(core.settings),
-            *self._edit_effects(core, scene.gaussians),
-            redrawing_effect(core.camera, self._cameras[0]),
+            lens_effect(app.camera),
+            background_effect(app.settings),
+            *self._edit_effects(app, scene.gaussians),
+            redrawing_effect(app.camera, self._cameras[0]),
         )
 
-    def _edit_effects(self, core: Core, gaussians: Gaussians) -> list[Effect]:
+    def _edit_effects(self, app: AppState, gaussians: Gaussians) -> list[Effect]:
         """Those of the edits as they are, or as they were a moment ago where counting takes long."""
         known = self._edited
         same_scene = known is not None and known[0] is gaussians
-        if known is not None and same_scene and (known[1] is core.edits or core.now() < self._edits_due):
+        if known is not None and same_scene and (known[1] is app.edits or app.now() < self._edits_due):
             return known[2]
-        begun = core.now()
-        self._edited = gaussians, core.edits, edit_effects(gaussians, core.edits)
-        ended = core.now()
+        begun = app.now()
+        self._edited = gaussians, app.edits, edit_effects(gaussians, app.edits)
+        ended = app.now()
         self._edits_due = ended + (ended - begun) * EDITS_SHARE
         return self._edited[2]
 
-    def overridden(self, core: Core) -> bool:
+    def overridden(self, app: AppState) -> bool:
         """Whether any effect is not as the census has it."""
-        return any(effect.forced is not None for effect in self.receipt(core))
+        return any(effect.forced is not None for effect in self.receipt(app))
 
     # ---- commands
 
-    def switch(self, core: Core, name: str, on: bool) -> None:
+    def switch(self, app: AppState, name: str, on: bool) -> None:
         """The user's word on an effect counts more than the census."""
-        if core.scene is not None:
-            core.settings = switched(core.scene.gaussians, core.settings, name, on)
+        if app.scene is not None:
+            app.settings = switched(app.scene.gaussians, app.settings, name, on)
 
-    def as_called_for(self, core: Core) -> None:
+    def as_called_for(self, app: AppState) -> None:
         """Takes all switches back."""
-        if core.scene is not None:
-            wanted = settings_for(core.scene.gaussians)
-            core.settings = replace(
-                core.settings,
-                model=replace(wanted.model, near=core.settings.model.near),
+        if app.scene is not None:
+            wanted = settings_for(app.scene.gaussians)
+            app.settings = replace(
+                app.settings,
+                model=replace(wanted.model, near=app.settings.model.near),
                 sh_degree=wanted.sh_degree,
             )
 
-    def measure(self, core: Core) -> None:
+    def measure(self, app: AppState) -> None:
         """Begins to price the effects of the view that is seen, where that is not being done."""
-        receipt = self.receipt(core)
-        if self.pricing is None and receipt and core.picture is not None:
-            self.pricing = Pricing(core, receipt, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
+        receipt = self.receipt(app)
+        if self.pricing is None and receipt and app.picture is not None:
+            self.pricing = Pricing(app, receipt, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.pricing is not None:
@@ -110,10 +110,10 @@ class Effects:
     def waiting(self) -> bool:
         return self.pricing is not None
 
-    def advance(self, core: Core) -> None:
+    def advance(self, app: AppState) -> None:
         """Takes over what was measured."""
-        self._cameras = self._cameras[1], core.camera
-        gaussians = core.scene.gaussians if core.scene else None
+        self._cameras = self._cameras[1], app.camera
+        gaussians = app.scene.gaussians if app.scene else None
         if self._priced is not gaussians:
             self._priced, self.prices = gaussians, {}
             self.cancel()
@@ -122,10 +122,10 @@ class Effects:
             return
         self.pricing = None
         if pricing.problem is not None:
-            core.complain(pricing.problem)
+            app.complain(pricing.problem)
         elif pricing.prices is not None and pricing.gaussians is gaussians:
             self.prices = pricing.prices
-            core.tell(f"Prices of {len(self.prices)} effects measured in this view")
+            app.tell(f"Prices of {len(self.prices)} effects measured in this view")
 
     def end(self) -> None:
         """The window closes."""

@@ -26,7 +26,7 @@ from splatview.viewer.navigation import orbit
 from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 # ---- The window's own renderer, for a thread that measures: GL work is done on the GL thread, between two
@@ -44,17 +44,17 @@ class Cancelled(Exception):
 class Painter:
     """Draws the open scene by plans, with the edits that were in force when it was made. An `Artist`."""
 
-    def __init__(self, core: Core, cancelled: threading.Event, wake: Callable[[], object]):
-        if core.picture is None or core.scene is None:
+    def __init__(self, app: AppState, cancelled: threading.Event, wake: Callable[[], object]):
+        if app.picture is None or app.scene is None:
             raise ValueError("nothing is open")
-        self.name = renderer_name(core.picture)
-        self.gaussians: Gaussians = core.scene.gaussians
-        self.edits: SceneEdits | None = core.edits
+        self.name = renderer_name(app.picture)
+        self.gaussians: Gaussians = app.scene.gaussians
+        self.edits: SceneEdits | None = app.edits
         self._kept: dict[float, SceneEdits | None] = {}
-        self._core, self._post, self._picture = core, core.post, core.picture
-        self._anywhere = isinstance(core.picture, CpuPicture)
+        self._app, self._post, self._picture = app, app.post, app.picture
+        self._anywhere = isinstance(app.picture, CpuPicture)
         self._cancelled, self._wake = cancelled, wake
-        self._target = np.asarray(core.view.target, np.float64)
+        self._target = np.asarray(app.view.target, np.float64)
         """About which a camera turns, for pictures that depend on those before."""
 
     def can_draw(self, plan: Plan) -> bool:
@@ -113,7 +113,7 @@ class Painter:
     @property
     def _overtaken(self) -> bool:
         """Whether another scene has been loaded since this was made, or is about to be."""
-        scene, loading = self._core.scene, self._core.loading
+        scene, loading = self._app.scene, self._app.loading
         same = scene is not None and scene.gaussians is self.gaussians
         return not same or (loading is not None and loading.done)
 
@@ -127,9 +127,9 @@ class Painter:
         answers: list[tuple[np.ndarray, float]] = []
         failures: list[Exception] = []
 
-        def command(core: Core) -> None:
+        def command(app: AppState) -> None:
             try:
-                if core.picture is self._picture and not self._overtaken and not self._cancelled.is_set():
+                if app.picture is self._picture and not self._overtaken and not self._cancelled.is_set():
                     answers.append(work())
             except Exception as error:  # the thread that asked must hear of it, not the frame loop
                 failures.append(error)
@@ -188,7 +188,7 @@ class Measurement:
 
     def __init__(
         self,
-        core: Core,
+        app: AppState,
         *,
         seconds: float = SECONDS,
         rounds: int | None = None,
@@ -201,9 +201,9 @@ class Measurement:
         self.problem: str | None = None
         self._stop = threading.Event()
         self._wake = wake
-        self._painter = Painter(core, self._stop, wake)
-        self._plan, self._seconds, self._rounds = Plan(settings=core.settings), seconds, rounds
-        view, size, scale = core.view, core.picture_size, core.preferences.resolution_scale
+        self._painter = Painter(app, self._stop, wake)
+        self._plan, self._seconds, self._rounds = Plan(settings=app.settings), seconds, rounds
+        view, size, scale = app.view, app.picture_size, app.preferences.resolution_scale
 
         def moved(_: int, number: int) -> Camera:
             return scaled_camera(orbit(view, FRAME_TURN * (number + 1), 0.0).camera(*size), scale)
@@ -278,7 +278,7 @@ class Pricing:
 
     def __init__(
         self,
-        core: Core,
+        app: AppState,
         effects: Sequence[Effect],
         *,
         seconds: float = EFFECT_SECONDS,
@@ -291,15 +291,15 @@ class Pricing:
         self.problem: str | None = None
         self._stop = threading.Event()
         self._wake = wake
-        self._painter = Painter(core, self._stop, wake)
+        self._painter = Painter(app, self._stop, wake)
         self._unedited: Painter | None = None
-        if core.edits is not None and core.edits.in_force:
-            self._unedited = Painter(core, self._stop, wake)
+        if app.edits is not None and app.edits.in_force:
+            self._unedited = Painter(app, self._stop, wake)
             self._unedited.edits = None
         self.gaussians = self._painter.gaussians
-        self._plan, self._effects = Plan(settings=core.settings), effects
+        self._plan, self._effects = Plan(settings=app.settings), effects
         self._seconds, self._rounds = seconds, rounds
-        view, size, scale = core.view, core.picture_size, core.preferences.resolution_scale
+        view, size, scale = app.view, app.picture_size, app.preferences.resolution_scale
 
         def moved(_: int, number: int) -> Camera:
             return scaled_camera(orbit(view, EFFECT_FRAME_TURN * (number + 1), 0.0).camera(*size), scale)

@@ -21,7 +21,7 @@ from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_
 
 if TYPE_CHECKING:
     from splatview.measure.work import Bill
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 # ---- The open scene loaded anew as a shortcut stores it, while the window goes on. No ImGui in here.
@@ -68,7 +68,7 @@ class Storing:
 
 @dataclass(eq=False, kw_only=True)
 class Accuracy:
-    """Part of the window's `Core`; for the GL thread."""
+    """Part of the window's `AppState`; for the GL thread."""
 
     wake: Callable[[], object] = lambda: None
     """Makes an idle window draw its next frame. May be called from any thread."""
@@ -106,23 +106,23 @@ class Accuracy:
 
     # ---- commands
 
-    def measure(self, core: Core) -> None:
+    def measure(self, app: AppState) -> None:
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
-            core.complain("Take attributes back first: prices are measured on the scene as it is")
-        elif self.measurement is None and core.scene is not None and core.picture is not None:
-            self.measurement = Measurement(core, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
+            app.complain("Take attributes back first: prices are measured on the scene as it is")
+        elif self.measurement is None and app.scene is not None and app.picture is not None:
+            self.measurement = Measurement(app, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel(self) -> None:
         if self.measurement is not None:
             self.measurement.cancel()
 
-    def choose(self, core: Core, knob: str, value: str) -> None:
+    def choose(self, app: AppState, knob: str, value: str) -> None:
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
-        if core.picture is None:
+        if app.picture is None:
             return
-        plan = apply_choices(Plan(), {knob: value}, renderer_name(core.picture))
-        problem = core.picture.refusal(plan.settings)
+        plan = apply_choices(Plan(), {knob: value}, renderer_name(app.picture))
+        problem = app.picture.refusal(plan.settings)
         if problem is not None:
             raise InputError(problem)
         self.choices[knob] = value
@@ -131,7 +131,7 @@ class Accuracy:
         """Takes all shortcuts back."""
         self.choices.clear()
 
-    def hold(self, core: Core, budget_ms: float | None) -> None:
+    def hold(self, app: AppState, budget_ms: float | None) -> None:
         """Sets the frame budget, or gives it up."""
         self.budget_ms = budget_ms
         if budget_ms is not None:
@@ -139,44 +139,44 @@ class Accuracy:
             if not self.watch.governor.steps and self._full_ms > 0:
                 # Until prices are known.
                 self.watch.governor.follow(unpriced(self._full_ms))
-        if isinstance(core.picture, CpuPicture):
-            core.picture.hold_budget(budget_ms)
+        if isinstance(app.picture, CpuPicture):
+            app.picture.hold_budget(budget_ms)
 
     # ---- what is drawn
 
-    def plan(self, core: Core) -> Plan:
+    def plan(self, app: AppState) -> Plan:
         """The settings with the shortcuts taken."""
-        plan = Plan(settings=core.settings)
-        if self.choices and core.picture is not None:
-            plan = apply_choices(plan, self.choices, renderer_name(core.picture))
+        plan = Plan(settings=app.settings)
+        if self.choices and app.picture is not None:
+            plan = apply_choices(plan, self.choices, renderer_name(app.picture))
         return plan
 
-    def next_frame(self, core: Core) -> tuple[Camera, RenderSettings]:
+    def next_frame(self, app: AppState) -> tuple[Camera, RenderSettings]:
         """By what the frame that comes is drawn."""
-        plan, camera, self.note = self.plan(core), core.camera, ""
+        plan, camera, self.note = self.plan(app), app.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
-        if core.picture is not None and self.governs(core):
+        if app.picture is not None and self.governs(app):
             step = self.watch.next(moved=moved)
             if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
-                plan = apply_choices(plan, dict(step.choices), renderer_name(core.picture))
+                plan = apply_choices(plan, dict(step.choices), renderer_name(app.picture))
                 scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
                 plan = replace(plan, resolution=scale, kept=kept)
                 self.note = step.note
-        self._kept = plan.kept if core.mode == "splats" else 1.0
-        return scaled_camera(camera, core.preferences.resolution_scale * plan.resolution), plan.settings
+        self._kept = plan.kept if app.mode == "splats" else 1.0
+        return scaled_camera(camera, app.preferences.resolution_scale * plan.resolution), plan.settings
 
-    def edits(self, core: Core) -> SceneEdits | None:
+    def edits(self, app: AppState) -> SceneEdits | None:
         """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
-        edits = core.edits
-        if self._kept >= 1 or core.scene is None:
+        edits = app.edits
+        if self._kept >= 1 or app.scene is None:
             self._hidden = None
             return edits
-        if not is_ranked(core.scene.gaussians):
-            self._rank(core.scene.gaussians)
+        if not is_ranked(app.scene.gaussians):
+            self._rank(app.scene.gaussians)
             return edits  # all, until it is known what can be left out
-        key = (core.scene.gaussians, self._kept, edits)
+        key = (app.scene.gaussians, self._kept, edits)
         versions = edits and (edits.marks_version, edits.palette_version, edits.crops_version)
         held = self._hidden
         if held is None or any(a is not b for a, b in zip(held[0], key, strict=True)) or held[1] != versions:
@@ -195,13 +195,13 @@ class Accuracy:
         self._ranking = threading.Thread(target=work, name="splatview-rank", daemon=True)
         self._ranking.start()
 
-    def governs(self, core: Core) -> bool:
+    def governs(self, app: AppState) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
         return (
             self.budget_ms is not None
-            and core.picture is not None
-            and not isinstance(core.picture, CpuPicture)
-            and core.mode == "splats"
+            and app.picture is not None
+            and not isinstance(app.picture, CpuPicture)
+            and app.mode == "splats"
         )
 
     @property
@@ -214,9 +214,9 @@ class Accuracy:
 
     # ---- between two frames
 
-    def advance(self, core: Core) -> None:
+    def advance(self, app: AppState) -> None:
         """Takes over what was measured, and learns from the latest frame."""
-        gaussians = core.scene.gaussians if core.scene else None
+        gaussians = app.scene.gaussians if app.scene else None
         if self.measurement is not None and self.measurement.gaussians is not gaussians:
             self.measurement.cancel()
         if self._gaussians is not gaussians:
@@ -225,28 +225,28 @@ class Accuracy:
             self.stored = "float32"  # as scenes are loaded
             self._full_ms = 0.0
             self.watch.governor.follow(())
-        name = core.scene.name if core.scene else ""
+        name = app.scene.name if app.scene else ""
         if self._name != name:
             self._name = name
             self.choices.clear()
         if self.measurement is not None and self.measurement.done:
-            self._collect(core, self.measurement)
-        self._store(core)
-        self._learn(core)
+            self._collect(app, self.measurement)
+        self._store(app)
+        self._learn(app)
 
-    def _store(self, core: Core) -> None:
+    def _store(self, app: AppState) -> None:
         """Loads the scene in the form that was chosen, where it is in another."""
-        if core.scene is None or core.picture is None or core.loading is not None:
+        if app.scene is None or app.picture is None or app.loading is not None:
             return
-        if core.desk is not None and core.desk.loading is not None:
+        if app.session is not None and app.session.loading is not None:
             return
         wanted: Any = self.choices.get("attributes", "float32")
-        gaussians, made = core.scene.gaussians, self.storing
+        gaussians, made = app.scene.gaussians, self.storing
         if made is not None and (made.gaussians is not gaussians or made.attributes != wanted):
             made.end()
             self.storing = made = None
         if made is None and wanted != self.stored:
-            self.storing = made = Storing(core.picture, gaussians, wanted)
+            self.storing = made = Storing(app.picture, gaussians, wanted)
         if made is None:
             return
         try:
@@ -254,29 +254,29 @@ class Accuracy:
         except InputError as error:
             self.choices.pop("attributes", None)
             self.storing = None
-            core.complain(str(error))
+            app.complain(str(error))
             return
         if done:
             self.storing, self.stored = None, made.attributes
 
-    def _collect(self, core: Core, made: Measurement) -> None:
+    def _collect(self, app: AppState, made: Measurement) -> None:
         self.measurement = None
         if made.problem is not None:
-            core.complain(made.problem)
-        elif made.ladder is not None and core.scene is not None and made.gaussians is core.scene.gaussians:
+            app.complain(made.problem)
+        elif made.ladder is not None and app.scene is not None and made.gaussians is app.scene.gaussians:
             self.ladder, self.bill = made.ladder, made.bill
             self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
-            core.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
+            app.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
 
-    def _learn(self, core: Core) -> None:
-        stats = core.stats
+    def _learn(self, app: AppState) -> None:
+        stats = app.stats
         if stats is None or stats.drawn == self._frames_seen or self.measurement is not None:
             return
         self._frames_seen = stats.drawn
         milliseconds = sum(stats.ms.values())
         if not milliseconds > 0:
             return
-        if not self.governs(core):
+        if not self.governs(app):
             self._full_ms = milliseconds
         elif self.watch.governor.steps:
             self.watch.took(milliseconds)
@@ -308,33 +308,33 @@ def price_of(one: Measured, ladder: Ladder) -> str:
 # ---- What the Accuracy panel asks for, run between two frames.
 
 
-def measure(core: Core) -> None:
+def measure(app: AppState) -> None:
     """Begins to measure the view that is seen."""
-    core.accuracy.measure(core)
+    app.accuracy.measure(app)
 
 
-def cancel(core: Core) -> None:
-    core.accuracy.cancel()
+def cancel(app: AppState) -> None:
+    app.accuracy.cancel()
 
 
-def choose(core: Core, knob: str, value: str) -> None:
+def choose(app: AppState, knob: str, value: str) -> None:
     """Draws by a shortcut from now on."""
     try:
-        core.accuracy.choose(core, knob, value)
+        app.accuracy.choose(app, knob, value)
     except InputError as error:
-        core.complain(str(error))
+        app.complain(str(error))
 
 
-def leave(core: Core, knob: str) -> None:
+def leave(app: AppState, knob: str) -> None:
     """Takes one shortcut back."""
-    core.accuracy.choices.pop(knob, None)
+    app.accuracy.choices.pop(knob, None)
 
 
-def exact(core: Core) -> None:
+def exact(app: AppState) -> None:
     """Takes all shortcuts back."""
-    core.accuracy.exact()
+    app.accuracy.exact()
 
 
-def hold(core: Core, budget_ms: float | None) -> None:
+def hold(app: AppState, budget_ms: float | None) -> None:
     """Holds a frame budget, in ms; None: no longer."""
-    core.accuracy.hold(core, budget_ms)
+    app.accuracy.hold(app, budget_ms)

@@ -17,14 +17,14 @@ from splatview.renderers.cpu_async import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.edits import Crop
 from splatview.scene.framing import robust_bounds
-from splatview.trainer.background import Snapshot, State, Status, TrainingThread, pace_of
+from splatview.trainer.background import BackgroundTraining, Snapshot, State, Status, pace_of
 from splatview.trainer.views import Shot
 from splatview.viewer import open as camera_list
 from splatview.viewer.loading import Examination, LoadedScene
 from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.open import UPLOAD_SECONDS, common_up
 from splatview.viewer.preferences import TrainingUpdates
-from splatview.viewer.state import Core
+from splatview.viewer.state import AppState
 from splatview.viewer.training.comparison import Comparer, Pictures
 from splatview.viewer.training.live_edits import succeed, waits
 
@@ -87,10 +87,10 @@ class WatchedPhoto:
 
 
 @dataclass(eq=False, kw_only=True)
-class Training:
+class LiveTraining:
     """A training and how it is watched. Fields are plain: panels set the simple ones."""
 
-    thread: TrainingThread
+    thread: BackgroundTraining
     name: str
     """Of the capture."""
     photos: list[WatchedPhoto]
@@ -109,7 +109,7 @@ class Training:
     """What the view shows."""
     pointed: tuple[Crop, ...] = ()
     """Crops of a rule under the mouse, to be drawn on the picture."""
-    core: Core | None = None
+    app: AppState | None = None
     """The window's, once there is one."""
     cameras: list[Camera] = field(init=False)
     """Of the photos, what the window's list of cameras is."""
@@ -134,17 +134,17 @@ class Training:
     def photo(self) -> WatchedPhoto:
         return self.photos[self.photo_index]
 
-    def idle_fps(self, core: Core) -> float:
+    def idle_fps(self, app: AppState) -> float:
         """Frames a second for a window that nobody touches."""
         if self.minimised:
             return MINIMISED_FPS
         runs = self.status.state == "training"
-        fps = RATES[core.preferences.training_updates if runs else "low"].fps
-        return min(fps, SOFTWARE_FPS) if core.picture is not None and core.picture.name == "cpu" else fps
+        fps = RATES[app.preferences.training_updates if runs else "low"].fps
+        return min(fps, SOFTWARE_FPS) if app.picture is not None and app.picture.name == "cpu" else fps
 
-    def followed_by(self, core: Core) -> bool:
+    def followed_by(self, app: AppState) -> bool:
         """Whether the window shows this training, and not something that was opened since."""
-        return core.scene is self._scene
+        return app.scene is self._scene
 
     @property
     def scores(self) -> dict[str, float]:
@@ -152,13 +152,13 @@ class Training:
         evaluation = self.status.evaluation
         return {} if evaluation is None else {score.name: score.psnr for score in evaluation.scores}
 
-    def start(self, core: Core, *, on_change: Callable[[], object] = lambda: None) -> None:
+    def start(self, app: AppState, *, on_change: Callable[[], object] = lambda: None) -> None:
         """The window is there: shows the first snapshot and begins. `on_change` wakes the window."""
-        self.core = core
+        self.app = app
         self.comparer = Comparer(on_change)
         self.thread.on_change = on_change
-        core.settings = replace(self.settings, blend=core.preferences.blend)
-        core.cameras = self.cameras
+        app.settings = replace(self.settings, blend=app.preferences.blend)
+        app.cameras = self.cameras
         self.thread.begin()
 
     def stop(self) -> None:
@@ -168,98 +168,98 @@ class Training:
         self.pictures.release()
         self._drop_arriving()
 
-    def advance(self, core: Core) -> None:
+    def advance(self, app: AppState) -> None:
         """Called every frame, between two frames."""
         for note in self.thread.take_notes():
-            core.tell(note)
-        if core.cameras is self.cameras and core.camera_index != self._camera_index:
+            app.tell(note)
+        if app.cameras is self.cameras and app.camera_index != self._camera_index:
             # However the user came to a photo's camera, that photo is compared.
-            self._camera_index = core.camera_index
-            self.photo_index = max(core.camera_index, 0)
-        self._report(core)
-        self._keep_shares(core)
-        self._follow(core)
+            self._camera_index = app.camera_index
+            self.photo_index = max(app.camera_index, 0)
+        self._report(app)
+        self._keep_shares(app)
+        self._follow(app)
 
-    def follow(self, core: Core) -> None:
+    def follow(self, app: AppState) -> None:
         """Shows this training again after something else was opened."""
-        core.scene = self._scene
-        core.cameras, core.camera_index = self.cameras, -1
-        core.settings = replace(self.settings, blend=core.preferences.blend)
+        app.scene = self._scene
+        app.cameras, app.camera_index = self.cameras, -1
+        app.settings = replace(self.settings, blend=app.preferences.blend)
         self.shown = None
         # The picture holds something else, so even an unchanged scene is to be handed over.
         self.thread.show_now(again=True)
 
     # ---- parts of a frame
 
-    def _report(self, core: Core) -> None:
+    def _report(self, app: AppState) -> None:
         """Says once what the thread's new state means."""
         status = self.status
         if status.state == self._told:
             return
         self._told = status.state
         if status.state == "failed":
-            core.complain(f"Training has stopped: {status.failure}. The scene is kept as it was.")
+            app.complain(f"Training has stopped: {status.failure}. The scene is kept as it was.")
         elif status.state == "done":
-            core.tell(f"Training is done: {status.gaussians:,} splats after {status.iteration:,} steps")
+            app.tell(f"Training is done: {status.gaussians:,} splats after {status.iteration:,} steps")
 
-    def _keep_shares(self, core: Core) -> None:
-        now = core.now()
-        if core.view is not self._last_view:
-            self._last_view, self._touched = core.view, now
+    def _keep_shares(self, app: AppState) -> None:
+        now = app.now()
+        if app.view is not self._last_view:
+            self._last_view, self._touched = app.view, now
         moved = now - self._touched < TOUCHED_SECONDS
-        wanted, cores = core.preferences.training_share, self.thread.cores
-        self.thread.share = wanted if moved or not core.preferences.training_takes_idle_cores else 1.0
-        if core.picture is not None:
+        wanted, cores = app.preferences.training_share, self.thread.cores
+        self.thread.share = wanted if moved or not app.preferences.training_takes_idle_cores else 1.0
+        if app.picture is not None:
             runs = self.status.state == "training"
-            core.picture.threads = viewer_threads(wanted, cores) if runs else None
-            core.picture.cores = max(1 - wanted, LEAST_FOR_VIEWER) * cores if runs else None
-        rate = RATES["off" if self.minimised else core.preferences.training_updates]
+            app.picture.threads = viewer_threads(wanted, cores) if runs else None
+            app.picture.cores = max(1 - wanted, LEAST_FOR_VIEWER) * cores if runs else None
+        rate = RATES["off" if self.minimised else app.preferences.training_updates]
         if rate.share > 0:
-            cost = redraw_seconds(core) / (rate.share * cores)
+            cost = redraw_seconds(app) / (rate.share * cores)
             self.thread.snapshot_seconds = max(rate.seconds, cost)
         else:
             self.thread.snapshot_seconds = None
 
-    def _follow(self, core: Core) -> None:
+    def _follow(self, app: AppState) -> None:
         """Takes the latest snapshot over, for a few milliseconds of uploading."""
-        if core.loading is not None or not self.followed_by(core) or waits(core):
+        if app.loading is not None or not self.followed_by(app) or waits(app):
             self._drop_arriving()
             return
-        if core.picture is None or core.picture_size == (1, 1):  # nothing has been laid out yet
+        if app.picture is None or app.picture_size == (1, 1):  # nothing has been laid out yet
             return
         if self._arriving is None:
-            if self.minimised or (core.picture.busy and self.shown is not None and not self._starved(core)):
+            if self.minimised or (app.picture.busy and self.shown is not None and not self._starved(app)):
                 return
             snapshot = self.thread.take_snapshot()
             if snapshot is None:
                 return
-            self._arriving = snapshot, core.picture.load_steps(snapshot.gaussians)
+            self._arriving = snapshot, app.picture.load_steps(snapshot.gaussians)
         snapshot, steps = self._arriving
         try:
             if advanced(steps, UPLOAD_SECONDS):
                 self._arriving = None
-                self._adopt(core, snapshot)
+                self._adopt(app, snapshot)
         except InputError as error:
             self._arriving = None
-            core.prefer(training_updates="off")
-            core.complain(f"The scene in training is no longer shown: {error}")
+            app.prefer(training_updates="off")
+            app.complain(f"The scene in training is no longer shown: {error}")
 
     def _drop_arriving(self) -> None:
         if self._arriving is not None:
             self._arriving[1].close()
             self._arriving = None
 
-    def _starved(self, core: Core) -> bool:
+    def _starved(self, app: AppState) -> bool:
         """Whether the view is moved, so that something is being drawn all the time."""
-        now, last = core.now(), sum(core.stats.ms.values()) / 1000 if core.stats else 0.0
+        now, last = app.now(), sum(app.stats.ms.values()) / 1000 if app.stats else 0.0
         moved = now - self._touched < TOUCHED_SECONDS
         return moved and now - self._shown_at >= max(STARVED_SECONDS, 4 * last)
 
-    def _adopt(self, core: Core, snapshot: Snapshot) -> None:
+    def _adopt(self, app: AppState, snapshot: Snapshot) -> None:
         first = self._scene is None
         means = snapshot.gaussians.means
         centre, radius = robust_bounds(means[:: -(-len(means) // MOST_FOR_BOUNDS)])
-        self._scene = core.scene = LoadedScene(
+        self._scene = app.scene = LoadedScene(
             gaussians=snapshot.gaussians,
             paths=(self.thread.outputs.scene,),
             name=f"{self.name} (training)",
@@ -268,26 +268,26 @@ class Training:
             settings=self.settings,
             seconds=0.0,
         )
-        self.shown, self._shown_at = snapshot, core.now()
-        succeed(core, snapshot)
+        self.shown, self._shown_at = snapshot, app.now()
+        succeed(app, snapshot)
         if first:
-            self._first_view(core)
+            self._first_view(app)
         if self.status.state != "training":
-            core.examination, core.examined = Examination(snapshot.gaussians), True
+            app.examination, app.examined = Examination(snapshot.gaussians), True
 
-    def _first_view(self, core: Core) -> None:
+    def _first_view(self, app: AppState) -> None:
         """From the camera of the middle photo: there the scene is surely before the eye."""
         assert self._scene is not None
         camera = self.photos[len(self.photos) // 2].camera
         ahead = float((self._scene.centre - camera.eye) @ camera.forward)
-        up = common_up(core.cameras)
-        core.steer(
+        up = common_up(app.cameras)
+        app.steer(
             view_from_camera(
                 camera,
                 distance=ahead if ahead > 0 else self._scene.radius,
                 up=-camera.R_camera_world[1] if up is None else up,
-                width=core.picture_size[0],
-                height=core.picture_size[1],
+                width=app.picture_size[0],
+                height=app.picture_size[1],
             )
         )
 
@@ -316,27 +316,27 @@ def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[Watc
     return sorted(photos, key=lambda photo: photo.name)
 
 
-def redraw_seconds(core: Core) -> float:
-    """Core-seconds that the processor spends on a new picture of the scene, the window's frames for it
+def redraw_seconds(app: AppState) -> float:
+    """AppState-seconds that the processor spends on a new picture of the scene, the window's frames for it
     included; 0 where a GPU does it."""
-    if core.stats is None or core.picture is None or core.picture.name != "cpu":
+    if app.stats is None or app.picture is None or app.picture.name != "cpu":
         return 0.0
-    drawing = sum(core.stats.ms.values()) / 1000 * (core.picture.threads or 1)
+    drawing = sum(app.stats.ms.values()) / 1000 * (app.picture.threads or 1)
     return drawing + FRAMES_A_PICTURE * FRAME_SECONDS
 
 
-# ---- What the user can ask of a training; all are posted to the `Core`, as `viewer.window.actions` are.
+# ---- What the user can ask of a training; all are posted to the `AppState`, as `viewer.window.actions` are.
 
 
-def training_of(core: Core) -> Training | None:
+def training_of(app: AppState) -> LiveTraining | None:
     """The training in this window; says so where there is none."""
-    if core.training is None:
-        core.tell("Nothing is being trained: start with splatview train CAPTURE")
-    return core.training
+    if app.training is None:
+        app.tell("Nothing is being trained: start with splatview train CAPTURE")
+    return app.training
 
 
-def pause_or_resume(core: Core) -> None:
-    training = training_of(core)
+def pause_or_resume(app: AppState) -> None:
+    training = training_of(app)
     if training is None:
         return
     if training.status.state == "training":
@@ -345,33 +345,33 @@ def pause_or_resume(core: Core) -> None:
         training.thread.resume()
 
 
-def step_once(core: Core) -> None:
-    if training := training_of(core):
+def step_once(app: AppState) -> None:
+    if training := training_of(app):
         training.thread.step_once()
 
 
-def stop_and_save(core: Core) -> None:
-    if training := training_of(core):
+def stop_and_save(app: AppState) -> None:
+    if training := training_of(app):
         training.thread.stop()
 
 
-def save_checkpoint(core: Core) -> None:
-    if training := training_of(core):
+def save_checkpoint(app: AppState) -> None:
+    if training := training_of(app):
         training.thread.save_checkpoint()
 
 
-def evaluate(core: Core) -> None:
-    if training := training_of(core):
+def evaluate(app: AppState) -> None:
+    if training := training_of(app):
         training.thread.evaluate()
 
 
-def export(core: Core) -> None:
+def export(app: AppState) -> None:
     """Asks where, and writes the scene as it stands then."""
-    training = training_of(core)
+    training = training_of(app)
     if training is None:
         return
     proposal = training.thread.outputs.scene
-    core.choose_files(
+    app.choose_files(
         "Export the scene",
         lambda paths: training.thread.export(Path(paths[0])),
         kind="save_scene",
@@ -379,33 +379,33 @@ def export(core: Core) -> None:
     )
 
 
-def change_settings(core: Core, **settings: Any) -> None:
-    if training := training_of(core):
+def change_settings(app: AppState, **settings: Any) -> None:
+    if training := training_of(app):
         training.thread.change(**settings)
 
 
-def show_training(core: Core) -> None:
+def show_training(app: AppState) -> None:
     """Back from something else that was opened."""
-    if training := training_of(core):
-        training.follow(core)
+    if training := training_of(app):
+        training.follow(app)
 
 
-def show_now(core: Core) -> None:
-    if training := training_of(core):
+def show_now(app: AppState) -> None:
+    if training := training_of(app):
         training.thread.show_now()
 
 
-def compare_photo(core: Core, index: int) -> None:
+def compare_photo(app: AppState, index: int) -> None:
     """Compares photo `index`, counted round the list; the view stays."""
-    if core.training is not None:
-        core.training.photo_index = index % len(core.training.photos)
+    if app.training is not None:
+        app.training.photo_index = index % len(app.training.photos)
 
 
-def go_to_photo(core: Core, index: int) -> None:
+def go_to_photo(app: AppState, index: int) -> None:
     """Looks from where photo `index` was taken, and compares it."""
-    training = core.training
+    training = app.training
     if training is None:
         return
-    compare_photo(core, index)
-    core.cameras = training.cameras
-    camera_list.go_to_camera(core, index)
+    compare_photo(app, index)
+    app.cameras = training.cameras
+    camera_list.go_to_camera(app, index)

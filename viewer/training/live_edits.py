@@ -16,12 +16,12 @@ from splatview.edit.selectors import IndexRuns
 from splatview.renderers.headless import RasterTools
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, Crop
-from splatview.trainer.background import Snapshot, TrainingThread
-from splatview.trainer.run import Session
-from splatview.viewer.editing.session import Desk
+from splatview.trainer.background import BackgroundTraining, Snapshot
+from splatview.trainer.run import TrainingRun
+from splatview.viewer.editing.session import EditSession
 
 if TYPE_CHECKING:
-    from splatview.viewer.state import Core
+    from splatview.viewer.state import AppState
 
 
 ON_THE_TRAINER = frozenset({"delete", "delete_cropped", "prune"})
@@ -48,10 +48,10 @@ Rule = Literal["cut", "no_growth"]
 """Field of `TrainSettings` that holds rules of this kind."""
 
 
-class Trainee:
+class TrainingTarget:
     """What edits of one snapshot mean to the trainer that it is of."""
 
-    def __init__(self, thread: TrainingThread, snapshot: Snapshot) -> None:
+    def __init__(self, thread: BackgroundTraining, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
         self.pinned = False
         """The user wants the view to wait, whatever is in hand."""
@@ -82,8 +82,8 @@ class Trainee:
         self._told = deleted
         ids = self.snapshot.ids[new]
 
-        def delete(session: Session) -> str:
-            gone = session.trainer.delete(ids)
+        def delete(training_run: TrainingRun) -> str:
+            gone = training_run.trainer.delete(ids)
             return f"{gone:,} splats deleted from the training"
 
         self._answers.append(self._thread.post(delete, changes=True))
@@ -92,8 +92,8 @@ class Trainee:
         """Deletes what the crops cut away, and keeps it so."""
         self._cuts.extend(crops)
 
-        def cut(session: Session) -> str:
-            gone = session.trainer.add_cut(crops)
+        def cut(training_run: TrainingRun) -> str:
+            gone = training_run.trainer.add_cut(crops)
             return f"{gone:,} splats cut away from the training, and it stays so"
 
         self._answers.append(self._thread.post(cut, changes=True))
@@ -103,17 +103,17 @@ class Trainee:
         """Whether the trainer has yet to answer."""
         return any(not answer.done() for answer in self._answers)
 
-    def answers(self, desk: Desk) -> None:
+    def answers(self, session: EditSession) -> None:
         """Tells what the trainer has done; takes back what it could not do."""
         for answer in [answer for answer in self._answers if answer.done()]:
             self._answers.remove(answer)
             if answer.exception() is None:
                 self.changed = True
-                desk.news = answer.result()
+                session.news = answer.result()
             else:  # the thread has noted why
                 self._told[:] = False
                 self._cuts.clear()
-                while desk.document.counts.deleted and desk.document.undo():
+                while session.document.counts.deleted and session.document.undo():
                     pass
 
     def left_of(self, crops: Sequence[Crop]) -> list[Crop]:
@@ -121,82 +121,82 @@ class Trainee:
         return [crop for crop in crops if crop not in self._cuts]
 
 
-def hold(core: Core) -> Desk | None:
+def hold(app: AppState) -> EditSession | None:
     """The desk of the shown snapshot, made if there is none; None where the window shows no training."""
-    training = core.training
-    if core.desk is not None:
-        return core.desk
-    if training is None or training.shown is None or not training.followed_by(core):
+    training = app.training
+    if app.session is not None:
+        return app.session
+    if training is None or training.shown is None or not training.followed_by(app):
         return None
     try:
-        core.desk = _desk(core, training.thread, training.shown)
+        app.session = _session(app, training.thread, training.shown)
     except InputError as error:
-        core.tell(f"{error}; it can be looked at")
-    return core.desk
+        app.tell(f"{error}; it can be looked at")
+    return app.session
 
 
-def _desk(core: Core, thread: TrainingThread, snapshot: Snapshot) -> Desk:
-    name = core.scene.name if core.scene else "scene"
+def _session(app: AppState, thread: BackgroundTraining, snapshot: Snapshot) -> EditSession:
+    name = app.scene.name if app.scene else "scene"
     document = Document(snapshot.gaussians, name=name, tools=RasterTools())
-    return Desk(document=document, trainee=Trainee(thread, snapshot))
+    return EditSession(document=document, target=TrainingTarget(thread, snapshot))
 
 
-def waits(core: Core) -> bool:
+def waits(app: AppState) -> bool:
     """Called every frame: whether the view is to stay with the snapshot that it shows."""
-    desk = core.desk
-    if desk is None or desk.trainee is None:
+    session = app.session
+    if session is None or session.target is None:
         return False
-    trainee: Trainee = desk.trainee
-    trainee.answers(desk)
-    if trainee.waiting or desk.job is not None or desk.stroke is not None:
+    target: TrainingTarget = session.target
+    target.answers(session)
+    if target.waiting or session.job is not None or session.stroke is not None:
         return True
-    if trainee.changed:
+    if target.changed:
         return False
-    if engaged(desk):
+    if engaged(session):
         return True
-    let_go(core)
+    let_go(app)
     return False
 
 
-def engaged(desk: Desk) -> bool:
+def engaged(session: EditSession) -> bool:
     """Whether the user is at work on what the desk holds."""
-    counts, trainee = desk.document.counts, desk.trainee
+    counts, target = session.document.counts, session.target
     return (
-        (trainee is not None and trainee.pinned)
-        or desk.tool != "none"
-        or desk.highlight is not None
-        or bool(desk.picked or desk.document.crops or desk.document.previewed)
+        (target is not None and target.pinned)
+        or session.tool != "none"
+        or session.preview_mask is not None
+        or bool(session.picked or session.document.crops or session.document.previewed)
         or counts.selected + counts.hidden + counts.locked + counts.deleted > 0
     )
 
 
-def let_go(core: Core) -> None:
+def let_go(app: AppState) -> None:
     """Snapshots flow again; what was only selected or hidden is forgotten."""
-    desk = core.desk
-    if desk is None or desk.trainee is None or core.training is None:
+    session = app.session
+    if session is None or session.target is None or app.training is None:
         return
-    desk.close()
-    core.desk = None
-    core.training.thread.show_now()
+    session.close()
+    app.session = None
+    app.training.thread.show_now()
 
 
-def succeed(core: Core, snapshot: Snapshot) -> None:
+def succeed(app: AppState, snapshot: Snapshot) -> None:
     """The picture holds `snapshot` now: the desk of the one before makes way. The tool in hand, selection and
     crops stay, where the splats are still there."""
-    old = core.desk
-    core.desk = None
+    old = app.session
+    app.session = None
     if old is None:
         return
     old.close()
-    if old.trainee is None or core.training is None:
+    if old.target is None or app.training is None:
         return
-    new = _desk(core, core.training.thread, snapshot)
-    new.tool, new.depth, new.overlay = old.tool, old.depth, old.overlay
+    new = _session(app, app.training.thread, snapshot)
+    new.tool, new.depth, new.highlight = old.tool, old.depth, old.highlight
     new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
     new.news, new.problem = old.news, old.problem
     document, marks = new.document, old.document.marks
     _, here, there = np.intersect1d(
-        snapshot.ids, old.trainee.snapshot.ids, assume_unique=True, return_indices=True
+        snapshot.ids, old.target.snapshot.ids, assume_unique=True, return_indices=True
     )
     for flag, operation in ((LOCKED, Lock()), (HIDDEN, Hide()), (SELECTED, None)):
         mask = np.zeros(len(snapshot.ids), bool)
@@ -205,54 +205,54 @@ def succeed(core: Core, snapshot: Snapshot) -> None:
             document.apply(Select(by=IndexRuns.of(mask)))
             if operation is not None:
                 document.apply(operation)
-    for crop in old.trainee.left_of(old.document.crops):
+    for crop in old.target.left_of(old.document.crops):
         document.apply(AddCrop(crop=crop))
-    core.desk = new
+    app.session = new
 
 
 # ---- what the user asks for
 
 
-def keep_waiting(core: Core) -> None:
+def keep_waiting(app: AppState) -> None:
     """The view waits until it is let go."""
-    desk = hold(core)
-    if desk is not None and desk.trainee is not None:
-        desk.trainee.pinned = True
+    session = hold(app)
+    if session is not None and session.target is not None:
+        session.target.pinned = True
 
 
-def cut_away(core: Core) -> None:
+def cut_away(app: AppState) -> None:
     """Takes out of the training what the crops in force cut away, for good."""
-    desk = core.desk
-    if desk is None or desk.trainee is None:
+    session = app.session
+    if session is None or session.target is None:
         return
-    desk.document.cancel_preview()
-    crops = [crop for crop in desk.document.crops if crop.enabled]
+    session.document.cancel_preview()
+    crops = [crop for crop in session.document.crops if crop.enabled]
     if crops:
-        desk.trainee.cut_away(crops)
+        session.target.cut_away(crops)
 
 
-def stop_growth(core: Core, index: int) -> None:
+def stop_growth(app: AppState, index: int) -> None:
     """From now on no splat is born in crop `index`, which is a crop no more."""
-    desk, training = core.desk, core.training
-    if desk is None or desk.trainee is None or training is None:
+    session, training = app.session, app.training
+    if session is None or session.target is None or training is None:
         return
-    desk.document.cancel_preview()
-    region = replace(desk.document.crops[index], enabled=True)
-    training.thread.post(lambda session: session.trainer.add_region(region), changes=True)
-    if desk.apply(RemoveCrop(index=index)):
-        desk.news = f"Nothing grows in {region.name} any more"
+    session.document.cancel_preview()
+    region = replace(session.document.crops[index], enabled=True)
+    training.thread.post(lambda training_run: training_run.trainer.add_region(region), changes=True)
+    if session.apply(RemoveCrop(index=index)):
+        session.news = f"Nothing grows in {region.name} any more"
 
 
-def remove_rule(core: Core, kind: Rule, number: int) -> None:
+def remove_rule(app: AppState, kind: Rule, number: int) -> None:
     """Training is free again of the rule of this number."""
-    if core.training is None:
+    if app.training is None:
         return
-    rule = getattr(core.training.status.settings, kind)[number]
+    rule = getattr(app.training.status.settings, kind)[number]
 
-    def remove(session: Session) -> None:
-        rules = list(getattr(session.trainer.settings, kind))
+    def remove(training_run: TrainingRun) -> None:
+        rules = list(getattr(training_run.trainer.settings, kind))
         if rule in rules:
             rules.remove(rule)
-            session.trainer.change(**{kind: tuple(rules)})
+            training_run.trainer.change(**{kind: tuple(rules)})
 
-    core.training.thread.post(remove, changes=True)
+    app.training.thread.post(remove, changes=True)

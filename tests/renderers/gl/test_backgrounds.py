@@ -9,7 +9,7 @@ import pytest
 
 from splatview import raster
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import RenderSettings, look_at, reference
 from splatview.scene.background import Background, Gradient, Panorama
@@ -32,7 +32,7 @@ def backgrounds() -> dict[str, Background]:
     }
 
 
-@pytest.mark.parametrize("make", [QuadsRenderer, TilesRenderer, LegacyQuadsRenderer])
+@pytest.mark.parametrize("make", [QuadsRenderer, TilesRenderer, QuadsGL33Renderer])
 def test_gl_agrees_with_the_reference(ctx, random_gaussians, backgrounds, make):
     scene, renderer = random_gaussians(30), make(ctx)
     for background in (*backgrounds.values(), backgrounds["colour"]):

@@ -12,12 +12,12 @@ import pytest
 from splatview.measure.hard_cases.case import camera, splats
 from splatview.renderers.gl.context import held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 
-Renderer = QuadsRenderer | LegacyQuadsRenderer
+Renderer = QuadsRenderer | QuadsGL33Renderer
 
 EXACT = RenderSettings(blend="float32", background=(0.1, 0.3, 0.2))
 DISCS = replace(EXACT, model=ImageModel().with_footprint("disc"))
@@ -25,9 +25,9 @@ CAMERA = camera(50, 41, focal=36.0)
 PARALLEL = replace(camera(50, 41, focal=16.0, turn=20.0), orthographic=True)
 
 
-@pytest.fixture(params=[QuadsRenderer, LegacyQuadsRenderer, TilesRenderer], ids=["quads", "legacy", "tiles"])
+@pytest.fixture(params=[QuadsRenderer, QuadsGL33Renderer, TilesRenderer], ids=["quads", "legacy", "tiles"])
 def renderer(ctx: moderngl.Context, request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    if request.param is not LegacyQuadsRenderer and ctx.version_code < 430:
+    if request.param is not QuadsGL33Renderer and ctx.version_code < 430:
         pytest.skip("needs OpenGL 4.3")
     made = request.param(ctx)
     yield made

@@ -12,10 +12,10 @@ import pytest
 from splatview.measure.metrics import largest_error, psnr
 from splatview.raster import Workspace
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.sort_thread import ViewLine, depth_order
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at, reference
 from splatview.scene.edits import (
     DELETED,
@@ -33,7 +33,7 @@ from splatview.scene.edits import (
 from splatview.scene.sh import rgb_to_sh
 
 Make = Callable[..., Gaussians]
-Renderer = QuadsRenderer | LegacyQuadsRenderer
+Renderer = QuadsRenderer | QuadsGL33Renderer
 
 EXACT = RenderSettings(blend="float32", background=(0.1, 0.3, 0.2))
 HERE = np.zeros(3)
@@ -42,9 +42,9 @@ TURNED = (0.8, 0.36, -0.48, 0.0)
 GRADE = ((0.5, 0.2, 0.0, 0.1), (0.0, 0.9, 0.1, -0.05), (0.3, 0.0, 0.4, 0.2))
 
 
-@pytest.fixture(params=[QuadsRenderer, LegacyQuadsRenderer, TilesRenderer], ids=["quads", "legacy", "tiles"])
+@pytest.fixture(params=[QuadsRenderer, QuadsGL33Renderer, TilesRenderer], ids=["quads", "legacy", "tiles"])
 def renderer(ctx: moderngl.Context, request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    if request.param is not LegacyQuadsRenderer and ctx.version_code < 430:
+    if request.param is not QuadsGL33Renderer and ctx.version_code < 430:
         pytest.skip("needs OpenGL 4.3")
     made = request.param(ctx)
     yield made
@@ -191,7 +191,7 @@ def test_no_edits_cost_nothing(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at()
     plain = renderer.render(scene, camera, EXACT)
     none = SceneEdits(marks=np.zeros(200, np.uint32))
-    same = renderer.render(scene, camera, EXACT, edits=none, overlay=Overlay())
+    same = renderer.render(scene, camera, EXACT, edits=none, highlight=Highlight())
     assert np.array_equal(plain, same)
     assert renderer.stats.drawn == 1
     assert renderer._edits.marks_uploaded == 0
@@ -205,16 +205,16 @@ def counters(renderer: Renderer) -> tuple[int, int, int]:
 
 
 def test_a_selection_is_only_drawn_anew(renderer, random_gaussians: Make):
-    scene, camera, overlay = random_gaussians(200), camera_at(), Overlay()
+    scene, camera, highlight = random_gaussians(200), camera_at(), Highlight()
     marks = np.zeros(200, np.uint32)
     marks[7] = DELETED
     edits = SceneEdits(marks=marks, flags=DELETED | SELECTED)
-    first = renderer.render(scene, camera, EXACT, edits=edits, overlay=overlay)
+    first = renderer.render(scene, camera, EXACT, edits=edits, highlight=highlight)
     assert counters(renderer) == (1, 1, 1)
 
     marks[10:60] = SELECTED
     edits = replace(edits, marks_version=1, changes=((1, 10, 60),))
-    lit = renderer.render(scene, camera, EXACT, edits=edits, overlay=overlay)
+    lit = renderer.render(scene, camera, EXACT, edits=edits, highlight=highlight)
     assert counters(renderer) == (1, 1, 2)
     assert np.array_equal(lit[..., 3], first[..., 3])
     assert largest_error(lit, first) > 0.1
@@ -234,7 +234,7 @@ def test_a_selection_is_only_drawn_anew(renderer, random_gaussians: Make):
 
 
 def test_a_change_of_colours_needs_no_new_order_where_the_order_is_a_thread_s(ctx, random_gaussians: Make):
-    renderer = LegacyQuadsRenderer(ctx)
+    renderer = QuadsGL33Renderer(ctx)
     scene, camera = random_gaussians(100), camera_at()
     marks = np.full(100, 1 << PALETTE_SHIFT, np.uint32)
     try:
@@ -319,12 +319,12 @@ def test_marked_splats_are_lit_up(renderer, mode, mark, expected):
         opacity_logits=np.array([9, -9], np.float32),
         sh=rgb_to_sh(np.array([[0, 1, 0], [0, 0, 0]], np.float32)).reshape(2, 1, 3),
     )
-    overlay = Overlay(selected=(1.0, 0.5, 0.0, 0.5), locked=(0, 0, 1, 1), preview=(1, 0, 0, 0.25))
+    highlight = Highlight(selected=(1.0, 0.5, 0.0, 0.5), locked=(0, 0, 1, 1), preview=(1, 0, 0, 0.25))
     marks = np.array([mark, SELECTED | LOCKED | PREVIEW], np.uint32)  # the second cannot be seen
     edits = SceneEdits(marks=marks, flags=SELECTED | LOCKED | PREVIEW)
-    for shown, colour in ((overlay, expected), (None, (0, 1, 0))):
+    for shown, colour in ((highlight, expected), (None, (0, 1, 0))):
         image = renderer.render(
-            scene, STRAIGHT, RenderSettings(blend="float32"), mode=mode, edits=edits, overlay=shown
+            scene, STRAIGHT, RenderSettings(blend="float32"), mode=mode, edits=edits, highlight=shown
         )
         np.testing.assert_allclose(image[24, 32, :3] / image[24, 32, 3], colour, atol=0.02)
 
@@ -335,7 +335,7 @@ def test_depth_and_overdraw_are_not_tinted(renderer, random_gaussians: Make):
     for mode in ("depth", "overdraw"):
         plain = renderer.render(scene, camera_at(), EXACT, mode=mode)
         drawn = renderer.stats.drawn
-        lit = renderer.render(scene, camera_at(), EXACT, mode=mode, edits=edits, overlay=Overlay())
+        lit = renderer.render(scene, camera_at(), EXACT, mode=mode, edits=edits, highlight=Highlight())
         assert np.array_equal(plain, lit)
         assert renderer.stats.drawn == drawn
 
@@ -352,9 +352,9 @@ def test_every_mode_shows_edits(renderer, random_gaussians: Make, mode):
 
 
 def test_the_first_of_several_marks_counts():
-    overlay = Overlay(selected=(0, 1, 0, 0.5), preview=(1, 0, 0, 0.5), locked=(0, 0, 1, 0))
-    table = overlay.table
-    assert overlay.flags == PREVIEW | SELECTED
+    highlight = Highlight(selected=(0, 1, 0, 0.5), preview=(1, 0, 0, 0.5), locked=(0, 0, 1, 0))
+    table = highlight.table
+    assert highlight.flags == PREVIEW | SELECTED
     assert table[SELECTED].tolist() == [0, 1, 0, 0.5]
     assert table[SELECTED | PREVIEW | HIDDEN].tolist() == [1, 0, 0, 0.5]
     assert not table[LOCKED].any()

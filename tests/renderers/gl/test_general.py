@@ -14,9 +14,9 @@ import pytest
 
 from splatview.renderers.gl.programs import Variant, Variants, switches
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.scene.lens import Lens
@@ -66,7 +66,7 @@ def made(session_context: moderngl.Context, request: pytest.FixtureRequest) -> I
     variants = Variants(ctx)
     renderer: Any
     if request.param == "legacy":
-        renderer = LegacyQuadsRenderer(ctx, variants)
+        renderer = QuadsGL33Renderer(ctx, variants)
     else:
         renderer = {"quads": QuadsRenderer, "tiles": TilesRenderer}[request.param](ctx, variants=variants)
     yield request.param, renderer, variants
@@ -105,7 +105,7 @@ def pictures(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> tuple[np
     model = replace(settings.model, antialiased=antialiased).with_footprint(footprint)
     settings = replace(settings, model=model)
     shown: dict[str, Any] = {"mode": mode, "edits": edits_of(effects)}
-    shown["overlay"] = Overlay() if "selected" in effects else None
+    shown["overlay"] = Highlight() if "selected" in effects else None
     camera = next((CAMERAS[effect] for effect in effects if effect in CAMERAS), CAMERA)
     renderer.load(scene)
     special = renderer.render(scene, camera, settings, **shown)

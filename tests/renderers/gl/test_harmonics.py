@@ -11,7 +11,7 @@ import pytest
 from splatview.renderers.gl import scene_buffers, scene_textures
 from splatview.renderers.gl.context import held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.renderer import Renderer
 from splatview.renderers.gl.scene_buffers import DEGREE_BITS, own_words, places, sh_words, stored_harmonics
 from splatview.renderers.gl.tiles import TilesRenderer
@@ -24,7 +24,7 @@ CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)
 
 EXACT = RenderSettings(blend="float32")
 
-RENDERERS = (QuadsRenderer, TilesRenderer, LegacyQuadsRenderer)
+RENDERERS = (QuadsRenderer, TilesRenderer, QuadsGL33Renderer)
 
 
 def cut(scene: Gaussians, degrees: np.ndarray) -> Gaussians:
@@ -118,9 +118,9 @@ def test_own_degrees_in_rows_and_layers_of_textures(ctx, random_gaussians, monke
     assert isinstance(textures, scene_textures.SceneTextures)
     assert textures.places is not None and textures.sh.layers > 2
     textures.release()
-    image, _ = picture(LegacyQuadsRenderer, ctx, scene)
+    image, _ = picture(QuadsGL33Renderer, ctx, scene)
     alike(monkeypatch)
-    assert np.abs(image - picture(LegacyQuadsRenderer, ctx, scene)[0]).max() <= 1e-6
+    assert np.abs(image - picture(QuadsGL33Renderer, ctx, scene)[0]).max() <= 1e-6
 
 
 def test_scenes_of_one_degree_keep_one_layout(ctx, random_gaussians):

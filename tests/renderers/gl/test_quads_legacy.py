@@ -18,7 +18,7 @@ from splatview.renderers.gl import scene_textures as texel_array
 from splatview.renderers.gl import sort_thread as sort_worker
 from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.scene import TEXTBOOK, Gaussians, ImageModel, InputError, RenderSettings, look_at, reference
 from splatview.scene.formats import load_scene
@@ -30,7 +30,7 @@ FLOAT32 = RenderSettings(blend="float32")
 
 @pytest.fixture
 def renderer(ctx):
-    renderer = LegacyQuadsRenderer(ctx)
+    renderer = QuadsGL33Renderer(ctx)
     yield renderer
     renderer.release()
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.renderer import Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
@@ -50,7 +50,7 @@ def made(session_context: moderngl.Context) -> Iterator[dict[str, Renderer]]:
     renderers: dict[str, Renderer] = {
         "quads": QuadsRenderer(session_context),
         "tiles": TilesRenderer(session_context),
-        "legacy": LegacyQuadsRenderer(session_context),
+        "legacy": QuadsGL33Renderer(session_context),
     }
     yield renderers
     for renderer in renderers.values():

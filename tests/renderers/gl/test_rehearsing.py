@@ -14,12 +14,12 @@ from splatview import raster
 from splatview.raster.frame import kind_of
 from splatview.renderers import make_renderer
 from splatview.renderers.cpu_async import CpuAhead
-from splatview.renderers.edit_snapshot import shown_edits
+from splatview.renderers.edit_snapshot import edit_snapshot
 from splatview.renderers.gl.programs import Variants
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
-from splatview.renderers.gl.shader_fallback import StandingIn, mode_key, title_of
-from splatview.renderers.precompile import MOST_REMEMBERED, Rehearsals, rehearsal_of
-from splatview.renderers.types import Overlay
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
+from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key, title_of
+from splatview.renderers.precompile import MOST_REMEMBERED, ShaderPrecompiler, precompile_job
+from splatview.renderers.types import Highlight
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.viewer.picture import CpuPicture
@@ -43,37 +43,37 @@ def some_edits() -> SceneEdits:
 
 
 class Stage:
-    """Rehearsals that go on for as long as the test likes."""
+    """ShaderPrecompiler that go on for as long as the test likes."""
 
     def __init__(self, **options) -> None:
         self.performed: list = []
         self._curtain = threading.Event()
-        self.rehearsals = Rehearsals(perform=self._perform, **options)
+        self.precompiler = ShaderPrecompiler(perform=self._perform, **options)
 
-    def _perform(self, rehearsal) -> None:
+    def _perform(self, job) -> None:
         assert self._curtain.wait(PATIENCE)
-        self.performed.append(rehearsal)
+        self.performed.append(job)
 
     def finish(self, *keys: str) -> None:
         self._curtain.set()
         if keys:
-            assert self.rehearsals.wait(keys)
+            assert self.precompiler.wait(keys)
 
 
 def test_each_key_is_compiled_once_and_remembered_by_the_next_session(tmp_path):
     memory = tmp_path / "cache" / "compiled.txt"
     changes: list[str] = []
-    stage = Stage(memory=memory, on_change=lambda: changes.append(stage.rehearsals.title))
+    stage = Stage(memory=memory, on_change=lambda: changes.append(stage.precompiler.title))
     asked: list[list[str]] = []
     for keys in (["a"], ["a", "b"], ["b"]):
-        stage.rehearsals.ask(keys, f"crops {keys}", lambda keys=keys: asked.append(keys) or NOTHING)
+        stage.precompiler.ask(keys, f"crops {keys}", lambda keys=keys: asked.append(keys) or NOTHING)
     assert asked == [["a"], ["a", "b"]]
-    assert not stage.rehearsals.is_done(["a"])
+    assert not stage.precompiler.is_done(["a"])
     stage.finish("a", "b")
-    assert stage.rehearsals.is_done(["a", "b"])
-    stage.rehearsals.release()
+    assert stage.precompiler.is_done(["a", "b"])
+    stage.precompiler.release()
     assert "crops ['a']" in changes
-    later = Rehearsals(memory=memory)
+    later = ShaderPrecompiler(memory=memory)
     assert later.is_done(["b", "a"])
     assert not later.is_done(["c"])
 
@@ -81,72 +81,70 @@ def test_each_key_is_compiled_once_and_remembered_by_the_next_session(tmp_path):
 def test_a_memory_that_cannot_be_used_is_done_without(tmp_path):
     memory = tmp_path / "compiled.txt"
     memory.write_bytes(b"\xff\xfe\n")
-    assert not Rehearsals(memory=memory).is_done(["a"])
+    assert not ShaderPrecompiler(memory=memory).is_done(["a"])
     memory.write_text("a\n" * (MOST_REMEMBERED + 1))
-    assert not Rehearsals(memory=memory).is_done(["a"])
+    assert not ShaderPrecompiler(memory=memory).is_done(["a"])
     assert not memory.exists()
-    assert not Rehearsals(memory=tmp_path).is_done(["a"])
+    assert not ShaderPrecompiler(memory=tmp_path).is_done(["a"])
 
 
 def test_programs_do_not_wait_for_kernels():
     at_work, curtain = threading.Event(), threading.Event()
 
-    def perform(rehearsal) -> None:
-        if rehearsal.renderer == "cpu":
+    def perform(job) -> None:
+        if job.renderer == "cpu":
             at_work.set()
             assert curtain.wait(PATIENCE)
 
-    rehearsals = Rehearsals(perform=perform)
-    rehearsals.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
-    rehearsals.ask(["program"], "points", lambda: NOTHING)
-    assert rehearsals.wait(["program"])
-    assert not rehearsals.is_done(["kernel"])
+    precompiler = ShaderPrecompiler(perform=perform)
+    precompiler.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
+    precompiler.ask(["program"], "points", lambda: NOTHING)
+    assert precompiler.wait(["program"])
+    assert not precompiler.is_done(["kernel"])
     assert at_work.wait(PATIENCE)
-    assert rehearsals.title == "edits"
+    assert precompiler.title == "edits"
     curtain.set()
-    assert rehearsals.wait(["kernel"])
-    rehearsals.release()
+    assert precompiler.wait(["kernel"])
+    precompiler.release()
 
 
 def test_what_fails_is_told_once_and_not_waited_for():
-    def fail(rehearsal) -> None:
+    def fail(job) -> None:
         raise RuntimeError("no second OpenGL context")
 
-    rehearsals = Rehearsals(perform=fail)
-    rehearsals.ask(["a"], "crops", lambda: NOTHING)
-    assert rehearsals.wait(["a"])
-    assert rehearsals.take_problem() == (
+    precompiler = ShaderPrecompiler(perform=fail)
+    precompiler.ask(["a"], "crops", lambda: NOTHING)
+    assert precompiler.wait(["a"])
+    assert precompiler.take_problem() == (
         "crops cannot be compiled in the background: no second OpenGL context"
     )
-    assert rehearsals.take_problem() is None
-    assert rehearsals.is_done(["a"])
+    assert precompiler.take_problem() is None
+    assert precompiler.is_done(["a"])
 
 
 def test_an_end_wakes_who_waits():
     stage = Stage()
-    stage.rehearsals.ask(["a"], "crops", lambda: NOTHING)
+    stage.precompiler.ask(["a"], "crops", lambda: NOTHING)
     told: list[bool] = []
-    waiting = threading.Thread(target=lambda: told.append(stage.rehearsals.wait(["a"])))
+    waiting = threading.Thread(target=lambda: told.append(stage.precompiler.wait(["a"])))
     waiting.start()
-    stage.rehearsals.release()
+    stage.precompiler.release()
     waiting.join(PATIENCE)
     assert told == [False]
-    assert stage.rehearsals.is_done(["never asked for"])
+    assert stage.precompiler.is_done(["never asked for"])
     stage.finish()
 
 
 def test_a_process_draws_and_says_why_it_cannot(random_gaussians):
-    rehearsals = Rehearsals()
-    rehearsal = rehearsal_of("quads", random_gaussians(9), CAMERA, SETTINGS, edits=None)
-    rehearsals.ask(
-        ["wrong"], "nothing", lambda: replace(rehearsal, renderer="cpu", mode="splats", camera=None)
-    )  # pyright: ignore
-    assert rehearsals.wait(["wrong"])
-    assert "AttributeError" in (rehearsals.take_problem() or "")
-    rehearsals.ask(["right"], "quads", lambda: rehearsal)
-    assert rehearsals.wait(["right"])
-    assert rehearsals.take_problem() is None
-    rehearsals.release()
+    precompiler = ShaderPrecompiler()
+    job = precompile_job("quads", random_gaussians(9), CAMERA, SETTINGS, edits=None)
+    precompiler.ask(["wrong"], "nothing", lambda: replace(job, renderer="cpu", mode="splats", camera=None))  # pyright: ignore
+    assert precompiler.wait(["wrong"])
+    assert "AttributeError" in (precompiler.take_problem() or "")
+    precompiler.ask(["right"], "quads", lambda: job)
+    assert precompiler.wait(["right"])
+    assert precompiler.take_problem() is None
+    precompiler.release()
 
 
 @pytest.mark.parametrize("name", ["quads", "tiles", "legacy"])
@@ -154,28 +152,28 @@ def test_general_programs_stand_in_until_the_others_are_compiled(ctx, random_gau
     if name != "legacy" and ctx.version_code < 430:
         pytest.skip("needs OpenGL 4.3")
     stage = Stage()
-    variants = StandingIn(ctx, stage.rehearsals)
-    renderer = make_renderer(ctx, name, variants) if name != "legacy" else LegacyQuadsRenderer(ctx, variants)
+    variants = FallbackShaders(ctx, stage.precompiler)
+    renderer = make_renderer(ctx, name, variants) if name != "legacy" else QuadsGL33Renderer(ctx, variants)
     variants.prepare(renderer)
     assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
-    scene, edits, overlay = random_gaussians(COUNT, seed=4), some_edits(), Overlay()
-    meanwhile = renderer.render(scene, CAMERA, SETTINGS, edits=edits, overlay=overlay)
-    variants.after_drawing(name, scene, CAMERA, SETTINGS, "splats", edits, overlay)
+    scene, edits, highlight = random_gaussians(COUNT, seed=4), some_edits(), Highlight()
+    meanwhile = renderer.render(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight)
+    variants.after_drawing(name, scene, CAMERA, SETTINGS, "splats", edits, highlight)
     assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
     turned = replace(CAMERA, fx=CAMERA.fx + 1)
-    renderer.render(scene, turned, SETTINGS, edits=edits, overlay=overlay)
+    renderer.render(scene, turned, SETTINGS, edits=edits, highlight=highlight)
     asked = [variants._key(variant) for variant in variants.take_waiting()]
     assert asked
     stage.finish(*asked)
-    renderer.render(scene, turned, RenderSettings(), edits=edits, overlay=overlay)
+    renderer.render(scene, turned, RenderSettings(), edits=edits, highlight=highlight)
     assert not variants.take_waiting()
-    specialised = renderer.render(scene, CAMERA, SETTINGS, edits=edits, overlay=overlay)
+    specialised = renderer.render(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight)
     assert any(not variant.general for variant in variants.made if "project" in variant.files[-1])
     np.testing.assert_allclose(specialised, meanwhile, atol=2e-6)
-    (rehearsal,) = stage.performed
-    assert rehearsal.variants
-    assert "hidden splats" in title_of(rehearsal.variants)
-    stage.rehearsals.release()
+    (job,) = stage.performed
+    assert job.variants
+    assert "hidden splats" in title_of(job.variants)
+    stage.precompiler.release()
     renderer.release()
 
 
@@ -184,13 +182,13 @@ def test_general_programs_stand_in_until_the_others_are_compiled(ctx, random_gau
 def test_a_rehearsal_needs_the_programs_of_the_picture_it_stands_for(ctx, random_gaussians, mode, edited):
     scene = random_gaussians(COUNT, sh_degree=2)
     settings = replace(SETTINGS, model=replace(SETTINGS.model, antialiased=True))
-    shown = {"edits": some_edits(), "overlay": Overlay()} if edited else {}
+    shown = {"edits": some_edits(), "overlay": Highlight()} if edited else {}
     made = []
-    rehearsal = rehearsal_of("quads", scene, CAMERA, settings, mode=mode, **shown)
-    small = {"edits": rehearsal.edits, "overlay": rehearsal.overlay}
+    job = precompile_job("quads", scene, CAMERA, settings, mode=mode, **shown)
+    small = {"edits": job.edits, "overlay": job.highlight}
     for gaussians, camera, options in (
         (scene, CAMERA, shown),
-        (rehearsal.gaussians, rehearsal.camera, small),
+        (job.gaussians, job.camera, small),
     ):
         variants = Variants(ctx)
         renderer = make_renderer(ctx, "quads", variants)
@@ -203,8 +201,8 @@ def test_a_rehearsal_needs_the_programs_of_the_picture_it_stands_for(ctx, random
 
 def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaussians):
     scene, stage = random_gaussians(COUNT, seed=6), Stage()
-    ahead = CpuAhead(stage.rehearsals)
-    shown = shown_edits(some_edits(), Overlay(), None)
+    ahead = CpuAhead(stage.precompiler)
+    shown = edit_snapshot(some_edits(), Highlight(), None)
     raster.render(scene, CAMERA, SETTINGS)  # compiled, or in the cache
     assert ahead.must_wait(scene, CAMERA, SETTINGS, None) is None
     assert ahead.must_wait(scene, CAMERA, SETTINGS, shown) is None
@@ -217,15 +215,15 @@ def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaus
     assert same is scene
     assert edits is not None
     np.testing.assert_allclose(raster.render(scene, CAMERA, SETTINGS, edits=edits), meanwhile, atol=1e-4)
-    (rehearsal,) = stage.performed
-    assert rehearsal.renderer == "cpu"
-    assert rehearsal.edits.in_force
-    stage.rehearsals.release()
+    (job,) = stage.performed
+    assert job.renderer == "cpu"
+    assert job.edits.in_force
+    stage.precompiler.release()
 
 
 def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     scene, stage = random_gaussians(COUNT), Stage()
-    ahead = CpuAhead(stage.rehearsals)
+    ahead = CpuAhead(stage.precompiler)
     discs = replace(SETTINGS, model=replace(SETTINGS.model, footprint="disc"))
     raster.render(scene, CAMERA, SETTINGS)
     kind = ahead.must_wait(scene, CAMERA, discs, None)
@@ -235,12 +233,12 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     stage.finish()
     assert ahead.wait(kind)
     assert ahead.must_wait(scene, CAMERA, discs, None) is None
-    stage.rehearsals.release()
+    stage.precompiler.release()
 
 
 def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
     stage, ready = Stage(), threading.Event()
-    picture = CpuPicture(ctx, on_ready=ready.set, rehearsals=stage.rehearsals)
+    picture = CpuPicture(ctx, on_ready=ready.set, precompiler=stage.precompiler)
     for _ in picture.load_steps(random_gaussians(COUNT, seed=5)):
         pass
     picture.draw(CAMERA, SETTINGS, "points")
@@ -252,5 +250,5 @@ def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
     assert not picture.busy
     assert picture.texture.size == (CAMERA.width, CAMERA.height)
     assert picture.read(CAMERA, SETTINGS, "points").std() > 0.01
-    stage.rehearsals.release()
+    stage.precompiler.release()
     picture.release()

@@ -17,7 +17,7 @@ from splatview.renderers.gl.project import QUADS_PER_INSTANCE
 from splatview.renderers.gl.quads_gl33 import NO_ORDERS
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE
 from splatview.renderers.gl.tiles import BLOCK, HARDWARE, SOFTWARE
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene.edits import IDENTITY, Crop
 
 Variant = tuple[str, dict[str, float | bool]]
@@ -36,7 +36,7 @@ def edited() -> Iterator[Editing]:
             hides=hides,
             palette=(IDENTITY,) if adjusts else None,
             crops=(Crop(),) if crops else (),
-            overlay=Overlay() if tints else None,
+            highlight=Highlight() if tints else None,
         )
 
 
@@ -65,8 +65,8 @@ def drawing(folder: str) -> Iterator[Variant]:
     orders = [NO_ORDERS]
     if folder == "quads":
         orders = [{"STOCHASTIC": a, "WEIGHTED": b} for a, b in ((False, False), (True, False), (False, True))]
-    for mode, overlay, order in itertools.product(MODE_FLAGS, (None, Overlay()), orders):
-        edits = Editing(overlay=overlay).flags(projects=False, shows="splats")
+    for mode, highlight, order in itertools.product(MODE_FLAGS, (None, Highlight()), orders):
+        edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
         flags = {**GEOMETRY, **MODE_FLAGS[mode], **edits, **order}
         yield f"{folder}/draw.vert.glsl", flags
         yield "quads/draw.frag.glsl", flags
@@ -84,9 +84,9 @@ def tiles() -> Iterator[Variant]:
         pairs = {"WORKGROUP": tuning.pairs.workgroup, "RUN": BLOCK // tuning.pairs.workgroup, "BLOCK": BLOCK}
         for name in ("count", "emit", "plan", "scan"):
             yield f"tiles/{name}.comp.glsl", {**pairs, "TILE": tuning.tile, "ROUNDS": 16}
-        for rest, overlay in itertools.product((False, True), (None, Overlay())):
+        for rest, highlight in itertools.product((False, True), (None, Highlight())):
             own = {"WORKGROUP": tuning.workgroup, "BATCH": tuning.batch, "TILE": tuning.tile, "ROUNDS": 16}
-            edits = Editing(overlay=overlay).flags(projects=False, shows="splats")
+            edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
             yield "tiles/blend.comp.glsl", {**own, "REST": rest, **edits}
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from splatview.measure.metrics import largest_error, psnr
 from splatview.renderers.cpu_async import CpuTexture
-from splatview.renderers.edit_snapshot import shown_edits, tinted
+from splatview.renderers.edit_snapshot import edit_snapshot, tinted
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at, reference
 from splatview.scene.edits import (
     DELETED,
@@ -57,11 +57,11 @@ def some_edits(count: int) -> SceneEdits:
 def test_tints_as_adjustments_give_the_picture_of_the_shaders(ctx: moderngl.Context, random_gaussians: Make):
     if ctx.version_code < 430:
         pytest.skip("needs OpenGL 4.3")
-    scene, edits, overlay = bright(random_gaussians(300)), some_edits(300), Overlay()
+    scene, edits, highlight = bright(random_gaussians(300)), some_edits(300), Highlight()
     renderer = QuadsRenderer(ctx)
-    lit = renderer.render(scene, CAMERA, FLOAT32, edits=edits, overlay=overlay)
+    lit = renderer.render(scene, CAMERA, FLOAT32, edits=edits, highlight=highlight)
     renderer.release()
-    truth = reference.render(bake(scene, tinted(edits, overlay)), CAMERA, FLOAT32)
+    truth = reference.render(bake(scene, tinted(edits, highlight)), CAMERA, FLOAT32)
     assert psnr(lit, truth) >= 80
     assert largest_error(lit, reference.render(bake(scene, edits), CAMERA, FLOAT32)) > 0.2
 
@@ -69,7 +69,7 @@ def test_tints_as_adjustments_give_the_picture_of_the_shaders(ctx: moderngl.Cont
 def test_tinting_leaves_the_edits_alone():
     edits = some_edits(100)
     before = edits.marks.copy()
-    result = tinted(edits, Overlay(locked=(0, 0, 1, 0)))
+    result = tinted(edits, Highlight(locked=(0, 0, 1, 0)))
     assert np.array_equal(edits.marks, before)
     assert np.array_equal(result.marks & 255, before & 255)
     plain = (before & (SELECTED | PREVIEW)) == 0
@@ -79,20 +79,20 @@ def test_tinting_leaves_the_edits_alone():
     assert result.palette[:2] == edits.palette
     for marks in (np.zeros(0, np.uint32), np.full(5, DELETED, np.uint32)):
         nothing = SceneEdits(marks=marks, flags=31)
-        assert tinted(nothing, Overlay()) is nothing
+        assert tinted(nothing, Highlight()) is nothing
 
 
 def test_what_shows_is_one_object_until_it_changes():
     marks = np.zeros(10, np.uint32)
-    edits, overlay = SceneEdits(marks=marks, flags=SELECTED), Overlay()
-    assert shown_edits(None, overlay, None) is None
-    assert shown_edits(edits, None, None) is None, "a selection without an overlay is not to be seen"
-    assert shown_edits(edits, Overlay(selected=(1, 0, 0, 0)), None) is None
-    first = shown_edits(edits, overlay, None)
+    edits, highlight = SceneEdits(marks=marks, flags=SELECTED), Highlight()
+    assert edit_snapshot(None, highlight, None) is None
+    assert edit_snapshot(edits, None, None) is None, "a selection without an overlay is not to be seen"
+    assert edit_snapshot(edits, Highlight(selected=(1, 0, 0, 0)), None) is None
+    first = edit_snapshot(edits, highlight, None)
     assert first is not None
     marks[3] = SELECTED
     assert first.kept.marks[3] == 0
-    assert shown_edits(replace(edits), Overlay(), first) is first
+    assert edit_snapshot(replace(edits), Highlight(), first) is first
     newer = (
         replace(edits, marks_version=1),
         replace(edits, marks=marks.copy()),
@@ -101,35 +101,35 @@ def test_what_shows_is_one_object_until_it_changes():
         replace(edits, flags=SELECTED | DELETED),
     )
     for changed in newer:
-        second = shown_edits(changed, overlay, first)
+        second = edit_snapshot(changed, highlight, first)
         assert second is not None
         assert second is not first
         assert second.kept.marks[3] == SELECTED
-    assert shown_edits(replace(edits, crops=(Crop(enabled=False),)), overlay, first) is first
-    assert shown_edits(edits, Overlay(selected=(1, 0, 0, 1)), first) is not first
+    assert edit_snapshot(replace(edits, crops=(Crop(enabled=False),)), highlight, first) is first
+    assert edit_snapshot(edits, Highlight(selected=(1, 0, 0, 1)), first) is not first
 
 
 def test_the_cpu_s_pictures_show_edits(ctx: moderngl.Context, random_gaussians: Make):
-    scene, edits, overlay = random_gaussians(300), some_edits(300), Overlay()
+    scene, edits, highlight = random_gaussians(300), some_edits(300), Highlight()
     texture = CpuTexture(ctx)
     try:
         texture.load(scene)
-        for lit in (None, overlay):
+        for lit in (None, highlight):
             drawn = edits if lit is None else tinted(edits, lit)
             truth = reference.render(bake(scene, drawn), CAMERA, FLOAT32)
-            assert psnr(texture.read(CAMERA, FLOAT32, edits=edits, overlay=lit), truth) >= 80
+            assert psnr(texture.read(CAMERA, FLOAT32, edits=edits, highlight=lit), truth) >= 80
             for _ in range(2):  # the second time, edits have changed before an eye at rest
                 edits.marks[:] = np.roll(edits.marks, 7)
                 edits = replace(edits, marks_version=edits.marks_version + 1)
-                texture.draw(CAMERA, FLOAT32, edits=edits, overlay=lit)
+                texture.draw(CAMERA, FLOAT32, edits=edits, highlight=lit)
                 while texture.busy:
                     texture.wait(1.0)
-                    texture.draw(CAMERA, FLOAT32, edits=edits, overlay=lit)
+                    texture.draw(CAMERA, FLOAT32, edits=edits, highlight=lit)
                 shown = np.frombuffer(texture.texture.read(), np.float32).reshape(truth.shape)
                 drawn = edits if lit is None else tinted(edits, lit)
                 assert psnr(shown, reference.render(bake(scene, drawn), CAMERA, FLOAT32)) >= 80
         drawings = texture.stats.drawn
-        texture.draw(CAMERA, FLOAT32, edits=replace(edits), overlay=Overlay())
+        texture.draw(CAMERA, FLOAT32, edits=replace(edits), highlight=Highlight())
         assert not texture.busy
         assert texture.stats.drawn == drawings
     finally:

@@ -13,7 +13,7 @@ from splatview.measure.metrics import largest_error, psnr
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import HARDWARE, LEAST_PAIRS, SOFTWARE, TilesRenderer, TileTuning
-from splatview.renderers.types import Overlay
+from splatview.renderers.types import Highlight
 from splatview.scene import TEXTBOOK, Camera, Gaussians, ImageModel, InputError, RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, PREVIEW, SELECTED, SceneEdits, bake
 from splatview.scene.reference import render as render_reference
@@ -252,7 +252,7 @@ def test_edits_and_tints(any_renderer, random_gaussians: Make, kind):
     flag = HIDDEN if kind == "hidden" else SELECTED
     marks = np.where(np.arange(400) % 3 == 0, flag, 0).astype(np.uint32)
     edits = SceneEdits(marks=marks, flags=HIDDEN | SELECTED | PREVIEW)
-    image = any_renderer.render(scene, camera, EXACT, edits=edits, overlay=Overlay())
+    image = any_renderer.render(scene, camera, EXACT, edits=edits, highlight=Highlight())
     plain = any_renderer.render(scene, camera, EXACT)
     if kind == "hidden":
         assert largest_error(image, render_reference(bake(scene, edits), camera, EXACT)) <= 0.5 / 255
@@ -260,7 +260,7 @@ def test_edits_and_tints(any_renderer, random_gaussians: Make, kind):
         assert np.allclose(image[..., 3], plain[..., 3], atol=1e-6)
         quads = QuadsRenderer(any_renderer._ctx)
         wide = replace(EXACT, blend="float32")
-        lit = quads.render(scene, camera, wide, edits=edits, overlay=Overlay())
+        lit = quads.render(scene, camera, wide, edits=edits, highlight=Highlight())
         quads.release()
         assert largest_error(image, lit) <= 0.5 / 255
     assert largest_error(image, plain) > 0.1

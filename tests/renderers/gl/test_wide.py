@@ -14,7 +14,7 @@ import pytest
 from splatview import raster
 from splatview.measure.metrics import psnr
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.gl.quads_gl33 import LegacyQuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, placement_of, upload_steps
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.scene import Camera, Gaussians, RenderSettings, concatenate, look_at
@@ -51,7 +51,7 @@ def render(request: pytest.FixtureRequest) -> Iterator[Render]:
     if request.param in ("cpu", "reference"):
         yield {"cpu": raster.render, "reference": render_reference}[request.param]
         return
-    made = {"quads": QuadsRenderer, "tiles": TilesRenderer, "legacy": LegacyQuadsRenderer}
+    made = {"quads": QuadsRenderer, "tiles": TilesRenderer, "legacy": QuadsGL33Renderer}
     renderer = made[request.param](request.getfixturevalue("ctx"))
     yield renderer.render
     renderer.release()
@@ -110,7 +110,7 @@ def test_other_scenes_pay_nothing(ctx, random_gaussians):
         assert buffers.pages[0].positions.size == 300 * row
         assert buffers.flags()["WIDE"] is (row == 24)
         buffers.release()
-    renderer = LegacyQuadsRenderer(ctx)
+    renderer = QuadsGL33Renderer(ctx)
     renderer.load(random_gaussians(300))
     assert renderer._scene is not None and renderer._scene.rests is None
     renderer.release()
