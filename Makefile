@@ -34,15 +34,18 @@ format: $(VENV)/.dev-installed
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-# The tables in README.md, ACCURACY.md and SPEED.md, from the JSON in assets/benchmarks.
+# What is generated in README.md, docs/ and NOTICE: figures from the JSON in assets/benchmarks, the reference
+# of recipes from the operations, licences from the packages' metadata.
 tables: $(VENV)/.dev-installed
-	@$(BIN)/python tools/benchmark_docs.py README.md ACCURACY.md SPEED.md
+	@$(BIN)/python tools/benchmark_docs.py README.md docs/*.md
+	@$(BIN)/python tools/recipe_docs.py
+	@$(BIN)/python tools/licences.py
 
 # An hour of a user at random, in real windows; logs in soak/, the report in assets/benchmarks/soak.json.
 soak: $(VENV)/.dev-installed | system-test
 	@$(BIN)/python tools/soak/soak.py --minutes $(MINUTES)
 
-# The README's pictures, by the program itself.
+# The pictures of README.md and docs/, by the program itself.
 pictures: $(VENV)/.dev-installed | system-test
 	@$(BIN)/python tools/readme/readme_pictures.py
 

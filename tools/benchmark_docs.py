@@ -1,9 +1,16 @@
-"""Tables of the pages, from the JSON of benchmarks in assets/benchmarks and from the program's own knobs.
+"""Figures in README.md and docs/ come from JSON in assets/benchmarks, and from nowhere else.
 
 A benchmark writes its raw results with `splatview.measure.machine.write_results`, and among them a ``table``:
 ``{"columns": [...], "rows": [[...], ...], "note": "..."}``. A Markdown file holds it between
-``<!-- table: NAME -->`` and ``<!-- end of table -->``, NAME being the JSON's file name without its suffix (or
-``knobs``); ``python tools/benchmark_docs.py README.md`` writes them anew, ``--check`` only compares.
+``<!-- table: NAME -->`` and ``<!-- end of table -->``, NAME being the JSON's file name without its
+suffix (or ``knobs``). A part of a table is named by lines in the marker::
+
+    <!-- table: NAME
+    columns: shortcut; PSNR, dB
+    rows: defaults; `--keep 50`
+    -->
+
+``python tools/benchmark_docs.py README.md`` writes the tables anew, ``--check`` only compares.
 """
 
 from __future__ import annotations
@@ -22,7 +29,10 @@ from splatview.measure.machine import FOLDER
 KNOBS_SECTION = "knobs"
 """The table that comes from the program's own knobs instead of from a file."""
 
-SECTION = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+SECTION = re.compile(
+    r"(<!-- table: ([\w-]+)(?:\ncolumns: ([^\n]*))?(?:\nrows: ([^\n]*))?\s-->\n).*?(<!-- end of table -->)",
+    re.DOTALL,
+)
 
 LADDER_COLUMNS = (
     "shortcut",
@@ -116,12 +126,40 @@ def fill(text: str, folder: Path) -> str:
     """`text` with every table section made anew from the JSON files in `folder`."""
 
     def section(match: re.Match[str]) -> str:
-        if match[2] == KNOBS_SECTION:
-            return f"{match[1]}{knobs_section()}\n{match[3]}"
-        results = json.loads((folder / f"{match[2]}.json").read_text(encoding="utf8"))
-        return f"{match[1]}{markdown_table(results)}\n{match[3]}"
+        start, name, columns, rows, end = match.groups()
+        if name == KNOBS_SECTION:
+            return f"{start}{knobs_section()}\n{end}"
+        results = json.loads((folder / f"{name}.json").read_text(encoding="utf8"))
+        if columns or rows:
+            results["table"] = part_of(results["table"], columns, rows)
+        return f"{start}{markdown_table(results)}\n{end}"
 
     return SECTION.sub(section, text)
+
+
+def part_of(table: Mapping[str, Any], columns: str | None, rows: str | None) -> dict[str, Any]:
+    """Some columns (by their headings) and rows (by their first cells) of a table, in the order given.
+
+    Names are separated by semicolons; of several that are equal the first is taken; None takes all. Of the
+    note only the first sentence is kept, which says what was measured.
+
+    Raises:
+        ValueError: the table has no such column or row.
+    """
+    first = [str(row[0]) for row in table["rows"]]
+    chosen = [table["rows"][first.index(name)] for name in rows.split("; ")] if rows else table["rows"]
+    at = [table["columns"].index(name) for name in (columns.split("; ") if columns else table["columns"])]
+    return {
+        "columns": [table["columns"][i] for i in at],
+        "rows": [[row[i] for i in at] for row in chosen],
+        "note": f"{table['note'].partition('. ')[0].rstrip('.')}.",
+    }
+
+
+def results_folder(page: Path) -> Path:
+    """The repository's `FOLDER`, from wherever in it the page lies."""
+    above = [parent / FOLDER for parent in page.resolve().parents]
+    return next((folder for folder in above if folder.is_dir()), above[0])
 
 
 def main(arguments: list[str]) -> int:
@@ -130,7 +168,7 @@ def main(arguments: list[str]) -> int:
     for name in (argument for argument in arguments if argument != "--check"):
         path = Path(name)
         text = path.read_text(encoding="utf8")
-        filled = fill(text, path.parent / FOLDER)
+        filled = fill(text, results_folder(path))
         if "--check" in arguments:
             stale |= filled != text
         else:

@@ -1,4 +1,4 @@
-"""RECIPES.md: the format of recipes with every operation, written from the classes themselves.
+"""The reference of recipes in docs/editing.md: every operation, written from the classes themselves.
 
 ``python tools/recipe_docs.py`` writes it anew; a test says when that is due.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import re
 import textwrap
 import types
 from dataclasses import MISSING, Field, fields
@@ -19,53 +20,16 @@ from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations import OPERATIONS
 from splatview.edit.operations.appearance import Grade
 from splatview.edit.operations.cleanup import REPAIRS
-from splatview.edit.recipe import FORMAT, VERSION
 from splatview.edit.selectors import ATTRIBUTES, SELECTORS
 from splatview.edit.selectors.region_growing import REACH
 from splatview.edit.serialization import to_json
 from splatview.scene import Camera
 from splatview.scene.edits import Crop
 
-PAGE = Path(__file__).parents[1] / "RECIPES.md"
+PAGE = Path(__file__).parents[1] / "docs" / "editing.md"
 
-EXAMPLE: tuple[dict[str, Any], ...] = (
-    {"op": "prune", "by": {"kind": "clusters"}, "threshold": 300.0},
-    {"op": "select", "by": {"kind": "sphere", "centre": [0, 1, 0], "radius": 0.5}},
-    {"op": "delete"},
-    {"op": "add_crop", "crop": {"name": "table", "half_extents": [2, 1, 2]}},
-    {"op": "orient", "up": [0, 0, 1]},
-)
-
-INTRODUCTION = """\
-# Recipes
-
-A recipe is what was done to a scene, as a JSON file that does it again: to the same file with the same
-result to the bit, or to another scene. The window saves the steps of its history (Ctrl+S) and replays files
-(Ctrl+R); without a window:
-
-```
-splatview edit SCENE --recipe RECIPE.json -o OUT.ply
-```
-
-One can also be written by hand:
-
-```json
-{example}
-```
-
-- `splatview_recipe` is the version of the format.
-- `scene` says which scene the recipe was made for: its `name`, `count` and `fingerprint`. Another one is
-  refused unless `--any-scene` is given. Left out, the recipe is for any scene.
-- `steps` are done in order, each an object with `op` and the fields of that operation. Fields that are left
-  out have the values given here; unknown ones are errors, which name the step. If a step cannot be done,
-  nothing is written.
-
-Lengths are world units, camera axes x right, y down, z forward; rotations are quaternions w, x, y, z of
-length 1; a camera is an object as in camera files. Relative paths start from the recipe's folder. A selected
-splat is never hidden, deleted or locked, and operations pass over deleted and locked splats.
-
-*This page is written by `python tools/recipe_docs.py`.*
-"""
+SECTION = re.compile(r"(<!-- reference of recipes -->\n).*?(<!-- end of the reference -->)", re.DOTALL)
+"""Of the page: what lies between the two markers is generated."""
 
 NAMES = {float: "number", int: "whole number", str: "text", bool: "true or false", type(None): "null"}
 """Of types, as people say them."""
@@ -83,28 +47,31 @@ IN_THE_SOURCE = {
 COUNTED = {2: "two", 3: "three", 4: "four"}
 
 
-def page() -> str:
-    """The page's text."""
-    steps = ",\n".join(f"    {json.dumps(step)}" for step in EXAMPLE)
-    text = f'{{\n  "{FORMAT}": {VERSION},\n  "steps": [\n{steps}\n  ]\n}}'
-    parts = [INTRODUCTION.replace("{example}", text), "## Operations\n"]
+def reference() -> str:
+    """Every operation, selector, detector, attribute and repair, as Markdown."""
+    parts = ["### Operations\n"]
     parts += [_section(f"`{name}`", cls.summary, cls) for name, cls in OPERATIONS.items()]
-    parts.append("## What `select` selects by\n\n`by` has a `kind` and the fields of that kind.\n")
+    parts.append("### What `select` selects by\n\n`by` has a `kind` and the fields of that kind.\n")
     parts += [_section(f"`{name}`", _first_line(cls), cls) for name, cls in SELECTORS.items()]
     parts.append(
-        "## What `prune` prunes by\n\n`by` has a `kind` and the fields of that kind; what scores above the"
+        "### What `prune` prunes by\n\n`by` has a `kind` and the fields of that kind; what scores above the"
         " step's `threshold` is deleted.\n"
     )
     for name, cls in DETECTORS.items():
         summary = f"{cls.what.rstrip('.')}. Scores in {cls.unit}; {cls.threshold:g} is a sensible threshold"
         parts.append(_section(f"`{name}`", summary, cls))
-    parts.append("## Attributes\n\nOf `range`.\n\n| name | unit | |\n|---|---|---|")
+    parts.append("### Attributes\n\nOf `range`.\n\n| name | unit | |\n|---|---|---|")
     parts += [f"| `{name}` | {one.unit} | {one.what} |" for name, one in ATTRIBUTES.items()]
-    parts.append("\n## Findings\n\nOf `repair`; `health` also selects what cannot be repaired.\n")
+    parts.append("\n### Findings\n\nOf `repair`; `health` also selects what cannot be repaired.\n")
     parts += [f"- `{name}`: {what}" for name, what in REPAIRS.items()]
-    parts.append("\n## Objects in fields\n")
+    parts.append("\n### Objects in fields\n")
     parts += [_section(f"`{cls.__name__}`", _first_line(cls), cls) for cls in (Crop, Grade)]
     return "\n".join(parts)
+
+
+def filled(page: str) -> str:
+    """The text of the page with the reference made anew."""
+    return SECTION.sub(lambda found: f"{found[1]}\n{reference()}\n{found[2]}", page)
 
 
 def _first_line(cls: type) -> str:
@@ -113,7 +80,7 @@ def _first_line(cls: type) -> str:
 
 def _section(title: str, summary: str, cls: type) -> str:
     ended = summary if summary.endswith(".") else f"{summary}."
-    lines = [f"### {title}", "", textwrap.fill(" ".join(ended.split()), 110), ""]
+    lines = [f"#### {title}", "", textwrap.fill(" ".join(ended.split()), 110), ""]
     hints = get_type_hints(cls)
     rows = [_row(cls, field, hints[field.name]) for field in fields(cls) if field.init]
     if rows:
@@ -182,4 +149,4 @@ def _notes(cls: type) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

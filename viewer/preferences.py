@@ -235,10 +235,7 @@ def load_bookmarks(scene: Path) -> list[Bookmark]:
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 found += [_bookmark(entry) for entry in json.loads(text)["bookmarks"]]
-        except (
-            *(ValueError, KeyError, TypeError, OverflowError, RecursionError),
-            np.linalg.LinAlgError,
-        ) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise InputError(f"{path}: not a bookmarks file ({error}); move it away to start anew") from None
     return found
 

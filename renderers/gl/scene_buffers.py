@@ -260,8 +260,8 @@ def upload_steps(
 ) -> Generator[float | SceneBuffers, None, None]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneBuffers`.
 
-    OcclusionPass the generator early releases what it had uploaded. `every_band`: see `stored_harmonics`. `limit`
-    is bytes a buffer may have.
+    Closing the generator early releases what it had uploaded. `every_band`: see `stored_harmonics`. `limit`
+    is the largest size of a buffer in bytes.
 
     Raises:
         InputError: there is not enough graphics memory.

@@ -7,6 +7,7 @@ OpenGL's axes (x right, y up, z backward). Keys of a frame win over those of the
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from plyfile import PlyData, PlyElement
 
 from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
@@ -205,7 +207,7 @@ def _optional(values: Mapping[str, Any], key: str, default: float, where: str) -
 
 POINTS = "sparse_pc.ply"
 
-_POINT = np.dtype([("position", "<f4", 3), ("colour", "u1", 3)])
+_POINT = np.dtype([(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
 
 
 def save_capture(
@@ -275,9 +277,9 @@ def _lens_values(lens: Lens | None, folder: Path) -> dict[str, object]:
 
 def _point_cloud(points: np.ndarray, colours: np.ndarray) -> bytes:
     """A binary .ply of (P, 3) positions and (P, 3) uint8 colours."""
-    names = [f"property float {name}" for name in "xyz"]
-    names += [f"property uchar {name}" for name in ("red", "green", "blue")]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *names, "end_header"]
     table = np.empty(len(points), _POINT)
-    table["position"], table["colour"] = points, colours
-    return ("\n".join(header) + "\n").encode() + table.tobytes()
+    for name, column in zip(_POINT.names or (), (*points.T, *colours.T), strict=True):
+        table[name] = column
+    file = io.BytesIO()
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(file)
+    return file.getvalue()

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from plyfile import PlyData, PlyElement, PlyProperty
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import Watch, atomic_write
 from splatview.scene.formats.ply_body import Target, check_size, read_rows
-from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, TYPES, Element, Header, read_header
+from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, Header, read_header, scalar_types
 from splatview.scene.formats.point_cloud import read_point_cloud
 from splatview.scene.gaussians import Gaussians
 
@@ -61,13 +62,13 @@ def refuse_other_format(file: BinaryIO, path: Path) -> None:
 
 def refuse_other_ply(header: Header, path: Path) -> None:
     """Raises InputError where the header is that of a mesh or of a compressed scene."""
-    vertex = header.element("vertex")
+    vertex = header.elements.get("vertex")
     names = {prop.name for prop in vertex.properties} if vertex else set()
     if "packed_position" in names:
         raise InputError(f"{path}: a compressed .ply is not supported yet; {CONVERT}")
     if "opacity" in names or "f_dc_0" in names:
         return
-    for element in header.elements:
+    for element in header.elements.values():
         if element.name in ("face", "tristrips") and element.count > 0:
             raise InputError(
                 f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample "
@@ -132,68 +133,54 @@ def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
         raise InputError(f"{path}: is empty")
     refuse_other_format(file, path)
     header = read_header(file, path)
-    vertex = header.element("vertex")
+    vertex = header.elements.get("vertex")
     refuse_other_ply(header, path)
     if vertex is None:
         raise InputError(f"{path}: has no element vertex, so no splats")
-    _check_names(vertex, path)
-    if not any(name.startswith(("f_dc_", "f_rest_", "opacity", "scale_", "rot_")) for name in _names(vertex)):
+    splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
+    if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
         return read_point_cloud(file, file_bytes, header, vertex, path, watch)
     return _read_splats(file, file_bytes, header, vertex, path, watch)
 
 
-def _names(vertex: Element) -> list[str]:
-    return [prop.name for prop in vertex.scalars]
-
-
-def _check_names(vertex: Element, path: Path) -> None:
-    names = [prop.name for prop in vertex.properties]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{path}: the header has property {twice!a} twice; the file is damaged")
-
-
 def _read_splats(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: Element, path: Path, watch: Watch
+    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
 ) -> Gaussians:
-    column = {name: i for i, name in enumerate(_names(vertex))}
-    rest = [name for name in column if name.startswith("f_rest_")]
+    types = scalar_types(vertex)
+    rest = [name for name in types if name.startswith("f_rest_")]
     coefficients = REST_COUNTS.get(len(rest))
     rest_names = [f"f_rest_{i}" for i in range(len(rest))]
-    missing = [name for name in REQUIRED if name not in column]
+    missing = [name for name in REQUIRED if name not in types]
     for name in missing:
-        if any(prop.name == name for prop in vertex.properties):
+        if name in vertex:
             raise InputError(f"{path}: {name} is a list, not a number a splat; export the scene again")
     if missing:
         raise InputError(f"{path}: the splats have no {', '.join(missing)}; export the scene again with them")
-    if coefficients is None or not set(rest_names) <= set(column):
+    if coefficients is None or not set(rest_names) <= set(types):
         raise InputError(
             f"{path}: {len(rest)} properties f_rest_* make no whole SH bands; degrees 0 to 3 have 0, 9, 24 "
             "and 45, numbered from f_rest_0; export the scene again"
         )
-    scale_names = ("scale_0", "scale_1", "scale_2" if "scale_2" in column else "scale_1")
+    scale_names = ("scale_0", "scale_1", "scale_2" if "scale_2" in types else "scale_1")
     per_channel = coefficients - 1
     sh_names = [f"f_dc_{c}" for c in range(3)]
     sh_names += [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
     used = [*POSITION, *sh_names, *scale_names, "opacity", *(f"rot_{i}" for i in range(4))]
     for name in used:
-        dtype = vertex.scalars[column[name]].dtype
-        if dtype.kind != "f":
-            raise InputError(f"{path}: {name} is {dtype.name}, but must be a float; export the scene again")
+        if types[name].kind != "f":
+            raise InputError(
+                f"{path}: {name} is {types[name].name}, but must be a float; export the scene again"
+            )
     check_size(header, vertex, file_bytes, path)
 
     n = vertex.count
-    precise = any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in POSITION)
+    precise = any(types[name].itemsize == 8 for name in POSITION)
     means = np.empty((n, 3), dtype=np.float64 if precise else np.float32)
     quats = np.empty((n, 4), dtype=np.float32)
     log_scales = np.empty((n, 3), dtype=np.float32)
     opacity_logits = np.empty(n, dtype=np.float32)
     sh = np.empty((n, coefficients, 3), dtype=np.float32)
-    extras = {
-        name: np.empty(n, dtype=vertex.scalars[i].dtype.newbyteorder("="))
-        for name, i in column.items()
-        if name not in used
-    }
+    extras = {name: np.empty(n, dtype) for name, dtype in types.items() if name not in used}
     named: list[tuple[list[str], np.ndarray]] = [
         (list(POSITION), means),
         (sh_names, sh),
@@ -202,13 +189,13 @@ def _read_splats(
         ([f"rot_{i}" for i in range(4)], quats),
         *(([name], values) for name, values in extras.items()),
     ]
-    targets = [Target(columns=[column[name] for name in names], array=array) for names, array in named]
+    targets = [Target(names=names, array=array) for names, array in named]
     read_rows(file, file_bytes, header, vertex, targets, path, watch)
 
     comments = header.comments
-    if any(vertex.scalars[column[name]].dtype.itemsize == 8 for name in used if name not in POSITION):
+    if any(types[name].itemsize == 8 for name in used if name not in POSITION):
         comments += ("splatview: the file's doubles were rounded to float32, but for positions",)
-    if "scale_2" not in column:
+    if "scale_2" not in types:
         log_scales[:, 2] = log_scales[:, :2].min(axis=1) - np.float32(math.log(FLAT_RATIO))
         comments += (
             FLAT_TAG,
@@ -238,13 +225,6 @@ def _has_bits(values: np.ndarray) -> bool:
 
 CHUNK_BYTES = 1 << 20
 """Put together at once; no second copy of the scene is made."""
-
-PLY_NAMES = {
-    TYPES[name]: name for name in ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
-}
-"""numpy's type codes to the names that the oldest readers know."""
-
-NORMALS = ("nx", "ny", "nz")
 
 
 def save_ply(gaussians: Gaussians, path: Path) -> None:
@@ -279,7 +259,7 @@ def _columns(gaussians: Gaussians, path: Path) -> dict[str, np.ndarray]:
     zeros = np.broadcast_to(np.float32(0), (len(gaussians),))
     extras = dict(gaussians.extras)
     columns = {name: gaussians.means[:, i] for i, name in enumerate("xyz")}
-    columns |= {name: extras.pop(name, zeros) for name in NORMALS}
+    columns |= {name: extras.pop(name, zeros) for name in NORMAL}
     columns |= {f"f_dc_{c}": gaussians.sh[:, 0, c] for c in range(3)}
     rest = gaussians.sh[:, 1:].shape[1]
     columns |= {f"f_rest_{c * rest + k}": gaussians.sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
@@ -297,23 +277,21 @@ def _columns(gaussians: Gaussians, path: Path) -> dict[str, np.ndarray]:
             )
         columns[name] = values
     for name, values in columns.items():
-        if values.dtype.str[1:] not in PLY_NAMES:
+        try:
+            PlyProperty(name, values.dtype.str[1:])
+        except ValueError:
             raise InputError(
                 f"{path}: cannot be written: .ply has no type {values.dtype} (property {name}); "
                 "give it as float32, float64 or an integer of at most 32 bits"
-            )
+            ) from None
     return columns
 
 
 def _header(gaussians: Gaussians, dtype: np.dtype) -> str:
-    lines = ["ply", "format binary_little_endian 1.0"]
-    for comment in gaussians.comments:
-        # A comment may not bring in header lines of its own.
-        for line in re.split(r"[\r\n]+", comment):
-            if line.startswith(OBJ_INFO):
-                lines.append(line)
-            else:
-                lines.append(f"comment {line}".rstrip())
-    lines.append(f"element vertex {len(gaussians)}")
-    lines += [f"property {PLY_NAMES[dtype[name].str[1:]]} {name}" for name in dtype.names or ()]
-    return "\n".join([*lines, "end_header", ""])
+    properties = [PlyProperty(name, dtype[name].str[1:]) for name in dtype.names or ()]
+    vertex = PlyElement("vertex", properties, len(gaussians))
+    # plyfile takes comments of ASCII only. A comment may not bring in header lines of its own.
+    lines = [line for comment in gaussians.comments for line in re.split(r"[\r\n]+", comment)]
+    lines = [line if line.startswith(OBJ_INFO) else f"comment {line}".rstrip() for line in lines]
+    magic, form, *declarations = PlyData([vertex], byte_order="<").header.split("\n")
+    return "\n".join([magic, form, *lines, *declarations, ""])

@@ -1,25 +1,26 @@
-"""Columns of a .ply element into arrays, in pieces, so that no second copy of the file is ever held."""
+"""Columns of a .ply element into arrays, in pieces, so that no second copy of the file is ever held.
+
+plyfile reads rows with lists, piece by piece. Rows without lists are read by numpy: plyfile makes a Python
+object of every value, or maps the file, and a mapped file that another program cuts short kills the process
+(SIGBUS).
+"""
 
 from __future__ import annotations
 
 import io
 import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
+from plyfile import PlyElement, PlyListProperty, PlyParseError, PlyProperty
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import Watch, excerpt
-from splatview.scene.formats.ply_header import Element, Header
-
-# ---- Rows of a .ply body in pieces of bounded size, binary or ascii, with list properties left out.
-#
-# The file is read with plain `readinto` rather than mapped: a mapped file that another program cuts
-# short kills the process (SIGBUS), and 500,000 splats take the same time either way (34 and 35 ms, medians of
-# 15 in turn).
-
+from splatview.scene.formats.ply_header import Header, scalar_types
 
 CHUNK_BYTES = 1 << 20
 """Read at once: small enough for a second-level cache and for a cancel within milliseconds."""
@@ -30,170 +31,33 @@ MAX_LINE_BYTES = 1 << 22
 TEXT_CHUNK_BYTES = 1 << 18
 """Parsed at once: text takes ten times as long as binary."""
 
-WALK_ROWS = 4096
-"""Rows with lists taken at once."""
-
-
-class BinaryRows:
-    """Walks a binary body from where `file` stands."""
-
-    def __init__(self, file: io.BufferedReader, file_bytes: int, path: object, watch: Watch) -> None:
-        self._file, self._file_bytes, self._path, self._watch = file, file_bytes, path, watch
-
-    def skip(self, element: Element) -> None:
-        """Goes behind all rows of `element`."""
-        if not element.has_lists:
-            self._file.seek(element.count * element.min_row_bytes, io.SEEK_CUR)
-            return
-        for _ in self._walk(element):
-            pass
-
-    def blocks(self, element: Element) -> Iterator[np.ndarray]:
-        """(rows, bytes of the scalars) uint8 pieces of `element`; each is overwritten by the next."""
-        if element.has_lists:
-            yield from self._walk(element)
-            return
-        row_bytes = element.min_row_bytes
-        chunk = max(1, min(CHUNK_BYTES // row_bytes, element.count))
-        buffer = np.empty((chunk, row_bytes), dtype=np.uint8)
-        for start in range(0, element.count, chunk):
-            block = buffer[: min(chunk, element.count - start)]
-            if self._file.readinto(block.reshape(-1).data) < block.size:
-                raise self._ended(element)
-            yield block
-
-    def _walk(self, element: Element) -> Iterator[np.ndarray]:
-        """`blocks` of an element whose rows are of different lengths: one by one."""
-        for start in range(0, element.count, WALK_ROWS):
-            rows = min(WALK_ROWS, element.count - start)
-            packed = b"".join(self._row(element) for _ in range(rows))
-            # Who skips has no progress to tell, but must hear a cancel.
-            self._watch.check()
-            yield np.frombuffer(packed, dtype=np.uint8).reshape(rows, -1).copy()
-
-    def _row(self, element: Element) -> bytes:
-        """The scalars of the next row."""
-        scalars = []
-        for prop in element.properties:
-            raw = self._read(prop.min_bytes, element)
-            if prop.count_dtype is None:
-                scalars.append(raw)
-                continue
-            items = int(np.frombuffer(raw, dtype=prop.count_dtype)[0])
-            if not 0 <= items * prop.dtype.itemsize <= self._file_bytes:
-                raise InputError(
-                    f"{self._path}: a list {excerpt(prop.name)} claims {items:,} items, more than the file "
-                    "holds; the file is damaged"
-                )
-            self._read(items * prop.dtype.itemsize, element)
-        return b"".join(scalars)
-
-    def _read(self, size: int, element: Element) -> bytes:
-        raw = self._file.read(size)
-        if len(raw) < size:
-            raise self._ended(element)
-        return raw
-
-    def _ended(self, element: Element) -> InputError:
-        return InputError(
-            f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its "
-            "header promises; it is truncated, or was cut while it was read"
-        )
-
-
-class AsciiRows:
-    """Walks an ascii body from where `file` stands: a row a line, blank lines left out."""
-
-    def __init__(self, file: io.BufferedReader, file_bytes: int, path: object, watch: Watch) -> None:
-        self._file, self._path, self._watch = file, path, watch
-
-    def skip(self, element: Element) -> None:
-        """Goes behind all rows of `element`."""
-        # A row without a value is an empty line, and those do not count.
-        for start in range(0, element.count if element.properties else 0, WALK_ROWS):
-            self._lines(element, min(WALK_ROWS, element.count - start))
-            self._watch.check()
-
-    def blocks(self, element: Element) -> Iterator[np.ndarray]:
-        """(rows, scalars) float64 pieces of `element`."""
-        columns = len(element.scalars)
-        # Some 12 characters a value.
-        chunk = max(1, TEXT_CHUNK_BYTES // (12 * len(element.properties)))
-        for start in range(0, element.count, chunk):
-            lines = self._lines(element, min(chunk, element.count - start))
-            if element.has_lists:
-                lines = [self._without_lists(element, line) for line in lines]
-            try:
-                block = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
-            except ValueError:
-                block = np.empty((0, 0))
-            if block.shape != (len(lines), columns):
-                raise InputError(
-                    f"{self._path}: rows {start:,} to {start + len(lines) - 1:,} of {element.name} are not "
-                    f"{columns} numbers each; the file is damaged"
-                )
-            yield block
-
-    def _lines(self, element: Element, count: int) -> list[str]:
-        lines, blank = [], 0
-        while len(lines) < count:
-            line = self._file.readline(MAX_LINE_BYTES)
-            if not line:
-                raise InputError(
-                    f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that "
-                    "its header promises; it is truncated"
-                )
-            if len(line) == MAX_LINE_BYTES:
-                raise InputError(f"{self._path}: a line of {element.name} is endless; the file is damaged")
-            if line.strip():
-                lines.append(line.decode("latin-1"))
-                continue
-            blank += 1
-            if blank % WALK_ROWS == 0:
-                self._watch.check()
-        return lines
-
-    def _without_lists(self, element: Element, line: str) -> str:
-        words = iter(line.split())
-        try:
-            scalars = []
-            for prop in element.properties:
-                if prop.count_dtype is None:
-                    scalars.append(next(words))
-                else:
-                    for _ in range(int(next(words))):
-                        next(words)
-        except (StopIteration, ValueError):
-            raise InputError(
-                f"{self._path}: a row of {element.name} is {excerpt(line.strip())}, not what its header "
-                "promises; the file is damaged"
-            ) from None
-        return " ".join(scalars)
+WALK = 4096
+"""Values of rows with lists, and lines of text, between two questions whether to go on."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Target:
     """Columns of an element that belong in one array."""
 
-    columns: Sequence[int]
-    """Which of the element's scalar properties; as many as a row of `array` has values."""
+    names: Sequence[str]
+    """Scalar properties of the element; as many as a row of `array` has values."""
     array: np.ndarray
     """(N, ...) C-contiguous, in the machine's byte order; values are cast to its dtype."""
 
     def rows(self, start: int, stop: int) -> np.ndarray:
-        """(stop - start, columns): a view to write to."""
-        return self.array[start:stop].reshape(stop - start, len(self.columns))
+        """(stop - start, names): a view to write to."""
+        return self.array[start:stop].reshape(stop - start, len(self.names))
 
 
-def check_size(header: Header, element: Element, file_bytes: int, path: object) -> None:
+def check_size(header: Header, element: PlyElement, file_bytes: int, path: object) -> None:
     """Raises InputError where a file is shorter than its header says, or larger than memory.
 
     To be called before memory is taken.
     """
     left = file_bytes - header.body_offset
-    for earlier in header.elements:
+    for earlier in header.elements.values():
         # In ascii every value has at least one digit and the blank or line end behind it (the last may not).
-        row_bytes = 2 * len(earlier.properties) if header.is_ascii else earlier.min_row_bytes
+        row_bytes = 2 * len(earlier.properties) if header.is_ascii else _min_row_bytes(earlier)
         if earlier.count * row_bytes > left + header.is_ascii:
             raise InputError(
                 f"{path}: the header promises {earlier.count:,} rows of {earlier.name}, but the file holds "
@@ -204,12 +68,20 @@ def check_size(header: Header, element: Element, file_bytes: int, path: object) 
         left -= earlier.count * row_bytes
 
     # Files can be larger than memory, on purpose (sparse ones) or not.
-    needed = element.count * sum(prop.dtype.itemsize for prop in element.scalars)
+    needed = element.count * sum(dtype.itemsize for dtype in scalar_types(element).values())
     if needed > physical_memory():
         raise InputError(
             f"{path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and this "
             f"machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
         )
+
+
+def _min_row_bytes(element: PlyElement) -> int:
+    """Bytes of a binary row; where it has lists, of a row whose lists are empty."""
+    return sum(
+        np.dtype(prop.len_dtype if isinstance(prop, PlyListProperty) else prop.val_dtype).itemsize
+        for prop in element.properties
+    )
 
 
 def physical_memory() -> float:
@@ -224,7 +96,7 @@ def read_rows(
     file: io.BufferedReader,
     file_bytes: int,
     header: Header,
-    element: Element,
+    element: PlyElement,
     targets: Sequence[Target],
     path: object,
     watch: Watch,
@@ -235,63 +107,147 @@ def read_rows(
         InputError: the file ends too early, or a row is not what the header says.
         LoadCancelled: see `Watch`.
     """
-    source = (AsciiRows if header.is_ascii else BinaryRows)(file, file_bytes, path, watch)
-    for earlier in header.elements:
+    body = _Body(file, file_bytes, header, path, watch)
+    for earlier in header.elements.values():
         if earlier is element:
             break
-        source.skip(earlier)
+        body.skip(earlier)
     start = 0
-    for block in source.blocks(element):
+    for block in body.blocks(element):
         stop = start + len(block)
-        if header.is_ascii:
-            _cast(block, element, targets, start, stop, path)
-        else:
-            _unpack(block, element, targets, start, stop)
+        _unpack(block, targets, start, stop, path)
         start = stop
         watch.step(start / element.count)
 
 
-def _unpack(block: np.ndarray, element: Element, targets: Sequence[Target], start: int, stop: int) -> None:
-    """Rows of every target from `block` (rows, bytes) uint8, which may be overwritten."""
-    dtypes = {prop.dtype for prop in element.scalars}
+class _Body:
+    """Walks a body from where `file` stands. plyfile reads from it as from a stream."""
+
+    def __init__(
+        self, file: io.BufferedReader, file_bytes: int, header: Header, path: object, watch: Watch
+    ) -> None:
+        self._file, self._file_bytes, self._header = file, file_bytes, header
+        self._path, self._watch = path, watch
+        self._lines = 0
+
+    def read(self, size: int) -> bytes:
+        """Bytes of a binary body. Raises EOFError where a damaged list asks for more than any file has."""
+        if not 0 <= size <= self._file_bytes:
+            raise EOFError
+        return self._file.read(size)
+
+    def readline(self) -> str:
+        """The next line of an ascii body that is not blank; empty at the end of the file."""
+        while line := self._file.readline(MAX_LINE_BYTES):
+            if len(line) == MAX_LINE_BYTES:
+                raise InputError(f"{self._path}: a line of the body is endless; the file is damaged")
+            self._lines += 1
+            if self._lines % WALK == 0:
+                self._watch.check()
+            if line.strip():
+                return line.decode("latin-1")
+        return ""
+
+    def skip(self, element: PlyElement) -> None:
+        """Goes behind all rows of `element`."""
+        dtype = element.dtype()
+        if not element.properties:
+            return
+        if self._header.is_ascii:
+            # A line a row, whatever is in it.
+            if sum(1 for _ in islice(iter(self.readline, ""), element.count)) < element.count:
+                raise self._ended(element)
+        elif dtype.hasobject:
+            for _ in self.blocks(element):
+                # Who skips has no progress to tell, but must hear a cancel.
+                self._watch.check()
+        else:
+            self._file.seek(element.count * dtype.itemsize, io.SEEK_CUR)
+
+    def blocks(self, element: PlyElement) -> Iterator[np.ndarray]:
+        """Rows of `element` as structured arrays, each overwritten by the next; of float64 in ascii."""
+        is_ascii, name, properties = self._header.is_ascii, element.name, element.properties
+        if is_ascii:
+            # Some programs write whole numbers as 7.0.
+            properties = [
+                prop if isinstance(prop, PlyListProperty) else PlyProperty(prop.name, "f8")
+                for prop in properties
+            ]
+        dtype = PlyElement(name, properties, 0).dtype(self._header.byte_order)
+        if dtype.hasobject:
+            chunk = WALK // len(properties)
+        else:
+            # Some 12 characters a value.
+            chunk = TEXT_CHUNK_BYTES // (12 * len(properties)) if is_ascii else CHUNK_BYTES // dtype.itemsize
+        chunk = max(1, min(chunk, element.count))
+        buffer = np.empty(0 if is_ascii or dtype.hasobject else chunk, dtype)
+        for start in range(0, element.count, chunk):
+            count = min(chunk, element.count - start)
+            try:
+                if dtype.hasobject:
+                    block = self._with_lists(PlyElement(name, properties, count))
+                elif is_ascii:
+                    lines = list(islice(iter(self.readline, ""), count))
+                    if len(lines) < count:
+                        raise self._ended(element)
+                    block = np.loadtxt(lines, dtype, comments=None, ndmin=1)
+                else:
+                    block = buffer[:count]
+                    if self._file.readinto(block.view(np.uint8).data) < block.nbytes:
+                        raise self._ended(element)
+            except InputError:
+                raise
+            except (PlyParseError, ValueError, OverflowError) as error:
+                raise InputError(
+                    f"{self._path}: rows {start:,} to {start + count - 1:,} of {name} are not what the "
+                    f"header promises ({excerpt(getattr(error, 'message', str(error)))}); the file is "
+                    "truncated or damaged; copy or export it again"
+                ) from None
+            yield block
+
+    def _with_lists(self, piece: PlyElement) -> np.ndarray:
+        """The next rows, as many as `piece` has, by plyfile."""
+        if self._header.is_ascii:
+            with warnings.catch_warnings():
+                # plyfile has numpy warn of every empty list.
+                warnings.filterwarnings("ignore", "loadtxt: input contained no data", UserWarning)
+                piece._read_txt(self)
+        else:
+            piece._read_bin(self, self._header.byte_order)
+        return piece.data
+
+    def _ended(self, element: PlyElement) -> InputError:
+        return InputError(
+            f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its "
+            "header promises; it is truncated, or was cut while it was read"
+        )
+
+
+def _unpack(block: np.ndarray, targets: Sequence[Target], start: int, stop: int, path: object) -> None:
+    """Rows of every target from `block`, a structured array, which may be overwritten."""
+    columns = {name: i for i, name in enumerate(block.dtype.names or ())}
+    dtypes = {block.dtype[i] for i in columns.values()}
     uniform = None
     if len(dtypes) == 1:
         # Every column of one type, as in nearly all splat files: one gather a target.
         dtype = dtypes.pop()
-        uniform = block.view(dtype)
+        uniform = block.view(dtype).reshape(len(block), -1)
         if not dtype.isnative:
             uniform = uniform.byteswap(inplace=True).view(dtype.newbyteorder("="))
-    offsets = np.cumsum([0, *(prop.dtype.itemsize for prop in element.scalars)])
+            block = block.view(block.dtype.newbyteorder("="))
     for target in targets:
         rows = target.rows(start, stop)
         if uniform is not None and uniform.dtype == rows.dtype:
             # With mode="clip" numpy writes to `out` itself, not to a copy first.
-            np.take(uniform, target.columns, axis=1, out=rows, mode="clip")
+            np.take(uniform, [columns[name] for name in target.names], axis=1, out=rows, mode="clip")
             continue
-        for i, column in enumerate(target.columns):
-            if uniform is not None:
-                values = uniform[:, column]
-            else:
-                dtype = element.scalars[column].dtype
-                values = np.ndarray(len(block), dtype, block, offsets[column], block.strides[:1])
+        for i, name in enumerate(target.names):
+            values = block[name]
+            if rows.dtype.kind in "iu" and values.dtype.kind == "f":
+                limits = np.iinfo(rows.dtype)
+                if not ((values >= limits.min) & (values <= limits.max) & (values == np.floor(values))).all():
+                    raise InputError(
+                        f"{path}: a value of {excerpt(name)} is no {rows.dtype.name}; the file is damaged"
+                    )
             with np.errstate(over="ignore", invalid="ignore"):
                 rows[:, i] = values
-
-
-def _cast(
-    block: np.ndarray, element: Element, targets: Sequence[Target], start: int, stop: int, path: object
-) -> None:
-    """Rows of every target from `block` (rows, scalars) float64."""
-    for target in targets:
-        rows = target.rows(start, stop)
-        values = block[:, target.columns]
-        if rows.dtype.kind in "iu":
-            limits = np.iinfo(rows.dtype)
-            fits = (values >= limits.min) & (values <= limits.max) & (values == np.floor(values))
-            if not fits.all():
-                prop = element.scalars[target.columns[0]]
-                raise InputError(
-                    f"{path}: a value of {excerpt(prop.name)} is no {rows.dtype.name}; the file is damaged"
-                )
-        with np.errstate(over="ignore", invalid="ignore"):
-            rows[:] = values

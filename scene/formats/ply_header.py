@@ -1,15 +1,18 @@
 """The text that begins a .ply: what the file says it holds. Bounded, whatever the file is.
 
-Format: Turk 1994, "The PLY Polygon File Format".
+Format: Turk 1994, "The PLY Polygon File Format". plyfile reads the declarations. Lines, comments and counts
+are taken here: plyfile sets no bounds, and knows ASCII only.
 """
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
+from plyfile import PlyData, PlyElement, PlyHeaderParseError, PlyListProperty
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt
@@ -17,68 +20,10 @@ from splatview.scene.formats.io import excerpt
 MAX_HEADER_BYTES = 1 << 20
 """Headers are a few KiB, comments included; a file that goes on longer is something else."""
 
-BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-
-TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
-
 OBJ_INFO = "obj_info "
 """Comments that begin so were (and are written as) lines of that keyword."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Property:
-    """One property of an element."""
-
-    name: str
-    dtype: np.dtype
-    """In the file's byte order; of one item where the property is a list."""
-    count_dtype: np.dtype | None = None
-    """Type of the length in front of a list; None: a scalar."""
-
-    @property
-    def min_bytes(self) -> int:
-        """Bytes in a binary row; for a list those of its length alone."""
-        return (self.count_dtype or self.dtype).itemsize
-
-
-@dataclass(frozen=True, kw_only=True)
-class Element:
-    """A table of the file."""
-
-    name: str
-    count: int
-    properties: tuple[Property, ...]
-
-    @property
-    def scalars(self) -> tuple[Property, ...]:
-        """The properties that are no lists: the columns that can be read."""
-        return tuple(prop for prop in self.properties if prop.count_dtype is None)
-
-    @property
-    def has_lists(self) -> bool:
-        return len(self.scalars) < len(self.properties)
-
-    @property
-    def min_row_bytes(self) -> int:
-        """Bytes of a binary row; where it has lists, of a row whose lists are empty."""
-        return sum(prop.min_bytes for prop in self.properties)
+_END = re.compile(rb"^[ \t]*end_header[ \t\r]*\n", re.MULTILINE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +31,23 @@ class Header:
     """All that comes before the body."""
 
     is_ascii: bool
-    elements: tuple[Element, ...]
+    byte_order: str
+    """numpy's sign for it: ``<`` or ``>``, and ``=`` for ascii."""
+    elements: dict[str, PlyElement]
+    """Tables by name, in the order of the file; none has data yet."""
     comments: tuple[str, ...]
     """Without the word ``comment``; lines of ``obj_info`` begin with that word."""
     body_offset: int
     """Bytes from the start of the file."""
 
-    def element(self, name: str) -> Element | None:
-        return next((element for element in self.elements if element.name == name), None)
+
+def scalar_types(element: PlyElement) -> dict[str, np.dtype]:
+    """Types of the properties that are no lists, in the machine's byte order, by name."""
+    return {
+        prop.name: np.dtype(prop.val_dtype)
+        for prop in element.properties
+        if not isinstance(prop, PlyListProperty)
+    }
 
 
 def read_header(file: BinaryIO, path: object) -> Header:
@@ -103,83 +57,69 @@ def read_header(file: BinaryIO, path: object) -> Header:
         InputError: it is no .ply header; the message names the line.
     """
     lines = _header_lines(file, path)
-    body_offset = file.tell()
-    byte_order = is_ascii = None
-    elements: list[tuple[str, int, list[Property]]] = []
+    declarations: list[str] = []
     comments: list[str] = []
-    for number, line in enumerate(lines, start=1):
+    counts: list[int] = []
+    for number, line in enumerate(lines[1:-1], start=2):
+        line = line.strip()
+        if re.match(r"(comment|obj_info)(\s|$)", line):
+            keyword, text = line[:8].strip(), line[8:].strip()
+            comments.append(OBJ_INFO + text if keyword == "obj_info" else text)
+            line = ""
+        line = line.encode("ascii", "backslashreplace").decode()
         words = line.split()
-
-        def fail(what: str, number: int = number, line: str = line) -> InputError:
-            return InputError(f"{path}: header line {number} ({excerpt(line)}) {what}")
-
-        match words:
-            case []:
-                continue
-            case ["comment", *_]:
-                comments.append(line.strip()[len("comment") :].strip())
-            case ["obj_info", *_]:
-                comments.append(OBJ_INFO + line.strip()[len("obj_info") :].strip())
-            case ["format", name, _version] if name in BYTE_ORDERS:
-                byte_order, is_ascii = BYTE_ORDERS[name], name == "ascii"
-            case ["format", *_]:
-                raise fail("names no format of .ply: ascii, binary_little_endian or binary_big_endian 1.0")
-            case ["element", name, count]:
-                if not re.fullmatch(r"[0-9]{1,18}", count):
-                    raise fail("must end in a number of rows")
-                if any(name == earlier for earlier, _, _ in elements):
-                    raise fail(f"is a second element {excerpt(name)}")
-                elements.append((name, int(count), []))
-            case ["property", *_] if not elements:
-                raise fail("is a property before any element")
-            case ["property", *_] if byte_order is None:
-                raise fail("comes before the format line")
-            case ["property", "list", count_type, item_type, name]:
-                count_dtype, dtype = _dtype(count_type, byte_order), _dtype(item_type, byte_order)
-                if dtype is None or count_dtype is None or count_dtype.kind not in "iu":
-                    raise fail("has a type that .ply does not have")
-                elements[-1][2].append(Property(name=name, dtype=dtype, count_dtype=count_dtype))
-            case ["property", type_name, name] if type_name != "list":
-                dtype = _dtype(type_name, byte_order)
-                if dtype is None:
-                    raise fail(f"has a type that .ply does not have: {excerpt(type_name)}")
-                elements[-1][2].append(Property(name=name, dtype=dtype))
-            case _:
-                raise fail("is not understood; the file is damaged or not a .ply")
-    if is_ascii is None:
-        raise InputError(f"{path}: the .ply header has no format line; the file is damaged")
+        if words[:1] == ["element"] and len(words) == 3:
+            if not re.fullmatch(r"[0-9]{1,18}", words[2]):
+                raise InputError(
+                    f"{path}: header line {number} ({excerpt(line)}) must end in a number of rows; "
+                    "the file is damaged"
+                )
+            counts.append(int(words[2]))
+            # plyfile takes memory for as many rows as it is told.
+            line = f"element {words[1]} 0"
+        # plyfile refuses an empty line, but not a blank one.
+        declarations.append(f" {line}")
+    text = "\n".join(["ply", *declarations, "end_header", ""])
+    try:
+        declared = PlyData.read(io.BytesIO(text.encode()), mmap="")
+    except PlyHeaderParseError as error:
+        line = lines[int(error.line or 1) - 1].strip()
+        raise InputError(
+            f"{path}: header line {error.line} ({excerpt(line)}) is not understood: "
+            f"{excerpt(error.message)}; the file is damaged or not a .ply"
+        ) from None
+    except ValueError as error:
+        raise InputError(f"{path}: the header has {error}; the file is damaged") from None
+    for element in declared.elements:
+        for prop in element.properties:
+            if isinstance(prop, PlyListProperty) and prop.len_dtype.startswith("f"):
+                raise InputError(
+                    f"{path}: the list {excerpt(prop.name)} has lengths of a type that .ply does not have "
+                    f"for them: {np.dtype(prop.len_dtype)}; the file is damaged"
+                )
     return Header(
-        is_ascii=is_ascii,
-        elements=tuple(
-            Element(name=name, count=count, properties=tuple(properties))
-            for name, count, properties in elements
-        ),
+        is_ascii=declared.text,
+        byte_order=declared.byte_order,
+        elements={
+            element.name: PlyElement(element.name, element.properties, count)
+            for element, count in zip(declared.elements, counts, strict=True)
+        },
         comments=tuple(comments),
-        body_offset=body_offset,
+        body_offset=file.tell(),
     )
 
 
-def _dtype(type_name: str, byte_order: str | None) -> np.dtype | None:
-    return np.dtype(f"{byte_order}{TYPES[type_name]}") if type_name in TYPES else None
-
-
 def _header_lines(file: BinaryIO, path: object) -> list[str]:
-    """The lines between ``ply`` and ``end_header``, the first of them as an empty string."""
-    lines: list[str] = []
-    left = MAX_HEADER_BYTES
-    while left > 0:
-        raw = file.readline(left)
-        left -= len(raw)
-        if not raw.endswith(b"\n"):
-            break
-        raw = raw.rstrip(b"\r\n")
-        if raw.strip() == b"end_header":
-            return lines
-        try:
-            line = raw.decode("utf-8")
-        except UnicodeDecodeError:
-            line = raw.decode("latin-1")
-        lines.append(line if lines else "")
-    if left > 0:
+    """The lines from ``ply`` to ``end_header``; `file` stands behind them."""
+    start = file.read(MAX_HEADER_BYTES)
+    end = _END.search(start)
+    if end is None and len(start) < MAX_HEADER_BYTES:
         raise InputError(f"{path}: the .ply header ends without end_header; the file is truncated")
-    raise InputError(f"{path}: no end_header in the first {MAX_HEADER_BYTES >> 20} MiB; not a splat .ply")
+    if end is None:
+        raise InputError(f"{path}: no end_header in the first {MAX_HEADER_BYTES >> 20} MiB; not a splat .ply")
+    file.seek(end.end())
+    raw = start[: end.end() - 1]
+    try:
+        return raw.decode("utf-8").split("\n")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1").split("\n")

@@ -6,11 +6,12 @@ import io
 from pathlib import Path
 
 import numpy as np
+from plyfile import PlyElement
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import Watch
 from splatview.scene.formats.ply_body import Target, check_size, read_rows
-from splatview.scene.formats.ply_header import Element, Header
+from splatview.scene.formats.ply_header import Header, scalar_types
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.sh import rgb_to_sh
 
@@ -30,36 +31,31 @@ CLAMP = 4.0
 
 
 def read_point_cloud(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: Element, path: Path, watch: Watch
+    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
 ) -> Gaussians:
     """Round splats at the points, coloured as they are, sized by `spacing`. Raises as `load_ply`."""
-    column = {prop.name: i for i, prop in enumerate(vertex.scalars)}
-    missing = [name for name in "xyz" if name not in column]
+    types = scalar_types(vertex)
+    missing = [name for name in "xyz" if name not in types]
     if missing:
         raise InputError(
             f"{path}: the points have no {', '.join(missing)}; it is neither splats nor a point cloud"
         )
     check_size(header, vertex, file_bytes, path)
     n = vertex.count
-    position_types = [vertex.scalars[column[name]].dtype for name in "xyz"]
-    exact_in_float32 = all(np.can_cast(dtype, np.float32) for dtype in position_types)
+    exact_in_float32 = all(np.can_cast(types[name], np.float32) for name in "xyz")
     means = np.empty((n, 3), dtype=np.float32 if exact_in_float32 else np.float64)
-    colour_names = next((names for names in COLOURS if all(name in column for name in names)), ())
+    colour_names = next((names for names in COLOURS if all(name in types for name in names)), ())
     colours = np.empty((n, 3), dtype=np.float32)
     used = {"x", "y", "z", *colour_names}
-    extras = {
-        name: np.empty(n, dtype=vertex.scalars[i].dtype.newbyteorder("="))
-        for name, i in column.items()
-        if name not in used
-    }
-    targets = [Target(columns=[column[name] for name in "xyz"], array=means)]
+    extras = {name: np.empty(n, dtype) for name, dtype in types.items() if name not in used}
+    targets = [Target(names="xyz", array=means)]
     if colour_names:
-        targets.append(Target(columns=[column[name] for name in colour_names], array=colours))
-    targets += [Target(columns=[column[name]], array=values) for name, values in extras.items()]
+        targets.append(Target(names=colour_names, array=colours))
+    targets += [Target(names=[name], array=values) for name, values in extras.items()]
     read_rows(file, file_bytes, header, vertex, targets, path, watch)
 
     if colour_names:
-        colours /= _white(colours, vertex.scalars[column[colour_names[0]]].dtype)
+        colours /= _white(colours, types[colour_names[0]])
     else:
         colours[:] = GREY
     sigma = SIGMA_OF_SPACING * spacing(means)

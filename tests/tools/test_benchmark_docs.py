@@ -1,4 +1,4 @@
-"""README tables are made from the committed JSON and agree with it."""
+"""Tables in README.md and docs/ are made from the committed JSON and agree with it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,16 @@ ROOT = Path(__file__).parents[2]
 RESULTS = {"table": {"columns": ["what", "ms"], "rows": [["sort", 1.5], ["draw", 20]], "note": "Medians."}}
 
 
-@pytest.mark.parametrize("page", ["README.md", "ACCURACY.md", "SPEED.md"])
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md"))], ids=lambda p: p.name)
 def test_pages_agree_with_their_json(page):
-    assert main(["--check", str(ROOT / page)]) == 0, "run `make tables`"
+    assert main(["--check", str(page)]) == 0, "run `make tables`"
+
+
+def test_every_measured_table_is_on_a_page():
+    pages = "".join(page.read_text() for page in ROOT.glob("docs/*.md"))
+    for path in sorted((ROOT / FOLDER).glob("*.json")):
+        if "table" in json.loads(path.read_text()):
+            assert f"<!-- table: {path.stem} -->" in pages, f"{path.name} is on no page in full"
 
 
 @pytest.mark.parametrize("name", ["skull", "playbot"])
@@ -26,8 +33,8 @@ def test_the_tables_of_accuracy_are_those_of_the_measurements(name):
     assert ladder["table"] == ladder_table(ladder), "the table is not of this measurement"
     bill = json.loads((ROOT / FOLDER / f"bill_{name}.json").read_text())
     assert bill["table"]["rows"] == bill["rows"]
-    page = (ROOT / "ACCURACY.md").read_text()
-    assert f"(assets/benchmarks/ladder_{name}.png)" in page
+    page = (ROOT / "docs" / "accuracy.md").read_text()
+    assert f"(../assets/benchmarks/ladder_{name}.png)" in page
     assert (ROOT / FOLDER / f"ladder_{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -92,6 +99,26 @@ def test_fill_replaces_only_its_section(tmp_path):
     )
     assert filled.endswith("<!-- end of table -->\nafter\n") and "old" not in filled and "Medians. " in filled
     assert fill(filled, tmp_path) == filled
+
+
+def test_a_part_of_a_table_is_chosen_by_name(tmp_path):
+    table = {**RESULTS["table"], "note": "Medians. More of it."}
+    write_results(tmp_path / "frames.json", {"table": table})
+    marker = "<!-- table: frames\ncolumns: ms; what\nrows: draw\n-->\n"
+    filled = fill(f"{marker}old\n<!-- end of table -->", tmp_path)
+    assert filled.startswith(f"{marker}| ms | what |\n| --- | ---: |\n| 20 | draw |\n\nMedians. Measured on")
+    assert fill(filled, tmp_path) == filled
+    for wrong in ("columns: s", "rows: sleep"):
+        with pytest.raises(ValueError, match="not in list"):
+            fill(f"<!-- table: frames\n{wrong}\n-->\n<!-- end of table -->", tmp_path)
+
+
+def test_a_page_finds_the_results_from_its_folder(tmp_path):
+    page = tmp_path / "docs" / "page.md"
+    page.parent.mkdir()
+    page.write_text("<!-- table: frames -->\n<!-- end of table -->\n")
+    write_results(tmp_path / FOLDER / "frames.json", RESULTS)
+    assert main([str(page)]) == 0 and "| sort | 1.5 |" in page.read_text()
 
 
 def test_check_sees_a_stale_table(tmp_path):

@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from pyrr import matrix33
 
 from splatview.scene import InputError
 from splatview.viewer import preferences as module
 from splatview.viewer.navigation import Lens, View
-from splatview.viewer.navigation.view import about, unit
 from splatview.viewer.preferences import Bookmark, beside, in_config, load_bookmarks, save_bookmarks
 
 
@@ -27,7 +27,7 @@ def some_view(angle: float = 0.7) -> View:
     return View(
         target=np.array([1e6 + 0.125, -2.0, 3.5]),
         distance=4.25,
-        R_camera_world=about(unit(np.array([1.0, 2.0, 3.0])), angle),
+        R_camera_world=matrix33.create_from_axis_rotation(np.array([1.0, 2.0, 3.0]), angle),
         up=np.array([0.0, -1.0, 0.0]),
         lens=Lens(fov_y=33.0, shift=(0.01, -0.02), squeeze=1.1),
     )

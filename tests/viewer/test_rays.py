@@ -128,8 +128,9 @@ def test_pyramids_of_and_through_other_cameras():
     assert pyramids([beside], replace(PINHOLE, lens=Lens(model="RADIAL", parameters=(-0.3, 0.0))), 0.1) == []
 
 
-def test_handles_are_projected_as_the_picture_is():
-    camera = replace(CAMERAS["parallel"], cx=50.0, cy=40.0)
+@pytest.mark.parametrize("camera", [PINHOLE, CAMERAS["parallel"]], ids=["pinhole", "parallel"])
+def test_handles_are_projected_as_the_picture_is(camera):
+    camera = replace(camera, cx=50.0, cy=40.0)
     for point in np.random.default_rng(2).uniform(-1, 1, size=(10, 3)):
         clip = projection(camera) @ GL_FROM_CV @ camera.world_to_camera @ np.append(point, 1)
         x, y = (clip[:2] / clip[3] * (1, -1) + 1) / 2 * (camera.width, camera.height)

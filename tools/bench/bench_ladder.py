@@ -1,4 +1,4 @@
-"""The accuracy ladder and the bill of real scenes, for ACCURACY.md.
+"""The accuracy ladder and the bill of real scenes, for docs/accuracy.md.
 
     python tools/bench/bench_ladder.py [SCENE.ply ...] [--size WxH] [--seconds S] [--renderers A,B]
                                             [--rounds N] [--name NAME]

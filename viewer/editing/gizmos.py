@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, imguizmo
+from numpy.typing import ArrayLike
+from pyrr import matrix44, quaternion
 
 from splatview.scene import Camera
-from splatview.scene.edits import Four, quat_product
+from splatview.scene.edits import Four
 from splatview.scene.image_model import NEAR
 
 guizmo = imguizmo.im_guizmo
@@ -21,6 +23,10 @@ OPERATIONS = {
 
 GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes x right, y down, z forward to x right, y up, z backward."""
+
+
+FAR = 1e5
+"""World units: of the far plane, which is of no account to handles."""
 
 
 def handles(
@@ -57,27 +63,21 @@ def dragging() -> bool:
     return guizmo.is_using()
 
 
+def placed(centre: ArrayLike, R: np.ndarray, sizes: ArrayLike = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """The matrix (4, 4) for `handles` of an object at `centre` (3,) whose axes, as long as `sizes` (3,), are
+    the columns of `R` (3, 3); world units."""
+    # pyrr's matrices act on rows, the first one first.
+    own = matrix44.create_from_scale(np.asarray(sizes, np.float64)) @ matrix44.create_from_matrix33(R.T)
+    return (own @ matrix44.create_from_translation(np.asarray(centre, np.float64))).T
+
+
 def projection(camera: Camera) -> np.ndarray:
-    """OpenGL's clip matrix (4, 4) of a camera without a lens; the far plane is of no account here."""
-    near, far = NEAR, 1e5
-    w, h = camera.width, camera.height
+    """OpenGL's clip matrix (4, 4) of a camera without a lens."""
+    left, top, right, bottom = camera.seen_slopes  # y down, where pyrr's is up
     if camera.orthographic:
-        return np.array(
-            [
-                [2 * camera.fx / w, 0, 0, 2 * camera.cx / w - 1],
-                [0, 2 * camera.fy / h, 0, 1 - 2 * camera.cy / h],
-                [0, 0, -2 / (far - near), -(far + near) / (far - near)],
-                [0, 0, 0, 1],
-            ]
-        )
-    return np.array(
-        [
-            [2 * camera.fx / w, 0, 1 - 2 * camera.cx / w, 0],
-            [0, 2 * camera.fy / h, 2 * camera.cy / h - 1, 0],
-            [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)],
-            [0, 0, -1, 0],
-        ]
-    )
+        return matrix44.create_orthogonal_projection(left, right, -bottom, -top, NEAR, FAR).T
+    left, top, right, bottom = (NEAR * slope for slope in (left, top, right, bottom))
+    return matrix44.create_perspective_projection_from_bounds(left, right, -bottom, -top, NEAR, FAR).T
 
 
 def _columns(matrix: np.ndarray) -> imguizmo.im_guizmo.Matrix16:
@@ -93,36 +93,20 @@ Euler = tuple[float, float, float]
 
 def quat_of(angles: Euler) -> Four:
     """wxyz of length 1."""
-    quat = np.array([1.0, 0.0, 0.0, 0.0])
-    for axis, degrees in enumerate(angles):
-        turn = np.zeros(4)
-        turn[0], turn[1 + axis] = math.cos(math.radians(degrees) / 2), math.sin(math.radians(degrees) / 2)
-        quat = quat_product(turn, quat)
-    w, x, y, z = quat.tolist()
-    return (w, x, y, z)
+    # One by one: pyrr's create_from_eulers turns about x last.
+    x, y, z = np.radians(angles)
+    turned = quaternion.cross(quaternion.create_from_y_rotation(y), quaternion.create_from_x_rotation(x))
+    return _wxyz(quaternion.cross(quaternion.create_from_z_rotation(z), turned))
 
 
 def quat_from_matrix(R: np.ndarray) -> Four:
-    """wxyz of length 1 of a rotation (3, 3), by the largest component so that no digits are lost."""
-    w2 = 1 + R[0, 0] + R[1, 1] + R[2, 2]
-    x2 = 1 + R[0, 0] - R[1, 1] - R[2, 2]
-    y2 = 1 - R[0, 0] + R[1, 1] - R[2, 2]
-    z2 = 1 - R[0, 0] - R[1, 1] + R[2, 2]
-    products = np.array(
-        [
-            [w2, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], x2, R[1, 0] + R[0, 1], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[1, 0] + R[0, 1], y2, R[2, 1] + R[1, 2]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], z2],
-        ]
-    )
-    row = products[int(np.argmax([w2, x2, y2, z2]))]
-    w, x, y, z = (row / np.linalg.norm(row)).tolist()
-    return (w, x, y, z)
+    """wxyz of length 1 of a rotation (3, 3)."""
+    return _wxyz(quaternion.normalize(quaternion.create_from_matrix(np.asarray(R, np.float64))))
 
 
 def angles_of(quat: Four) -> Euler:
     """The angles that `quat_of` makes `quat` (wxyz, length 1) of; y within ±90°."""
+    # pyrr makes quaternions of angles, but no angles of quaternions.
     w, x, y, z = quat
     pitch = max(-1.0, min(1.0, 2 * (w * y - z * x)))
     if abs(pitch) > 1 - 1e-12:
@@ -133,3 +117,9 @@ def angles_of(quat: Four) -> Euler:
         math.degrees(math.asin(pitch)),
         math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))),
     )
+
+
+def _wxyz(xyzw: np.ndarray) -> Four:
+    """pyrr's order to the scene's."""
+    x, y, z, w = xyzw.tolist()
+    return (w, x, y, z)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from pyrr import matrix33
 
-from splatview.viewer.navigation.view import View, about, orthonormal, unit
+from splatview.viewer.navigation.view import View, orthonormal
 
 POLE_MARGIN = math.radians(0.5)
 """How near the eye may come to straight above: at the pole itself left and right have no meaning."""
@@ -20,17 +21,17 @@ def orbit(view: View, azimuth: float, elevation: float) -> View:
     Distance and target stay. A positive azimuth moves the eye to its left, so the scene turns to the
     right, as if dragged; the elevation stops short of the poles.
     """
-    R = view.R_camera_world @ about(view.up, azimuth)
+    R = view.R_camera_world @ matrix33.create_from_axis_rotation(view.up, -azimuth)
     forward = R[2]
     cosine = float(np.clip(forward @ view.up, -1, 1))
     angle = math.acos(cosine)
     side = np.cross(forward, view.up)
     # At a pole (an axis view from above) the picture's own right takes the place of the horizon.
-    side = unit(side) if np.linalg.norm(side) > 1e-9 else R[0]
+    side = side if np.linalg.norm(side) > 1e-9 else R[0]
     lowest, highest = min(angle, POLE_MARGIN), max(angle, math.pi - POLE_MARGIN)
     raised = min(max(angle + elevation, lowest), highest)
     # The eye goes up as the viewing direction goes down, away from the up axis.
-    R = R @ about(side, angle - raised).T
+    R = R @ matrix33.create_from_axis_rotation(side, angle - raised)
     return replace(view, R_camera_world=orthonormal(R))
 
 
@@ -62,14 +63,7 @@ def trackball(view: View, start: tuple[float, float], end: tuple[float, float]) 
     only on where it starts and ends, and dragging back undoes it.
     """
     a, b = on_ball(start), on_ball(end)
-    w, (x, y, z) = float(a @ b), np.cross(a, b)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = matrix33.create_from_quaternion(np.append(np.cross(a, b), a @ b))
     return replace(view, R_camera_world=orthonormal(turn @ view.R_camera_world))
 
 

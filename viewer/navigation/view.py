@@ -6,54 +6,43 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from pyrr import matrix33, matrix44, quaternion, vector3
 
 from splatview.scene import Camera, look_at_matrix
 from splatview.scene import Lens as Distortion
 
-# ---- Rotation matrices by axis and angle, and the way between two of them. All (3, 3) float64.
-
-
-def about(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The rotation by `angle` radians about the unit `axis` (3,), right-handed (Rodrigues' formula)."""
-    x, y, z = axis
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
+# ---- Rotations of the view by pyrr, and what it leaves open. All (3, 3) float64 unless said otherwise.
+#
+# A matrix that pyrr makes of an axis acts on rows, so it turns the camera's axes, the rows of
+# `R_camera_world`, from the right; one that it makes of a quaternion (xyzw) acts on columns.
 
 
 def orthonormal(R: np.ndarray) -> np.ndarray:
-    """The rotation nearest to `R`: a thousand small turns must not shear the view."""
-    u, _, vt = np.linalg.svd(R)
-    return u @ vt
-
-
-def axis_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """The unit axis (3,) and the angle in [0, π] of `R`; any axis where the angle is 0."""
-    # The axis is the eigenvector of the symmetric part's largest eigenvalue, which holds at 180° too,
-    # where the antisymmetric part that textbooks use vanishes.
-    axis = np.linalg.eigh((R + R.T) / 2)[1][:, -1]
-    sine_axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    sine = float(axis @ sine_axis)
-    if sine < 0:
-        axis, sine = -axis, -sine
-    return axis, math.atan2(sine, (float(np.trace(R)) - 1) / 2)
+    """`R` without what rounding did to it: a thousand small turns must not shear the view."""
+    return matrix33.create_from_quaternion(quaternion.create_from_matrix(R))
 
 
 def between(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
     """The rotation at `share` (0 to 1) of the shortest turn from `start` to `end`."""
-    axis, angle = axis_angle(end @ start.T)
-    return orthonormal(about(axis, angle * share) @ start)
+    # By the exponential: pyrr's slerp is a plain mean for turns below 36°, uneven by up to 0.06°, and its
+    # power refuses turns of almost nothing.
+    turn = quaternion.normalize(quaternion.create_from_matrix(end @ start.T))
+    turn *= math.copysign(1.0, turn[3])
+    half = math.atan2(vector3.length(turn[:3]), turn[3])
+    part = quaternion.exp(np.append(turn[:3] * share / np.sinc(half / math.pi), 0.0))
+    return orthonormal(matrix33.create_from_quaternion(part) @ start)
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
     """`vector` (3,) at length 1.
 
     Raises:
-        ValueError: its length is zero or not finite.
+        ValueError: its length is zero or not finite, where pyrr has NaN or zeros.
     """
-    length = np.linalg.norm(vector)
+    length = vector3.length(vector)
     if not (0 < length < math.inf):
         raise ValueError(f"no direction in {vector}")
-    return np.asarray(vector, dtype=np.float64) / length
+    return vector3.normalize(np.asarray(vector, dtype=np.float64))
 
 
 MIN_FOV, MAX_FOV = 1.0, 160.0
@@ -107,9 +96,8 @@ class View:
         cx, cy = width / 2 + self.lens.shift[0] * fx, height / 2 + self.lens.shift[1] * fy
         if self.lens.orthographic:
             fx, fy = fx / self.distance, fy / self.distance
-        matrix = np.eye(4)
-        matrix[:3, :3] = self.R_camera_world
-        matrix[:3, 3] = -self.R_camera_world @ self.eye
+        matrix = matrix44.create_from_matrix33(self.R_camera_world)
+        matrix[:3, 3] = -self.R_camera_world @ self.eye  # acts on columns, which pyrr's translations do not
         return Camera(
             width=width,
             height=height,

@@ -191,9 +191,7 @@ def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thi
 def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     index = session.forms.crop
     crop = session.document.crops[index]
-    R_world_own = Adjustment(rotation=crop.rotation).R
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R_world_own * np.array(crop.half_extents), crop.centre
+    matrix = gizmos.placed(crop.centre, Adjustment(rotation=crop.rotation).R, crop.half_extents)
     kind = KINDS[session.forms.crop_handles]
     moved = gizmos.handles("crop", camera, corner, matrix, kind, local=kind != "move")
     if moved is not None:

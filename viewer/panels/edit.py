@@ -14,6 +14,7 @@ from splatview.edit.kernels.marks import positions_of
 from splatview.edit.operations.appearance import ColourGrade, Grade, Opacity, Size
 from splatview.edit.operations.transform import Orient, Transform
 from splatview.scene import Camera
+from splatview.scene.edits import IDENTITY, Adjustment
 from splatview.scene.framing import robust_bounds
 from splatview.viewer import theme
 from splatview.viewer.editing import commands, gizmos
@@ -247,12 +248,8 @@ def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2)
     if not form.gizmo or (session.forms.scope == "selection" and not session.document.counts.selected):
         return
     centre = np.array(pivot(session))
-    matrix = np.eye(4)
-    matrix[:3, 3] = centre + form.translation
-    if form.turning:
-        from splatview.scene.edits import Adjustment
-
-        matrix[:3, :3] = Adjustment(rotation=quat_of(form.rotation)).R
+    turned = Adjustment(rotation=quat_of(form.rotation)) if form.turning else IDENTITY
+    matrix = gizmos.placed(centre + form.translation, turned.R)
     new = gizmos.handles("move", camera, corner, matrix, "turn" if form.turning else "move", local=False)
     if new is None:
         return
