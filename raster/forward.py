@@ -345,10 +345,10 @@ def draw_tiles(
     were blended, of LANES pixels each.
 
     offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    discs is a `DiscArrays` or None, retirement a `Retirement`. transmittance and n_contrib (tiles·TILE_PIXELS,)
-    receive the light that got through each pixel and how many splats of its tile's list it met, a vector a block,
-    strip by strip; both are 0 beyond the image. records (N, RECORD), background (3,), image, lights and
-    n_contrib share one dtype.
+    discs is a `DiscArrays` or None, retirement a `Retirement`. transmittance and n_contrib
+    (tiles·TILE_PIXELS,) receive per pixel the transmittance and how many splats of its tile's list it met,
+    one vector per block, strip by strip; both are 0 beyond the image. records (N, RECORD), background (3,),
+    image, transmittance and n_contrib share one dtype.
     """
     gathered = aligned(gathered_columns(discs) * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)

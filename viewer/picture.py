@@ -60,7 +60,7 @@ class Picture(Protocol):
         """Replaces the scene in short steps, yielding the share done; the old one stays until the last.
         Its values fit into `attributes` (`scene.stored`), and a GPU stores them so.
 
-        Raises InputError where it does not fit into memory. OcclusionPass the generator keeps the old scene.
+        Raises InputError where it does not fit into memory. Closing the generator keeps the old scene.
         """
         ...
 

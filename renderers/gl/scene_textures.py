@@ -156,7 +156,7 @@ def upload_steps(
 ) -> Iterator[float | SceneTextures]:
     """Uploads in slices: yields the share done (0 to 1) after each, and last the `SceneTextures`.
 
-    OcclusionPass the generator early releases what it had made. `every_band`: see `stored_harmonics`.
+    Closing the generator early releases what it had made. `every_band`: see `stored_harmonics`.
 
     Raises:
         InputError: the scene does not fit into the driver's textures or memory.
