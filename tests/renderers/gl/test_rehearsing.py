@@ -182,10 +182,10 @@ def test_general_programs_stand_in_until_the_others_are_compiled(ctx, random_gau
 def test_a_rehearsal_needs_the_programs_of_the_picture_it_stands_for(ctx, random_gaussians, mode, edited):
     scene = random_gaussians(COUNT, sh_degree=2)
     settings = replace(SETTINGS, model=replace(SETTINGS.model, antialiased=True))
-    shown = {"edits": some_edits(), "overlay": Highlight()} if edited else {}
+    shown = {"edits": some_edits(), "highlight": Highlight()} if edited else {}
     made = []
     job = precompile_job("quads", scene, CAMERA, settings, mode=mode, **shown)
-    small = {"edits": job.edits, "overlay": job.highlight}
+    small = {"edits": job.edits, "highlight": job.highlight}
     for gaussians, camera, options in (
         (scene, CAMERA, shown),
         (job.gaussians, job.camera, small),
