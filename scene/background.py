@@ -75,7 +75,7 @@ def pixel_rays(camera: Camera) -> np.ndarray | None:
             [0, 0, 1],
         ]
     )
-    return camera.R_camera_world.T @ inverse
+    return camera.R_world_camera @ inverse
 
 
 def seen(background: Background, camera: Camera, dtype: type[np.floating] = np.float64) -> np.ndarray:
@@ -116,7 +116,7 @@ def _rays(background: Gradient | Panorama, camera: Camera, top: int, like: np.nd
     matrix = pixel_rays(camera)
     if matrix is None:
         pixels = np.stack(np.broadcast_arrays(x, y), axis=-1)
-        world = camera.points_at(pixels, 1.0) @ camera.R_camera_world
+        world = camera.points_at(pixels, 1.0) @ camera.R_world_camera.T
         right, up, front = np.moveaxis((world @ axes_of(background).T).astype(dtype), -1, 0)
     else:
         right, up, front = (

@@ -82,8 +82,17 @@ class Camera:
 
     @property
     def eye(self) -> np.ndarray:
-        """(3,) float64: the camera's centre in world coordinates."""
-        return -self.R_camera_world.T @ self.t_camera_world
+        """(3,) float64: the camera's centre in world coordinates, which R·eye + t takes to 0.
+
+        By solving, as R may be a rotation to 1e-3 only (files store it rounded): with its transpose the eye
+        of a camera 10⁶ units from the origin would be 10³ beside.
+        """
+        return -np.linalg.solve(self.R_camera_world, self.t_camera_world)
+
+    @property
+    def R_world_camera(self) -> np.ndarray:
+        """(3, 3) float64: camera axes to world axes, the inverse of `R_camera_world`."""
+        return np.linalg.inv(self.R_camera_world)
 
     @property
     def forward(self) -> np.ndarray:

@@ -193,7 +193,7 @@ def pyramids(cameras: Sequence[Camera], seen_by: Camera, size: float) -> list[tu
     for index, camera in enumerate(cameras):
         own = np.concatenate([np.zeros((1, 3)), size * picture_corners(camera, size)])
         # By way of the difference of the eyes, so that scenes far from the origin do not jitter.
-        points = own @ camera.R_camera_world + (camera.eye - seen_by.eye)
+        points = own @ camera.R_world_camera.T + (camera.eye - seen_by.eye)
         t = points @ seen_by.R_camera_world.T
         if not (t[:, 2] >= NEAR).all():
             continue

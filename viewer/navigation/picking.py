@@ -79,7 +79,7 @@ def pick(
     return Pick(
         index=int(candidates[footprints.indices[hit]]),
         depth=depth,
-        point=camera.eye + camera.points_at((x, y), depth) @ camera.R_camera_world,
+        point=camera.eye + camera.R_world_camera @ camera.points_at((x, y), depth),
     )
 
 
