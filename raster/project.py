@@ -48,7 +48,7 @@ from splatview.raster.simd import (
     log2_lanes,
     store,
 )
-from splatview.raster.surfels import DISC, REACH_SLACK, project_discs
+from splatview.raster.surfels import DISC, project_discs
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
@@ -301,7 +301,7 @@ def project_group(view, optics, discs, lanes):
     if discs is None:
         axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
     else:
-        reach = reach_of(view, log2_lanes(opacity)) * (1 + REACH_SLACK) + REACH_SLACK
+        reach = reach_of(view, log2_lanes(opacity))
         turned_axes = camera_axes(view, rotation)
         seen, axes = project_discs(
             view, discs.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), reach, lanes, DISC_ROW

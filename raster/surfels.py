@@ -36,6 +36,9 @@ REACH_SLACK = 4e-3
 """By how much, relative and in itself, the reach of a disc is taken larger than it is; `bins` take an ellipse
 a hair larger too."""
 
+LEAST_REACH = 1e-12
+"""Of a splat that is drawn at all: what divides is never 0."""
+
 STRONG = 1.5
 """By this factor a disc's reach is nearer than its mean where a box may be smaller than the ellipse."""
 
@@ -124,6 +127,7 @@ def project_discs(view, perspective, tx, ty, tz, axes, scales, reach, lanes, fir
 
     All are float64 vectors: camera points, three unit axes in camera axes, three scales, reach.
     """
+    plain, reach = reach, reach * (1 + REACH_SLACK) + REACH_SLACK
     sx, sy, sz = scales
     one, zero, floor = fill(tx, 1.0), fill(tx, 0.0), fill(tx, LEAST_SCALE)
     x_size, y_size, z_size = max(sx, floor), max(sy, floor), max(sz, floor)
@@ -177,7 +181,8 @@ def project_discs(view, perspective, tx, ty, tz, axes, scales, reach, lanes, fir
         strong = keep_if_at_least(one, growth, fill(growth, STRONG))
         seen = one - strong * keep_if_below(one, min(x_half, y_half), zero)
         boxed = strong * keep_if_below(one, 2.0 * x_half * y_half, abs(m0 * m4 - m1 * m3) * reach)
-        to_m = boxed * math.sqrt(2.0 / reach)
+        # By the plain reach, with which tiles take M·Mᵀ: with a larger one they would lose the box's edges.
+        to_m = boxed * math.sqrt(2.0 / max(plain, fill(tx, LEAST_REACH)))
         solid = one - boxed
         m0, m1, m3, m4 = solid * m0 + to_m * x_half, solid * m1, solid * m3, solid * m4 + to_m * y_half
     longest = max(max(abs(m0), abs(m1)), max(abs(m3), abs(m4)))  # noqa: PLW3301 vectors come in twos
