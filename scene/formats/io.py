@@ -10,11 +10,25 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from splatview.scene.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+IMAGE_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF", "TGA")
+"""Pictures that are read, by Pillow's names and whatever a file is called. Left to itself Pillow starts
+Ghostscript on PostScript."""
+
+
+def open_image(path: Path) -> Image.Image:
+    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises."""
+    from PIL import Image
+
+    return Image.open(path, formats=IMAGE_FORMATS)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 
 from splatview.scene.background import WORLD_UP, Panorama
 from splatview.scene.errors import InputError
+from splatview.scene.formats.io import open_image
 
 LARGEST_SIDE = 8192
 """Px. Wider pictures are made smaller: at a usual field of view, this is more than a screen shows of them."""
@@ -22,7 +23,7 @@ ALWAYS_HELD = 2**20
 
 
 def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> Panorama:
-    """An equirectangular picture in any format that Pillow reads; transparency shows black.
+    """An equirectangular picture in any of `IMAGE_FORMATS`; transparency shows black.
 
     Raises:
         InputError: the file is missing, is no picture that can be read, or is too short for its size.
@@ -30,7 +31,7 @@ def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> P
     from PIL import Image
 
     try:
-        with Image.open(path) as file:
+        with open_image(path) as file:
             width, height = file.size
             if width * height > max(ALWAYS_HELD, PIXELS_PER_BYTE * path.stat().st_size):
                 raise InputError(

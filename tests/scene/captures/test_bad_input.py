@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import tracemalloc
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from splatview.scene import InputError
+from splatview.scene import InputError, look_at
 from splatview.scene.captures import load_capture
+from splatview.scene.captures.photos import _decode
+from splatview.scene.formats.panorama import load_panorama
 
 
 def refused(path: Path, **options) -> str:
@@ -336,3 +340,48 @@ def test_everything_in_one_place(tmp_path, colmap_capture, cameras_of):
     camera = cameras_of(1)[0]
     colmap_capture(tmp_path, cameras=[camera] * 3, points=np.tile(camera.eye, (5, 1)))
     assert "spread over" in refused(tmp_path)
+
+
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 40 30\n%%EndComments\nshowpage\n"
+
+
+def test_postscript_that_is_called_png_starts_no_interpreter(tmp_path, colmap_capture, monkeypatch):
+    started = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *args, **options: started.append(args))
+    monkeypatch.setattr(subprocess, "check_call", lambda *args, **options: started.append(args))
+    colmap_capture(tmp_path)
+    (tmp_path / "images/p00.png").write_bytes(POSTSCRIPT)
+    assert "is no readable image" in refused(tmp_path)
+    panorama = tmp_path / "sky.png"
+    panorama.write_bytes(POSTSCRIPT)
+    with pytest.raises(InputError, match="is no picture that can be read"):
+        load_panorama(panorama)
+    assert not started
+
+
+def test_large_transparent_photos_take_memory_by_rows(tmp_path, colmap_capture, png):
+    """The float32 of a whole photo would be 28 bytes per pixel; a bomb of 169 megapixels took 12 GiB."""
+    width, height = 1500, 3000
+    camera = look_at((0, 0, -4), (0, 0, 0), width=width, height=height)
+    colmap_capture(tmp_path, cameras=[camera, camera], photos=False)
+    for name in ("p00.png", "p01.png"):
+        png(tmp_path / "images" / name, np.full((height, width, 4), (200, 100, 50, 128), np.uint8))
+    shot_size = width, height
+    tracemalloc.start()
+    decoded = _decode(tmp_path / "images/p00.png", shot_size, (0.0, 0.0, 0.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 13 * width * height, f"{peak / width / height:.1f} bytes per pixel"
+    assert decoded.is_transparent and (decoded.rgb == (100, 50, 25)).all()
+
+
+def test_float_photos_in_shares_of_white_are_not_black(tmp_path, colmap_capture, cameras_of):
+    cameras = cameras_of(2)
+    colmap_capture(tmp_path, cameras=cameras, names=["a.tif", "b.tif"], photos=False)
+    (tmp_path / "images").mkdir()
+    for name, level in (("a.tif", 0.5), ("b.tif", 1.0)):
+        pixels = np.full((cameras[0].height, cameras[0].width), level, np.float32)
+        Image.fromarray(pixels).save(tmp_path / "images" / name)
+    capture = load_capture(tmp_path)
+    levels = sorted(int(photo.image()[0, 0, 0]) for photo in (*capture.train, *capture.held_out))
+    assert levels == [128, 255]
