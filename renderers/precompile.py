@@ -380,10 +380,12 @@ def in_a_process(
     """
     try:
         process = subprocess.Popen(
-            [sys.executable, "-c", STARTER],
+            # -P: without it Python runs a numpy.py that lies in the current folder, beside a scene say.
+            [sys.executable, "-P", "-c", STARTER],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # no console beside the window
         )
     except OSError as error:
         raise RuntimeError(str(error)) from error
