@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,8 +16,9 @@ from splatview.edit.document import Document
 from splatview.edit.export import exported
 from splatview.edit.impact import StepPrices, in_words
 from splatview.edit.operations import OPERATIONS, Operation
+from splatview.edit.operations.merge_split import Split
 from splatview.edit.progress import Watch
-from splatview.edit.recipe import check_scene, load_recipe, replay
+from splatview.edit.recipe import Recipe, check_scene, load_recipe, replay
 from splatview.edit.sample_views import sample_cameras
 from splatview.renderers.headless import RasterTools
 from splatview.scene import Gaussians, InputError
@@ -52,6 +55,9 @@ def make_parser() -> Parser:
         action="store_true",
         help=f"also tell what each step costs: how far {VIEWS} views after it are from those before",
     )
+    parser.add_argument(
+        "--force", action="store_true", help="let files that the recipe splits off replace existing ones"
+    )
     parser.add_argument("--json", action="store_true", help="the report for scripts, on standard output")
     return parser
 
@@ -65,6 +71,7 @@ def run(arguments: list[str]) -> int:
     if args.output is not None and not args.dry_run:
         check_saving(args.output)
     recipe = load_recipe(args.recipe)
+    targets = _split_targets(recipe, args) if args.output is not None else {}
     gaussians = load_scene(args.scene)
     parts: list[tuple[Gaussians, Path]] = []
     document = Document(
@@ -98,7 +105,7 @@ def run(arguments: list[str]) -> int:
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None
     if args.output is not None and not args.dry_run:
-        _write(scene, args.output, parts)
+        _write(scene, args.output, [(part, targets[path]) for part, path in parts])
     summary = {"scene": args.scene, "count": len(gaussians), "kept": len(scene), "steps": steps}
     if args.json:
         print(json.dumps(summary, indent=1))
@@ -107,6 +114,31 @@ def run(arguments: list[str]) -> int:
     else:
         print(f"{args.output}: {len(scene):,} of {len(gaussians):,} splats", file=sys.stderr)
     return 0
+
+
+def _split_targets(recipe: Recipe, args: Namespace) -> dict[Path, Path]:
+    """The files that steps of the recipe name -> where they are written: in the folder of OUT.
+
+    Recipes come from strangers: none may write elsewhere, over SCENE, or over another file unasked.
+
+    Raises:
+        InputError: a step would.
+    """
+    targets = {}
+    folder = args.output.absolute().parent
+    for number, step in enumerate(recipe.steps, 1):
+        if not isinstance(step, Split):
+            continue
+        where = f"{args.recipe}: step {number} (split): {step.path}"
+        target = folder / step.path
+        if not target.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{where}: is outside {folder}, where OUT is; name a file in that folder")
+        if target.exists() and Path(args.scene).exists() and target.samefile(args.scene):
+            raise InputError(f"{where}: is SCENE itself; give another name in the recipe")
+        if target.exists() and not args.force:
+            raise InputError(f"{where}: exists already in {folder}; remove it, or overwrite it with --force")
+        targets[Path(recipe.folder or os.curdir, step.path)] = target
+    return targets
 
 
 def _write(scene: Gaussians, output: Path, parts: list[tuple[Gaussians, Path]]) -> None:

@@ -57,7 +57,7 @@ class Split(Operation):
     summary: ClassVar[str] = "Save the selected splats to a file of their own and delete them here"
 
     path: str
-    """Relative ones start from the recipe's folder. Undoing leaves the file."""
+    """Relative ones start from the folder of OUT, and none leaves it. Undoing leaves the file."""
 
     def __post_init__(self) -> None:
         _check_path(self.path)

@@ -123,8 +123,46 @@ def test_files_beside_the_recipe(scene, splatview, tmp_path):
     code, _, err = splatview("edit", scene, "--recipe", path, "-o", tmp_path / "out.ply")
     assert code == 0, err
     assert (tmp_path / "out.ply").read_bytes() == scene.read_bytes()
-    assert (folder / "part.ply").read_bytes() == (folder / "more.ply").read_bytes()
+    assert (tmp_path / "part.ply").read_bytes() == (folder / "more.ply").read_bytes()
     assert "20 splats split off" in err
+
+
+SPLIT = {"op": "select", "by": {"kind": "runs", "runs": [[0, 9]]}}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("../part.ply", "is outside"),
+        ("sub/../../part.ply", "is outside"),
+        ("ABSOLUTE", "is outside"),
+        ("link/part.ply", "is outside"),
+        ("scene.ply", "is SCENE itself"),
+        ("linked.ply", "is SCENE itself"),
+        ("there.ply", "exists already"),
+    ],
+)
+def test_a_recipe_of_a_stranger_writes_nowhere_else_and_over_nothing(
+    scene, splatview, tmp_path, name, message
+):
+    folder, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    here = folder / "scene.ply"
+    here.write_bytes(scene.read_bytes())
+    (folder / "link").symlink_to(elsewhere)
+    (folder / "linked.ply").hardlink_to(here)
+    (folder / "there.ply").write_bytes(b"precious")
+    name = str(elsewhere / "part.ply") if name == "ABSOLUTE" else name
+    path = recipe(tmp_path / "r.json", SPLIT, {"op": "split", "path": name})
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    code, out, err = splatview("edit", here, "--recipe", path, "-o", folder / "out.ply")
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert f"step 2 (split): {name}: {message}" in err
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+    code, _, err = splatview("edit", here, "--recipe", path, "-o", folder / "out.ply", "--force")
+    assert code == (0 if name == "there.ply" else 2), err
+    assert here.read_bytes() == scene.read_bytes()
 
 
 def test_the_scene_itself_may_be_written_over(scene, splatview, tmp_path):
