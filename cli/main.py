@@ -5,11 +5,14 @@ Nothing heavy is imported here: each command is a module of `commands`, imported
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
+from typing import Any, TextIO
 
 from splatview.scene import InputError
 
@@ -55,23 +58,71 @@ def main(argv: Sequence[str] | None = None) -> int:
     defect of ours and keeps its traceback.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    try:
-        code = _dispatch(arguments)
-        # A pipe that broke is noticed here rather than in the interpreter's shutdown, which would complain.
-        sys.stdout.flush()
-        return code
-    except InputError as error:
-        print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except MemoryError as error:
-        print(f"splatview: not enough memory ({error}); try a smaller scene or --size", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # What is still buffered must go somewhere when the interpreter flushes it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_BROKEN_PIPE
+    output, messages = TolerantStream(sys.stdout), TolerantStream(sys.stderr)
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):  # pyright: ignore
+        try:
+            code = _dispatch(arguments)
+        except InputError as error:
+            print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
+            code = EXIT_BAD_INPUT
+        except MemoryError as error:
+            print(f"splatview: not enough memory ({error}); try a smaller scene or --size", file=sys.stderr)
+            code = EXIT_BAD_INPUT
+        except KeyboardInterrupt:
+            code = EXIT_INTERRUPTED
+        finally:
+            # Noticed here rather than in the interpreter's shutdown, which would complain.
+            output.flush()
+            messages.flush()
+        if code == 0 and isinstance(output.failure, BrokenPipeError):
+            return EXIT_BROKEN_PIPE
+        if code == 0 and isinstance(output.failure, OSError):
+            reason = output.failure.strerror or output.failure
+            print(f"splatview: standard output: cannot be written: {reason}", file=sys.stderr)
+            return EXIT_BAD_INPUT
+    return code
+
+
+class TolerantStream:
+    """A standard stream to which writing never fails: work is worth more than what is said about it.
+
+    A reader that has gone (``| head``), a full disk under a log and a stream that was closed from the start
+    are noted once, in `failure`; what is written after that goes nowhere. Characters that the stream's
+    encoding lacks are written as escapes.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
+        """`stream`: None where the process was started without it."""
+        self._stream = stream
+        self.failure: Exception | None = None
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+    def write(self, text: str) -> int:
+        self._try(lambda stream: stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(lambda stream: stream.flush())
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def __getattr__(self, name: str) -> Any:
+        if self._stream is None:
+            raise AttributeError(name)
+        return getattr(self._stream, name)
+
+    def _try(self, act: Callable[[TextIO], object]) -> None:
+        if self._stream is None or self.failure is not None:
+            return
+        try:
+            act(self._stream)
+        except (OSError, ValueError) as error:  # ValueError: it was closed on the way
+            self.failure = error
+            with contextlib.suppress(OSError, ValueError):
+                # What is still buffered must go somewhere when the interpreter flushes it.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -176,6 +176,15 @@ class TrainingRun:
         except PeerLost:
             self.keep()
             raise
+        except Exception as error:
+            # The scene is worth more than the reason why it is not finished.
+            try:
+                self.keep()
+            except Exception as unsaved:
+                error.add_note(f"nor could the scene be saved: {unsaved}")
+            else:
+                self.on_note(f"the run failed; {self.outputs.scene} is the scene so far")
+            raise
         finally:
             self.close()
         self.keep()
