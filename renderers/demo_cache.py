@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -14,7 +15,8 @@ import numpy as np
 
 from splatview.raster import render
 from splatview.scene import Gaussians, InputError, demo
-from splatview.scene import captures as captures_package
+from splatview.scene.captures import demo as capture_demo
+from splatview.scene.captures import nerfstudio
 from splatview.scene.captures.demo import demo_capture
 from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.demo import demo_scene
@@ -107,6 +109,6 @@ def _is_whole(folder: Path) -> bool:
 def _stamp() -> str:
     """Changes with the scene, and with anything else that the photos depend on."""
     digest = hashlib.sha256(f"{demo_stamp()} {PHOTOS} {WIDTH} {HEIGHT}".encode())
-    for name in ("demo.py", "write.py"):
-        digest.update(resources.files(captures_package).joinpath(name).read_bytes())
+    for module in (capture_demo, nerfstudio):
+        digest.update(inspect.getsource(module).encode())
     return digest.hexdigest()[:16]
