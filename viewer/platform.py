@@ -20,6 +20,7 @@ from splatview.viewer.state import AppState
 import imgui_bundle  # noqa: F401 - isort: skip  (sets which libglfw is used)
 import glfw
 
+from splatview.renderers.gl.context import GL_VERSIONS
 from splatview.scene import InputError
 
 DISPLAY_LOST = 2
@@ -135,10 +136,6 @@ def _xlib() -> Any:
 # ---- Whether a window can be opened here, and with which OpenGL.
 
 
-GL_VERSIONS = ((4, 5), (4, 3), (4, 1), (3, 3))
-"""Tried in this order: 4.3 brings compute shaders, 4.1 is what macOS has, 3.3 is the least we can use."""
-
-
 def display_problem() -> str | None:
     """One line on why no window can be opened here, or None where one can."""
     try:
@@ -162,7 +159,8 @@ def best_gl_version() -> tuple[int, int]:
         if not glfw.init():
             raise InputError(f"no window can be opened: {no_display_reason()}")
         try:
-            for major, minor in GL_VERSIONS:
+            for code in GL_VERSIONS:
+                major, minor = code // 100, code // 10 % 10
                 glfw.default_window_hints()
                 glfw.window_hint(glfw.VISIBLE, False)
                 glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, major)

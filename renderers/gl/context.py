@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import moderngl
 
 from splatview.scene import InputError
 
-SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software", "gdi generic")
+SOFTWARE_RENDERERS = (
+    "llvmpipe",
+    "softpipe",
+    "swrast",
+    "swiftshader",
+    "software",
+    "gdi generic",
+    "microsoft basic render",
+)
 """Parts of GL_RENDERER, lower case, that tell a rasteriser on the CPU."""
+
+GL_VERSIONS = (450, 430, 410, 330)
+"""Version codes that are asked for, with and without a window, the newest first."""
+
+MOST_DEVICES = 16
+"""EGL devices that are tried."""
+
+COMPUTE_STORAGE_BLOCKS, VERTEX_STORAGE_BLOCKS = 11, 7
+"""Most storage blocks of a compute and of a vertex shader of ours. OpenGL 4.3 promises 8 and none."""
 
 HOW_TO_GET_GL = "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
 
@@ -26,7 +45,7 @@ class GLInfo:
     version_code: int
     """430 for OpenGL 4.3."""
     has_compute: bool
-    """Compute shaders and shader storage: the `quads` renderer's fast path."""
+    """Compute shaders, and as many storage blocks as ours have: the `quads` renderer's fast path."""
     is_software: bool
     """The "GPU" is this machine's processor: the `cpu` renderer is faster."""
 
@@ -39,30 +58,87 @@ def describe(ctx: moderngl.Context) -> GLInfo:
         renderer=renderer,
         version=ctx.info["GL_VERSION"],
         version_code=ctx.version_code,
-        has_compute=ctx.version_code >= 430,
+        has_compute=has_compute(ctx),
         is_software=any(word in renderer.lower() for word in SOFTWARE_RENDERERS),
     )
 
 
-def create_headless_context(*, require: int | None = None) -> moderngl.Context:
+def has_compute(ctx: moderngl.Context) -> bool:
+    """Whether the compute shaders of `quads` and `tiles` link here: OpenGL 4.3 alone does not say so."""
+    compute = ctx.info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0)
+    vertex = ctx.info.get("GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS", 0)
+    return ctx.version_code >= 430 and compute >= COMPUTE_STORAGE_BLOCKS and vertex >= VERTEX_STORAGE_BLOCKS
+
+
+def create_headless_context(*, require: int = 330) -> moderngl.Context:
     """A context that needs no window or display: EGL on Linux, the system's own elsewhere.
 
-    `require` is the least version code accepted (430); None takes 330.
+    The newest version of `GL_VERSIONS` that the driver gives, `require` (330, 430 ...) at least: drivers that
+    are asked for an old one may give exactly that. Of several EGL devices the first that is no software
+    rasteriser, unless the environment's GLCONTEXT_DEVICE_INDEX names one.
 
     Raises:
         InputError: no driver, or one that is too old; says what to install.
     """
-    least = require or 330
-    try:
-        if sys.platform.startswith("linux"):
-            # moderngl's stub types its keyword arguments wrongly.
-            return moderngl.create_context(standalone=True, require=least, backend="egl")  # pyright: ignore
-        return moderngl.create_context(standalone=True, require=least)
-    except Exception as error:  # glcontext raises bare Exception, OSError or ImportError by platform
-        reason = " ".join(str(error).split()) or type(error).__name__
+    asked = [code for code in GL_VERSIONS if code >= require] or [require]
+    if not sys.platform.startswith("linux"):
+        made, problems = _newest(asked)
+    elif "GLCONTEXT_DEVICE_INDEX" in os.environ:
+        made, problems = _newest(asked, backend="egl")
+    else:
+        made, problems = _best_device(asked)
+    if made is None:
+        # The first says why there is nothing, the others that there is no more than that.
         raise InputError(
-            f"no OpenGL {least // 100}.{least // 10 % 10} without a window here ({reason}); {HOW_TO_GET_GL}"
-        ) from error
+            f"no OpenGL {require // 100}.{require // 10 % 10} without a window here ({problems[0]}); "
+            + (missing_nvidia_gl() or HOW_TO_GET_GL)
+        )
+    return made
+
+
+def _newest(versions: Sequence[int], **options: Any) -> tuple[moderngl.Context | None, list[str]]:
+    """A context of the first of `versions` that the driver gives; without one, why, the last try's first."""
+    problems: list[str] = []
+    for version in versions:
+        try:
+            return moderngl.create_context(standalone=True, require=version, **options), []
+        except Exception as error:  # glcontext raises bare Exception, OSError or ImportError by platform
+            problems.insert(0, " ".join(str(error).split()) or type(error).__name__)
+    return None, problems
+
+
+def _best_device(versions: Sequence[int]) -> tuple[moderngl.Context | None, list[str]]:
+    """As `_newest` on the first EGL device with a GPU, or else on the first that works: that of index 0 may
+    be a card that this process may not use, or software beside a GPU."""
+    software: moderngl.Context | None = None
+    problems: list[str] = []
+    for index in range(MOST_DEVICES):
+        made, why = _newest(versions, backend="egl", device_index=index)
+        problems += why
+        if made is not None:
+            if not describe(made).is_software:
+                if software is not None:
+                    software.release()
+                return made, []
+            if software is None:
+                software = made
+            else:
+                made.release()
+        elif any("requested device index" in reason for reason in why):
+            break
+    if software is not None:
+        software.__enter__()  # the latest context made is the current one
+    return software, problems
+
+
+def missing_nvidia_gl() -> str | None:
+    """What to do where an NVIDIA card is without its OpenGL, as containers are by default; None elsewhere."""
+    if not os.path.exists("/dev/nvidiactl"):
+        return None
+    return (
+        "an NVIDIA GPU is here without its OpenGL driver: in a container set "
+        "NVIDIA_DRIVER_CAPABILITIES=all (or graphics), else install libnvidia-gl"
+    )
 
 
 # ---- GPU memory: asked for so that a driver without room says so, and counted from the objects themselves.

@@ -51,7 +51,7 @@ def test_walls_beside_the_eye_keep_their_edge_tiles():
     rng = np.random.default_rng(2)
     worst = []
     for _ in range(400):
-        tilt = about_axis(rng.normal(size=3), rng.uniform(0, 180))
+        tilt = about_axis(tuple(rng.normal(size=3)), rng.uniform(0, 180))
         beside = rng.choice([-1, 1]) * rng.uniform(0.3, 6), rng.uniform(-3, 3), rng.uniform(0.011, 0.4)
         sizes = rng.uniform(-1, 3), rng.uniform(-1, 3), -20
         wall = splats(

@@ -5,22 +5,41 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import moderngl
 import pytest
 
 from splatview.renderers import make_renderer
-from splatview.renderers.gl.context import create_headless_context, describe
+from splatview.renderers.gl.context import GL_VERSIONS, create_headless_context, describe
 from splatview.scene import InputError
 
 linux_only = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="EGL is for Linux")
 
 
-def fake_context(renderer: str, version_code: int = 330) -> moderngl.Context:
-    info = {"GL_VENDOR": "someone", "GL_RENDERER": renderer, "GL_VERSION": "as they call it"}
-    return cast(moderngl.Context, SimpleNamespace(info=info, version_code=version_code))
+LIMITS = {"GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS": 16, "GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS": 16}
+
+
+class FakeContext:
+    """What `context` reads of a real one."""
+
+    def __init__(self, renderer: str, version_code: int, limits: dict[str, int]) -> None:
+        named = {"GL_VENDOR": "someone", "GL_RENDERER": renderer, "GL_VERSION": "as they call it"}
+        self.info = named | LIMITS | limits
+        self.version_code = version_code
+        self.released = False
+
+    def __enter__(self) -> FakeContext:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def release(self) -> None:
+        self.released = True
+
+
+def fake_context(renderer: str, version_code: int = 330, **limits: int) -> moderngl.Context:
+    return cast(moderngl.Context, FakeContext(renderer, version_code, limits))
 
 
 def test_describe_a_real_context(ctx):
@@ -38,6 +57,7 @@ def test_describe_a_real_context(ctx):
         ("softpipe", True),
         ("Google SwiftShader", True),
         ("Apple Software Renderer", True),
+        ("D3D12 (Microsoft Basic Render Driver)", True),
         ("GDI Generic", True),
         ("NVIDIA H200/PCIe/SSE2", False),
         ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
@@ -52,6 +72,105 @@ def test_software_is_recognised(renderer, software):
 @pytest.mark.parametrize(("version", "compute"), [(330, False), (410, False), (430, True), (460, True)])
 def test_compute_comes_with_4_3(version, compute):
     assert describe(fake_context("some GPU", version)).has_compute is compute
+
+
+@pytest.mark.parametrize(
+    ("limits", "compute"),
+    [
+        ({}, True),
+        ({"GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS": 8}, False),
+        ({"GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS": 0}, False),
+    ],
+)
+def test_compute_needs_more_storage_blocks_than_the_standard_promises(limits, compute):
+    assert describe(fake_context("some GPU", 450, **limits)).has_compute is compute
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch):
+    """`driver({device index: (renderer, newest version)})`: what there is; returns what is asked of it."""
+    monkeypatch.delenv("GLCONTEXT_DEVICE_INDEX", raising=False)
+    asked: list[tuple[int, int]] = []
+    made: list[Any] = []
+
+    def install(devices: dict[int, tuple[str, int]]):
+        def create(*, require: int, device_index: int = 0, **_: Any) -> moderngl.Context:
+            asked.append((device_index, require))
+            if device_index not in devices:
+                raise Exception(f"requested device index {device_index}, but found {len(devices)} devices")
+            renderer, newest = devices[device_index]
+            if require > newest:
+                raise Exception("eglCreateContext failed (0x3009)")
+            # As NVIDIA's driver does: exactly what was asked for.
+            made.append(fake_context(renderer, require))
+            return made[-1]
+
+        monkeypatch.setattr(moderngl, "create_context", create)
+        return asked, made
+
+    return install
+
+
+@linux_only
+def test_the_newest_version_is_asked_for_first(driver):
+    asked, _ = driver({0: ("NVIDIA H200/PCIe/SSE2", 460)})
+    assert create_headless_context().version_code == 450
+    assert asked == [(0, 450)]
+
+
+@linux_only
+def test_older_versions_are_asked_for_in_turn(driver):
+    asked, _ = driver({0: ("Mesa Intel(R) HD Graphics 3000", 330)})
+    assert create_headless_context().version_code == 330
+    assert [version for _, version in asked] == [450, 430, 410, 330]
+
+
+@linux_only
+@pytest.mark.parametrize(
+    ("devices", "chosen"),
+    [
+        ({0: ("llvmpipe", 450), 1: ("NVIDIA RTX 4070", 450)}, 1),
+        ({0: ("a card of somebody else", 0), 1: ("llvmpipe", 450), 2: ("AMD Radeon", 450)}, 2),
+        ({0: ("llvmpipe", 450), 1: ("softpipe", 330)}, 0),
+        ({0: ("NVIDIA RTX 4070", 450), 1: ("AMD Radeon", 450)}, 0),
+    ],
+)
+def test_of_several_devices_one_with_a_gpu_is_taken(driver, devices, chosen):
+    _, made = driver(devices)
+    taken = create_headless_context()
+    assert taken.info["GL_RENDERER"] == devices[chosen][0]
+    assert all(context.released for context in made if context is not taken)
+
+
+@linux_only
+def test_a_device_named_by_the_environment_is_the_only_one_tried(driver, monkeypatch):
+    monkeypatch.setenv("GLCONTEXT_DEVICE_INDEX", "1")
+    asked, _ = driver({0: ("llvmpipe", 450)})
+    create_headless_context()
+    assert asked == [(0, 450)]  # glcontext itself replaces the index
+
+
+def test_windows_ask_for_the_same_versions(monkeypatch):
+    from splatview.viewer import platform
+
+    asked: list[int] = []
+    hints: dict[int, int] = {}
+    monkeypatch.setattr(platform.glfw, "init", lambda: True)
+    monkeypatch.setattr(platform.glfw, "terminate", lambda: None)
+    monkeypatch.setattr(platform.glfw, "get_error", lambda: (0, b"too new"))
+    monkeypatch.setattr(platform.glfw, "default_window_hints", hints.clear)
+    monkeypatch.setattr(platform.glfw, "window_hint", hints.__setitem__)
+
+    def create(*_: Any) -> None:
+        major, minor = (
+            hints[getattr(platform.glfw, f"CONTEXT_VERSION_{part}")] for part in ("MAJOR", "MINOR")
+        )
+        asked.append(100 * major + 10 * minor)
+
+    monkeypatch.setattr(platform.glfw, "create_window", create)
+    with pytest.raises(InputError, match="no window with OpenGL"):
+        platform.best_gl_version()
+    assert tuple(asked) == GL_VERSIONS
 
 
 @linux_only
