@@ -190,7 +190,7 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
     cost is measured; in between, time goes with the pixels and blur grows with their size. Where time did
     not suffice to measure it, fewer pixels are taken as `unpriced` does, when no measured rung will do.
     """
-    own = [one for one in rungs if one.rung.artist.name == baseline.rung.artist.name]
+    own = [one for one in rungs if one.rung.renderer.name == baseline.rung.renderer.name]
     half = next((one for one in own if (one.rung.knob, one.rung.value) == ("resolution", "1/2")), None)
     share, halving = UNPRICED_PIXELS, None
     if half is not None and math.isfinite(half.ratio):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,23 +130,12 @@ def test_a_time_that_is_no_number_teaches_nothing():
     assert governor.slowness == 1
 
 
-class Nobody:
-    name = "quads"
-
-    def draw(self, camera, plan) -> np.ndarray:
-        return np.zeros((1, 1, 4))
-
-    def follow(self, camera, plan) -> np.ndarray:
-        return self.draw(camera, plan)
-
-    def prepare(self, camera, plan) -> None: ...
-    def memory(self, plan) -> int:
-        return 0
+NOBODY: Any = SimpleNamespace(name="quads")
 
 
 def rung(knob: str, value: str, ratio: float, psnr: float) -> Measured:
     plan = Plan(kept=int(value) / 100) if knob == "keep" else Plan()
-    made = Rung(knob=knob, value=value, artist=Nobody(), plan=plan, options=())
+    made = Rung(knob=knob, value=value, renderer=NOBODY, plan=plan, options=())
     return Measured(rung=made, psnr=psnr, times=[FULL_MS * ratio], ratios=[ratio])
 
 

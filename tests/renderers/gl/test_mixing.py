@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.renderers.moving_quality import FINE_STEP, Mixer, Shortcut, mixtures_of, squared_error
+from splatview.renderers.quality import FINE_STEP, Mixer, Shortcut, mixtures_of, squared_error
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.lod import chances, levels_and_cells
 

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatview import raster
-from splatview.renderers import moving_quality as moving
-from splatview.renderers.moving_quality import (
+from splatview.renderers import quality as moving
+from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.quality import (
     MOVING_MS,
     SLACK,
     Level,
@@ -22,10 +23,12 @@ from splatview.renderers.moving_quality import (
     price,
     squared_error,
 )
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, look_at
 
 SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
 CAMERA = look_at((0, 0.5, -3), (0, 0, 0), width=96, height=64)
+REQUEST = FrameRequest(None, CAMERA, SETTINGS)
 
 
 def shortcut(scene: Gaussians, ms: float, error: float, **options) -> Shortcut:
@@ -59,7 +62,7 @@ def dense(random_gaussians) -> Gaussians:
 def test_errors_are_those_of_the_pictures(dense):
     levels = make_levels(dense, lambda: False)
     assert len(levels) > 1
-    plan = price(levels, CAMERA, SETTINGS, lambda: False, threads=1)
+    plan = price(levels, REQUEST, CpuRenderer(), lambda: False)
     assert plan is not None
     assert plan.levels is levels
     full = raster.render(dense, CAMERA, SETTINGS)[..., :3]
@@ -76,7 +79,7 @@ def test_errors_are_those_of_the_pictures(dense):
 
 
 def test_every_shortcut_is_the_best_for_its_time(dense):
-    plan = price(make_levels(dense, lambda: False), CAMERA, SETTINGS, lambda: False, threads=1)
+    plan = price(make_levels(dense, lambda: False), REQUEST, CpuRenderer(), lambda: False)
     assert plan is not None
     times = [one.ms for one in plan.shortcuts]
     errors = [one.error for one in plan.shortcuts]
@@ -91,7 +94,7 @@ def test_what_is_slower_and_worse_is_left_out(scene):
 
 
 def test_pricing_ends_when_it_is_told_to(dense):
-    assert price((Level(dense),), CAMERA, SETTINGS, lambda: True) is None
+    assert price((Level(dense),), REQUEST, CpuRenderer(), lambda: True) is None
     assert len(make_levels(dense, lambda: True)) == 2
 
 

@@ -54,7 +54,7 @@ def render(request: pytest.FixtureRequest) -> Iterator[Render]:
     made = {"quads": QuadsRenderer, "tiles": TilesRenderer, "legacy": QuadsGL33Renderer}
     renderer = made[request.param](request.getfixturevalue("ctx"))
     yield renderer.render
-    renderer.release()
+    renderer.close()
 
 
 @pytest.mark.parametrize("settings", [FLOAT16, FLOAT32], ids=["float16", "float32"])
@@ -113,7 +113,7 @@ def test_other_scenes_pay_nothing(ctx, random_gaussians):
     renderer = QuadsGL33Renderer(ctx)
     renderer.load(random_gaussians(300))
     assert renderer._scene is not None and renderer._scene.rests is None
-    renderer.release()
+    renderer.close()
 
 
 def test_what_is_not_finite_stays_so(random_gaussians):

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatview import raster
 from splatview.measure.governor import Governor
-from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.renderers.request import FrameRequest, FrameStats, Renderer
+from splatview.scene import Gaussians
 from splatview.scene.gaussians import concatenate
 from splatview.scene.lod import chances, levels_and_cells
 
@@ -139,10 +139,6 @@ class Plan:
         return all(max(old, new, 1) < SAME_WORK * max(min(old, new), 1) for old, new in pairs)
 
 
-def work_of(frame: raster.Frame) -> tuple[int, int]:
-    return sum(stop - start for start, stop in frame.runs), frame.pixel_splats
-
-
 def make_levels(gaussians: Gaussians, stop: Callable[[], bool]) -> tuple[Level, ...]:
     """The scene and what it merges to, of what fits in memory; fewer levels where `stop()` becomes true."""
     levels = [Level(gaussians)]
@@ -167,16 +163,9 @@ class Level:
 
 
 def price(
-    levels: tuple[Level, ...],
-    camera: Camera,
-    settings: RenderSettings,
-    stop: Callable[[], bool],
-    *,
-    threads: int | None = None,
+    levels: tuple[Level, ...], request: FrameRequest, renderer: Renderer, stop: Callable[[], bool]
 ) -> Plan | None:
     """Draws every level twice, in full and in half size; None where `stop()` became true."""
-    workspace = raster.Workspace()
-    half = scaled(camera, 0.5)
     full_picture: np.ndarray | None = None
     halving = 0.0
     work = (0, 0)
@@ -185,18 +174,18 @@ def price(
     """Of each level, in full size."""
     for each in levels:
         level = each.gaussians
-        splats, nonzero = raster.parameters_of(level), raster.nonzero_bands(level)
         if stop():
             return None
-        frame = raster.draw_frame(splats, camera, settings, workspace, nonzero=nonzero, threads=threads)
-        full_ms, picture, level_work = time_of(frame), frame.image[..., :3], work_of(frame)
+        full = replace(request, gaussians=level)
+        picture, stats = drawn(renderer, full)
         if stop():
             return None
-        frame = raster.draw_frame(splats, half, settings, workspace, nonzero=nonzero, threads=threads)
+        half_picture, half = drawn(renderer, replace(full, resolution=0.5 * full.resolution))
         if full_picture is None:
-            full_picture, work = picture, level_work
-            halving = squared_error(doubled(frame.image[..., :3]), picture)
-        of_pixels = max(full_ms - time_of(frame), 0.0) / (1 - 0.5**2)
+            full_picture, work = picture, (stats.visible, stats.pixel_splats)
+            halving = squared_error(doubled(half_picture), picture)
+        full_ms = stats.milliseconds
+        of_pixels = max(full_ms - half.milliseconds, 0.0) / (1 - 0.5**2)
         merging = 0.0 if each is levels[0] else squared_error(picture, full_picture)
         shortcuts += [
             Shortcut(
@@ -257,12 +246,10 @@ def best_of(shortcuts: list[Shortcut]) -> tuple[Shortcut, ...]:
     return tuple(reversed(best))
 
 
-def time_of(frame: raster.Frame) -> float:
-    return sum(frame.milliseconds.values())
-
-
-def scaled(camera: Camera, scale: float) -> Camera:
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+def drawn(renderer: Renderer, request: FrameRequest) -> tuple[np.ndarray, FrameStats]:
+    """RGB (H, W, 3) of the pixels that the request draws, and what drawing them took."""
+    renderer.draw(request)
+    return renderer.read()[..., :3], renderer.stats(wait=True)
 
 
 def doubled(image: np.ndarray) -> np.ndarray:
