@@ -33,7 +33,8 @@ from splatview.cli.arguments import (
 )
 from splatview.measure.knobs import Plan, path_to_view
 from splatview.renderers import MODES, FrameRequest, Renderer, choices
-from splatview.renderers.headless import make_headless, reduced
+from splatview.renderers.headless import make_headless
+from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects import settings_for

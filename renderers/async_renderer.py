@@ -18,9 +18,9 @@ from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
 from splatview.renderers.quality import (
     MOVING_MS,
     UNPRICED_SCALE,
+    Governor,
     Level,
-    Pace,
-    Plan,
+    MovingPlan,
     Shortcut,
     make_levels,
     price,
@@ -144,7 +144,7 @@ class AsyncRenderer(Renderer):
         self._drawing = False
         self._finished: FrameRequest | None = None  # drawn at full resolution
         self._image: tuple[np.ndarray, str] | None = None  # not taken yet, and its note
-        self._plan: Plan | None = None  # made, and not yet followed
+        self._plan: MovingPlan | None = None  # the latest made
         self._stats = FrameStats()
         self._ended = False
         self.status = ""
@@ -155,7 +155,8 @@ class AsyncRenderer(Renderer):
         self.note = ""
         """How the picture taken last was reduced, or ""."""
         # The worker's alone:
-        self._pace = Pace()
+        self._governor = Governor()
+        self._followed: MovingPlan | None = None
         self._full_ms: float | None = None  # of the latest full picture of this scene, its memory being warm
         self._drawn_of: Gaussians | None = None
         self._planner: threading.Thread | None = None
@@ -280,9 +281,8 @@ class AsyncRenderer(Renderer):
                 request, plan = self._request, self._plan
                 assert request is not None
                 sharp = coarse is request or self._resting
-            self._pace.hold(self.budget_ms)
-            if plan is not self._pace.plan:
-                self._pace.follow(plan)
+            if plan is not self._followed or self.budget_ms != self._governor.budget_ms:
+                self._follow(plan)
             begun = time.perf_counter()
             try:
                 self._render(request, None if sharp else self._shortcut(request))
@@ -294,6 +294,15 @@ class AsyncRenderer(Renderer):
             coarse = request
             self._on_ready()
             self._rest(time.perf_counter() - begun)
+
+    def _follow(self, plan: MovingPlan | None) -> None:
+        """Chooses from now on from the plan's shortcuts, finer ones where a budget is to be filled."""
+        self._followed = plan
+        self._governor.set_budget(self.budget_ms)
+        if plan is not None:
+            self._governor.follow(plan.fine if plan.fine and self.budget_ms is not None else plan.shortcuts)
+        else:
+            self._governor.follow(())
 
     def _rest(self, took: float) -> None:
         """Leaves the cores to others after a picture that took so many seconds, as long as is due."""
@@ -311,22 +320,23 @@ class AsyncRenderer(Renderer):
 
     def _shortcut(self, request: FrameRequest) -> Shortcut | None:
         """How to draw a moving picture; None: in full. Merged splats know nothing of edits."""
-        planned = self._pace.plan is not None and self._pace.plan.gaussians is request.gaussians
-        if planned and request.edits is None:
-            return self._pace.shortcut
+        plan = self._followed
+        if plan is not None and plan.gaussians is request.gaussians and request.edits is None:
+            return self._governor.step
         full_ms = self._full_ms if self._drawn_of is request.gaussians else None
         if full_ms is not None and full_ms <= self._allowed_ms:
             return None
-        assert request.gaussians is not None
-        return Shortcut(gaussians=request.gaussians, share=1.0, scale=UNPRICED_SCALE, ms=0.0, error=0.0)
+        return Shortcut(scale=UNPRICED_SCALE, ms=0.0, error=0.0)
 
     def _render(self, request: FrameRequest, shortcut: Shortcut | None) -> None:
         """Draws the request, reduced by `shortcut`, and hands the picture over."""
-        full = shortcut is None or shortcut.exact
+        full = shortcut is None or shortcut.is_exact
         drawn = request
         if shortcut is not None:
-            resolution = request.resolution * shortcut.scale
-            drawn = replace(request, gaussians=shortcut.scene, resolution=resolution)
+            scene, resolution = shortcut.scene, request.resolution * shortcut.scale
+            drawn = replace(request, resolution=resolution)
+            if scene is not None:
+                drawn = replace(drawn, gaussians=scene)
         if self._kernels is not None:
             if raster.will_compile():
                 self.status = "Preparing the CPU renderer for this machine; this happens once"
@@ -352,7 +362,7 @@ class AsyncRenderer(Renderer):
         if self._drawn_of is not gaussians:
             self._drawn_of, self._full_ms = gaussians, None
         elif shortcut is not None:
-            self._pace.learn(shortcut, stats.milliseconds)
+            self._governor.learn(shortcut, stats.milliseconds)
         else:
             self._full_ms = stats.milliseconds
         if shortcut is None:
@@ -366,7 +376,7 @@ class AsyncRenderer(Renderer):
             return
         if self._planner is not None and self._planner.is_alive():
             return
-        plan = self._pace.plan
+        plan = self._followed
         if plan is not None and plan.gaussians is not gaussians:
             plan = None
         if plan is not None and plan.holds_for((stats.visible, stats.pixel_splats)):

@@ -18,7 +18,8 @@ from splatview.measure.ladder import draw_by_path, run_ladder, rungs_for
 from splatview.measure.metrics import psnr
 from splatview.renderers import FrameRequest, Renderer
 from splatview.renderers.gl.context import create_headless_context
-from splatview.renderers.headless import HeadlessScene, make_headless, reduced
+from splatview.renderers.headless import HeadlessScene, make_headless
+from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, look_at
 from splatview.scene.camera import turned_about
 from splatview.scene.formats import save_scene

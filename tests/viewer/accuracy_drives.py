@@ -13,7 +13,7 @@ from imgui_bundle import ImVec2, imgui
 
 from splatview import raster
 from splatview.measure.knobs import Plan
-from splatview.renderers import headless
+from splatview.renderers import quality
 from splatview.renderers.request import FrameRequest
 from splatview.viewer.navigation import orbit
 from splatview.viewer.state import AppState
@@ -104,7 +104,7 @@ def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray)
         hand.settle()
         shown = seen(hand, app)
         plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
-        request = headless.reduced(FrameRequest.by_plan(app.scene.gaussians, app.camera, plan))
+        request = quality.reduced(FrameRequest.by_plan(app.scene.gaussians, app.camera, plan))
         assert request.gaussians is not None
         wanted = raster.render(request.gaussians, app.camera, app.settings)
         found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]

@@ -22,7 +22,8 @@ from splatview.measure.ladder import Ladder, draw_by_path, run_ladder, rungs_for
 from splatview.measure.metrics import enlarged
 from splatview.measure.work import Bill, bill_of
 from splatview.raster.contributions import count_work
-from splatview.renderers.headless import ANY_CAMERA, with_rest_hidden
+from splatview.renderers.headless import ANY_CAMERA
+from splatview.renderers.quality import with_rest_hidden
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians
 from splatview.scene.camera import turned_about

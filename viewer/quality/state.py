@@ -8,10 +8,9 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from splatview.measure.governor import Governor, Shortcut, Watch, priced, unpriced
 from splatview.measure.knobs import Plan, apply_choices
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
+from splatview.renderers.quality import Governor, Watch, is_ranked, priced, rank, unpriced, with_rest_hidden
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
@@ -90,7 +89,7 @@ class Accuracy:
     """Instead, how often each shortcut is drawn."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
-    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    watch: Watch = field(default_factory=lambda: Watch(Governor(1000 / 60)))
     stored: Attributes = "float32"
     """How the renderer has the open scene now, and..."""
     storing: Storing | None = None

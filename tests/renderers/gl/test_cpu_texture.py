@@ -219,7 +219,7 @@ def test_slow_scenes_are_priced_and_move_by_a_shortcut(texture, random_gaussians
     texture.load(random_gaussians(10))
     rest(texture, camera(0.5))
     # The new one may have been priced by now: every picture counts as slow here.
-    for plan in (texture._plan, texture._pace.plan):
+    for plan in (texture._plan, texture._followed):
         assert plan is None or plan.gaussians is not scene, "the old scene is let go"
 
 

@@ -16,7 +16,7 @@ from splatview.renderers.gl.project import QUADS_PER_INSTANCE
 from splatview.renderers.gl.quads_gl33 import NO_ORDERS
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE
 from splatview.renderers.gl.tiles import BLOCK, HARDWARE, SOFTWARE
-from splatview.renderers.modes import MODES, mode_flags
+from splatview.renderers.modes import MODES, VisualMode, mode_flags
 from splatview.renderers.request import Highlight
 from splatview.scene.edits import IDENTITY, Crop
 
@@ -27,7 +27,7 @@ RAYS: list[dict[str, float | bool]] = [
 ]
 PINHOLE = RAYS[0]
 
-BLENDED = [mode.name for mode in MODES.values() if not mode.surfaces]
+BLENDED: list[VisualMode] = [mode.name for mode in MODES.values() if not mode.surfaces]
 
 GEOMETRY: dict[str, float | bool] = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "GROUP_SIZE": GROUP_SIZE}
 
@@ -67,15 +67,16 @@ def drawing(folder: str) -> Iterator[Variant]:
     orders = [NO_ORDERS]
     if folder == "quads":
         orders = [{"STOCHASTIC": a, "WEIGHTED": b} for a, b in ((False, False), (True, False), (False, True))]
-    for mode, highlight, order in itertools.product(BLENDED, (None, Highlight()), orders):
-        edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
-        flags = {**GEOMETRY, **mode_flags(mode), **edits, **order}
-        yield f"{folder}/draw.vert.glsl", flags
-        yield "quads/draw.frag.glsl", flags
-        behind: dict[str, float | bool] = {"GRADIENT": False, "PANORAMA": False, "BEHIND": False}
-        for kind in (None, *behind):
-            flags = {**behind, **({kind: True} if kind else {}), **mode_flags(mode, resolved=True)}
-            yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
+    for mode in BLENDED:
+        for highlight, order in itertools.product((None, Highlight()), orders):
+            edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
+            flags = {**GEOMETRY, **mode_flags(mode), **edits, **order}
+            yield f"{folder}/draw.vert.glsl", flags
+            yield "quads/draw.frag.glsl", flags
+            behind: dict[str, float | bool] = {"GRADIENT": False, "PANORAMA": False, "BEHIND": False}
+            for kind in (None, *behind):
+                flags = {**behind, **({kind: True} if kind else {}), **mode_flags(mode, resolved=True)}
+                yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
     for rays in RAYS:
         yield "quads/ellipsoids.frag.glsl", rays
     yield "quads/fullscreen.vert.glsl", {}

@@ -271,11 +271,11 @@ def test_edits_and_tints(any_renderer, random_gaussians: Make, kind):
 def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
     renderer.render(FrameRequest(scene, camera, EXACT))
-    before = renderer.stats
+    before = renderer.stats()
     first = renderer.read()
     renderer.render(FrameRequest(scene, camera_at(0, 0, 2.5), replace(EXACT, blend="float16")))
     white = renderer.render(FrameRequest(scene, camera, replace(EXACT, background=(1, 1, 1))))
-    after = renderer.stats
+    after = renderer.stats()
     assert (after.projected, after.sorted, after.drawn) == (before.projected, before.sorted, before.drawn)
     assert largest_error(white, first) > 0.3
     renderer.draw(FrameRequest(None, camera, replace(EXACT, early_stop=0.5)))
@@ -311,7 +311,7 @@ def test_older_gl_is_refused_in_one_line(ctx: moderngl.Context):
         version_code = 330
 
     with pytest.raises(InputError, match=r"tiles needs OpenGL 4\.3, this is 3\.3"):
-        make_renderer(Old(), "tiles")  # pyright: ignore[reportArgumentType]
+        make_renderer("tiles", Old())  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("cramped", [False, True])

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.measure.governor import (
+from splatview.measure.knobs import Plan
+from splatview.measure.ladder import Measured, Rung
+from splatview.renderers.quality import (
     REST_FRAMES,
     SCALES,
     Governor,
@@ -21,8 +23,6 @@ from splatview.measure.governor import (
     priced,
     unpriced,
 )
-from splatview.measure.knobs import Plan
-from splatview.measure.ladder import Measured, Rung
 
 FULL_MS = 60.0
 
@@ -46,7 +46,7 @@ class Machine:
         return self._reports.popleft()
 
 
-def fly(watch: Watch[Shortcut], machine: Machine, frames: int) -> list[float]:
+def fly(watch: Watch, machine: Machine, frames: int) -> list[float]:
     """The times of the second half."""
     machine.times.clear()
     for _ in range(frames):
@@ -56,8 +56,8 @@ def fly(watch: Watch[Shortcut], machine: Machine, frames: int) -> list[float]:
     return machine.times[frames // 2 :]
 
 
-def watch_for(budget: float, steps: tuple[Shortcut, ...] | None = None) -> Watch[Shortcut]:
-    governor: Governor[Shortcut] = Governor(budget)
+def watch_for(budget: float, steps: tuple[Shortcut, ...] | None = None) -> Watch:
+    governor = Governor(budget)
     governor.follow(unpriced(FULL_MS) if steps is None else steps)
     return Watch(governor)
 
@@ -123,7 +123,7 @@ def test_one_stall_changes_little():
 
 
 def test_a_time_that_is_no_number_teaches_nothing():
-    governor: Governor[Shortcut] = Governor(20.0)
+    governor = Governor(20.0)
     governor.follow(unpriced(FULL_MS))
     assert governor.step is not None
     governor.learn(governor.step, math.nan)
