@@ -178,7 +178,7 @@ class Governor:
     def choose(self) -> None:
         if not self.steps:
             return
-        allowed = self._target / self.slowness
+        allowed = self._target / max(self.slowness, 1e-6)
         if self.step is not None and allowed / self._slack <= self.step.ms <= allowed * self._slack:
             return
         fitting = [step for step in self.steps if step.ms <= allowed * self._longest]

@@ -26,7 +26,7 @@ def renderer(request, ctx, random_gaussians):
     made = request.param(ctx)
     made.load(random_gaussians(300, seed=6))
     yield made
-    made.release()
+    made.close()
 
 
 def drawn(renderer, camera: Camera, settings: RenderSettings, edits: SceneEdits | None = None) -> np.ndarray:

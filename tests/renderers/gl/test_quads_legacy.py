@@ -265,7 +265,7 @@ def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians):
     renderer.draw(FrameRequest(None, replace(CAMERA, name="the same by another name"), FLOAT32))
     renderer.read()
     assert not renderer.busy
-    assert renderer.stats == before
+    assert renderer.stats() == before
     assert (before.projected, before.sorted, before.drawn) == (1, 1, 1)
 
 

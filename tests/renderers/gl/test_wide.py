@@ -17,6 +17,7 @@ from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, placement_of, upload_steps
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, concatenate, look_at
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.reference import render as render_reference
@@ -53,7 +54,7 @@ def render(request: pytest.FixtureRequest) -> Iterator[Render]:
         return
     made = {"quads": QuadsRenderer, "tiles": TilesRenderer, "legacy": QuadsGL33Renderer}
     renderer = made[request.param](request.getfixturevalue("ctx"))
-    yield renderer.render
+    yield lambda *picture: renderer.render(FrameRequest(*picture))
     renderer.close()
 
 
