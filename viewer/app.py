@@ -29,7 +29,7 @@ from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import continue_restoring, look_for_abandoned
 from splatview.viewer.editing.session import continue_editing, put_away
 from splatview.viewer.open import open_paths
-from splatview.viewer.picture import GpuPicture, Picture, choose_picture
+from splatview.viewer.picture import Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.state import AppState
@@ -154,7 +154,7 @@ class Window:
                 f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
             )
             return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, precompiler=self._precompiler)
-        if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
+        if not picture.draws_anywhere and not describe(ctx).has_compute:
             self.app.tell(
                 "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
                 " order a moment late while the view moves"
@@ -247,7 +247,7 @@ class Window:
         app.attempt(app.effects.end)
         app.attempt(self.end_precompiler)
         if app.picture is not None:
-            app.attempt(app.picture.release)
+            app.attempt(app.picture.close)
             app.picture = None
 
     def end_precompiler(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from splatview.edit.detectors import DETECTORS
-from splatview.renderers import VisualMode
+from splatview.renderers import MODES, VisualMode
 from splatview.scene import InputError
 from splatview.viewer import background as backdrop
 from splatview.viewer import depth_of_field
@@ -32,7 +32,6 @@ from splatview.viewer.training import live as training
 from splatview.viewer.training.live_edits import let_go
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
-VISUAL_MODES: tuple[VisualMode, ...] = get_args(VisualMode)
 UP_NAMES = ("+Y", "-Y", "+Z", "-Z", "+X", "-X")
 """In the order in which one key goes through them: the likeliest first."""
 
@@ -195,9 +194,6 @@ def next_navigation(app: AppState) -> None:
 
 
 def set_mode(app: AppState, mode: VisualMode) -> None:
-    if app.picture and mode not in app.picture.modes:
-        app.tell(f"{app.picture.name} cannot show {mode}")
-        return
     app.mode = mode
 
 
@@ -259,7 +255,7 @@ ACTIONS: dict[str, Callable[[AppState], None]] = {
     **{f"navigate_{mode}": partial(navigate, mode=mode) for mode in NAVIGATION_MODES},
     "next_navigation": next_navigation,
     "open_background": backdrop.ask_for_picture,
-    **{f"mode_{mode}": partial(set_mode, mode=mode) for mode in VISUAL_MODES},
+    **{f"mode_{mode}": partial(set_mode, mode=mode) for mode in MODES},
     "pause_training": training.pause_or_resume,
     "step_training": training.step_once,
     "toggle_panels": toggle_panels,
@@ -332,11 +328,7 @@ SHORTCUTS: tuple[Shortcut, ...] = (
     _once("Navigation", "navigate_fly", "F3", "Fly: look around and move freely"),
     _once("Navigation", "navigate_trackball", "F4", "Trackball: turn the scene like a ball"),
     _once("Navigation", "next_navigation", "V", "Next of orbit, fly and trackball"),
-    _once("Picture", "mode_splats", "1", "Splats: the picture itself"),
-    _once("Picture", "mode_points", "2", "Points: a dot for each splat's centre"),
-    _once("Picture", "mode_ellipsoids", "3", "Ellipsoids: the splats as solid bodies"),
-    _once("Picture", "mode_depth", "4", "Depth: near is bright"),
-    _once("Picture", "mode_overdraw", "5", "Overdraw: how many splats each pixel costs"),
+    *(_once("Picture", f"mode_{m.name}", m.key, f"{m.label}: {m.tip}") for m in MODES.values()),
     _once("Picture", "open_background", "", "Background: open an equirectangular picture"),
     _once("File", "export", "Ctrl+E", "Export the edited scene"),
     _once("File", "save_recipe", "Ctrl+S", "Save what was done as a recipe"),

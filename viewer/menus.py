@@ -6,6 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from splatview.renderers import MODES
 from splatview.viewer import open as opening
 from splatview.viewer import theme
 from splatview.viewer.commands import (
@@ -13,7 +14,6 @@ from splatview.viewer.commands import (
     NAVIGATION_MODES,
     SHORTCUTS,
     UP_NAMES,
-    VISUAL_MODES,
     Shortcut,
     keys_of,
     set_up,
@@ -40,7 +40,7 @@ def show(app: AppState) -> None:
         camera_menu(app)
         imgui.end_menu()
     if imgui.begin_menu("Picture"):
-        for mode in VISUAL_MODES:
+        for mode in MODES:
             item(app, f"mode_{mode}", selected=app.mode == mode)
         imgui.end_menu()
     if app.training is not None and imgui.begin_menu("Training"):

@@ -19,7 +19,7 @@ import numpy as np
 
 from splatview.edit.journal import AbandonedJournal
 from splatview.renderers import FrameStats, VisualMode
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits

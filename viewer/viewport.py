@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -87,10 +88,10 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
     if picture is None:
         return
     app.backdrop.follow(app)
-    camera, settings = app.accuracy.next_frame(app)
+    request = app.accuracy.next_frame(app)
     try:
-        drawn = app.depth_of_field.next_camera(app, camera, settings)
-        picture.draw(drawn, settings, app.mode, edits=app.accuracy.edits(app), highlight=app.highlight)
+        camera = app.depth_of_field.next_camera(app, request.camera, request.settings)
+        picture.draw(replace(request, camera=camera))
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if app.undrawn != str(error):

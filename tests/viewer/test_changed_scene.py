@@ -92,9 +92,9 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
     """How many splats are hidden of how many, when it is known which."""
     limit = time.monotonic() + 60
     while True:
-        edits = app.accuracy.edits(app)
+        edits = app.accuracy.next_frame(app).edits
         assert edits is not None
-        if not app.accuracy.waiting and edits is app.accuracy.edits(app):
+        if not app.accuracy.waiting and edits is app.accuracy.next_frame(app).edits:
             return [int(np.count_nonzero(edits.marks & HIDDEN)), len(edits.marks)]
         assert time.monotonic() < limit, "it is never known"
         time.sleep(0.001)
@@ -103,14 +103,14 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
 def test_a_shortcut_hides_its_share_of_the_changed_scene(app, open_scene, random_gaussians) -> None:
     """What failed: marks of 80 splats hidden by the ranking of 40."""
     session = open_scene(random_gaussians(40))
-    app.accuracy._kept = 0.5
-    app.accuracy.edits(app)
+    app.accuracy.choices["keep"] = "50"
+    app.accuracy.next_frame(app)
     assert hidden_by_a_shortcut(app) == [20, 40]
     session.apply(Select(by=Everything()))
     session.apply(OPERATIONS["duplicate"]())
     assert hidden_by_a_shortcut(app) == [20, 40]
     settle(app)
-    assert len(app.accuracy.edits(app).marks) == 80, "nothing is hidden yet, and nobody waits"
+    assert len(app.accuracy.next_frame(app).edits.marks) == 80, "nothing is hidden yet, and nobody waits"
     assert hidden_by_a_shortcut(app) == [40, 80]
     session.undo()
     settle(app)

@@ -155,7 +155,7 @@ def switch(app: AppState, name: str) -> None:
     if session is not None:
         session.loaded = scene
     app.picture = new
-    old.release()
+    old.close()
     accuracy.hold(app, app.accuracy.budget_ms)
 
 

@@ -8,16 +8,16 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from splatview.measure.governor import Governor, Shortcut, Watch, priced, unpriced
 from splatview.measure.knobs import Plan, apply_choices
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.renderers.quality import Governor, Watch, is_ranked, priced, rank, unpriced, with_rest_hidden
+from splatview.renderers.request import FrameRequest
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
+from splatview.viewer.picture import Picture, scaled_camera
 from splatview.viewer.quality.comparison import Comparing
-from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_name
+from splatview.viewer.quality.measurement import SECONDS, Measurement
 
 if TYPE_CHECKING:
     from splatview.measure.work import Bill
@@ -89,7 +89,7 @@ class Accuracy:
     """Instead, how often each shortcut is drawn."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
-    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    watch: Watch = field(default_factory=lambda: Watch(Governor(1000 / 60)))
     stored: Attributes = "float32"
     """How the renderer has the open scene now, and..."""
     storing: Storing | None = None
@@ -121,8 +121,8 @@ class Accuracy:
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
         if app.picture is None:
             return
-        plan = apply_choices(Plan(), {knob: value}, renderer_name(app.picture))
-        problem = app.picture.refusal(plan.settings)
+        plan = apply_choices(Plan(), {knob: value}, app.picture.backend)
+        problem = app.picture.unsupported(FrameRequest(None, app.camera, plan.settings))
         if problem is not None:
             raise InputError(problem)
         self.choices[knob] = value
@@ -139,8 +139,8 @@ class Accuracy:
             if not self.watch.governor.steps and self._full_ms > 0:
                 # Until prices are known.
                 self.watch.governor.follow(unpriced(self._full_ms))
-        if isinstance(app.picture, CpuPicture):
-            app.picture.hold_budget(budget_ms)
+        if app.picture is not None:
+            app.picture.budget_ms = budget_ms
 
     # ---- what is drawn
 
@@ -148,11 +148,11 @@ class Accuracy:
         """The settings with the shortcuts taken."""
         plan = Plan(settings=app.settings)
         if self.choices and app.picture is not None:
-            plan = apply_choices(plan, self.choices, renderer_name(app.picture))
+            plan = apply_choices(plan, self.choices, app.picture.backend)
         return plan
 
-    def next_frame(self, app: AppState) -> tuple[Camera, RenderSettings]:
-        """By what the frame that comes is drawn."""
+    def next_frame(self, app: AppState) -> FrameRequest:
+        """What the frame that comes is drawn by: of the loaded scene, on the pixels that are drawn."""
         plan, camera, self.note = self.plan(app), app.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
@@ -160,14 +160,16 @@ class Accuracy:
             step = self.watch.next(moved=moved)
             if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
-                plan = apply_choices(plan, dict(step.choices), renderer_name(app.picture))
+                plan = apply_choices(plan, dict(step.choices), app.picture.backend)
                 scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
                 plan = replace(plan, resolution=scale, kept=kept)
                 self.note = step.note
         self._kept = plan.kept if app.mode == "splats" else 1.0
-        return scaled_camera(camera, app.preferences.resolution_scale * plan.resolution), plan.settings
+        camera = scaled_camera(camera, app.preferences.resolution_scale * plan.resolution)
+        more = {"mode": app.mode, "edits": self._edits(app), "highlight": app.highlight}
+        return FrameRequest(None, camera, plan.settings, **more)
 
-    def edits(self, app: AppState) -> SceneEdits | None:
+    def _edits(self, app: AppState) -> SceneEdits | None:
         """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
         edits = app.edits
         if self._kept >= 1 or app.scene is None:
@@ -200,7 +202,7 @@ class Accuracy:
         return (
             self.budget_ms is not None
             and app.picture is not None
-            and not isinstance(app.picture, CpuPicture)
+            and not app.picture.draws_anywhere
             and app.mode == "splats"
         )
 

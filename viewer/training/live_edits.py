@@ -13,7 +13,7 @@ import numpy as np
 from splatview.edit.document import Document
 from splatview.edit.operations import AddCrop, Hide, Lock, Operation, RemoveCrop, Select
 from splatview.edit.selectors import IndexRuns
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, Crop
 from splatview.trainer.background import BackgroundTraining, Snapshot
@@ -137,7 +137,7 @@ def hold(app: AppState) -> EditSession | None:
 
 def _session(app: AppState, thread: BackgroundTraining, snapshot: Snapshot) -> EditSession:
     name = app.scene.name if app.scene else "scene"
-    document = Document(snapshot.gaussians, name=name, tools=RasterTools())
+    document = Document(snapshot.gaussians, name=name, tools=CpuRenderer())
     return EditSession(document=document, target=TrainingTarget(thread, snapshot))
 
 
