@@ -12,5 +12,7 @@ float disc_power(vec4 rows, vec4 plane, vec2 d) {
     float on_screen = u_sharpness * dot(d, d);
     float lean = dot(plane.yz, d), slope = plane.x + u_perspective * lean;
     vec2 uv = vec2(dot(rows.xy, d), dot(rows.zw, d)) / slope;
-    return slope >= DISC_LEAST_SLOPE && lean <= plane.w ? min(dot(uv, uv), on_screen) : on_screen;
+    bool is_met = slope >= DISC_LEAST_SLOPE;  // guard: least slope := bool is_met = slope >= -1.0;
+    is_met = is_met && lean <= plane.w;       // guard: near plane
+    return is_met ? min(dot(uv, uv), on_screen) : on_screen;
 }

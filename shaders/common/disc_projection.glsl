@@ -58,7 +58,7 @@ bool disc_of(vec3 t, mat3 axes, vec3 scale, float reach, out Disc disc, out vec3
     vec3 r = ORTHOGRAPHIC ? vec3(0.0, 0.0, 1.0) : vec3(t.xy / t.z, 1.0);
     float away = ORTHOGRAPHIC ? 1.0 : t.z;
     vec2 s = vec2(normal == 0 ? scale.y : scale.x, normal == 2 ? scale.y : scale.z);
-    s = max(s, DISC_LEAST_WIDTH * away / u_focal.x);
+    s = max(s, DISC_LEAST_WIDTH * away / u_focal.x);  // guard: least width
     float near = max(u_near, LEAST_NEAR);
 
     float facing = dot(n, r);
@@ -100,6 +100,7 @@ bool disc_of(vec3 t, mat3 axes, vec3 scale, float reach, out Disc disc, out vec3
         }
     }
     vec3 entries = max(abs(m0), abs(m1));
+    // guard: widest ellipse := if (false) {
     if (!is_finite(m0) || !is_finite(m1) || !(max(entries.x, entries.y) <= WIDEST)) {
         m0 = vec3(WIDEST, 0.0, 0.0);
         m1 = vec3(0.0, WIDEST, 0.0);

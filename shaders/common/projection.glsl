@@ -41,7 +41,7 @@ struct Footprint {
 
 mat3 rotation_matrix(vec4 quat, float largest) {
     // By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
-    vec4 q = normalize(quat / largest);
+    vec4 q = normalize(quat / largest);  // guard: largest component first := vec4 q = normalize(quat);
     float w = q.x, x = q.y, y = q.z, z = q.w;
     return mat3(
         1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
@@ -57,17 +57,20 @@ vec3 from_eye(vec3 position) { return (position - u_eye_high) - u_eye_low; }
 bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f) {
     vec3 t = u_camera_from_world * offset;
     float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
-    if (!(t.z >= u_near) || !(largest >= MIN_QUAT_COMPONENT)) return false;
-    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;
+    if (!(t.z >= u_near)) return false;  // guard: near plane
+    if (!(largest >= MIN_QUAT_COMPONENT)) return false;  // guard: zero quaternions
+    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;  // guard: opacity
+    // guard: finite footprints
     if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
 
     vec2 ray = ORTHOGRAPHIC ? t.xy : t.xy / t.z;
     f.mean = ray * u_focal + u_principal;
     if (LENS) {
-        if (!(dot(ray, ray) < u_lens_reach)) return false;
+        if (!(dot(ray, ray) < u_lens_reach)) return false;  // guard: fold of the lens
         f.mean = lens_point(ray) * u_focal + u_principal;
     }
     f.depth = t.z;
+    // guard: largest offset first := f.direction = normalize(offset);
     f.direction = normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)));
     if (ORTHOGRAPHIC) f.direction = vec3(u_camera_from_world[0].z, u_camera_from_world[1].z, u_camera_from_world[2].z);
 
@@ -78,7 +81,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     vec3 m0 = vec3(axes[0].x, axes[1].x, axes[2].x), m1 = vec3(axes[0].y, axes[1].y, axes[2].y);
     vec2 scaled = u_focal;
     if (!ORTHOGRAPHIC) {
-        vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);
+        vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);  // guard: slope clamp := vec2 slope = ray;
         vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
         m0 -= slope.x * row_z;
         m1 -= slope.y * row_z;
@@ -99,14 +102,15 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         if (!disc_of(t, unit_axes, scale, disc_reach, f.disc, m0, m1)) return false;
     }
 #endif
-    if (!is_finite(m0) || !is_finite(m1)) return false;
+    if (!is_finite(m0) || !is_finite(m1)) return false;  // guard: finite footprints
     vec3 entries = max(abs(m0), abs(m1));
-    float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);
+    float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);  // guard: spread := float spread = 1.0;
     m0 /= spread;
     m1 /= spread;
     float blur = u_blur / spread / spread;
     float m00 = dot(m0, m0), m11 = dot(m1, m1), xy = dot(m0, m1);
     vec3 area = cross(m0, m1);
+    // guard: determinant as a sum := float det_unblurred = m00 * m11 - xy * xy;
     float det_unblurred = dot(area, area);
     float det = det_unblurred + blur * (m00 + m11) + blur * blur;
     float xx = m00 + blur, yy = m11 + blur;
@@ -127,6 +131,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     // What a determinant without digits says is not used.
     if (!(det > 1e-9 * xx * yy) || !is_finite(f.depth_slope)) f.depth_slope = vec2(0.0);
 #endif
+    // guard: finite footprints
     if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;
 
     // The ellipse alpha = cut: along the eigenvectors, 1-sigma lengths sqrt(eigenvalue).

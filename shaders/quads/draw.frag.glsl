@@ -50,6 +50,7 @@ void main() {
 #if HAS_DISCS
         if (DISCS) power = disc_power(v_rows, v_plane, d);
 #endif
+        // guard: cap of alpha := alpha = min(v_colour.a * exp2(-power), 1.0);
         alpha = min(v_colour.a * exp2(-power), u_max_alpha);
         if (!(alpha >= v_c_cut.y)) discard;
     }

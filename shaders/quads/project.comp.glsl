@@ -41,9 +41,10 @@ void main() {
     Footprint f;
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) return;
     vec3 colour = graded(splat, sh_colour(local, harmonics_direction(splat, f.direction)));
-    if (!is_finite(colour)) return;
+    if (!is_finite(colour)) return;  // guard: finite colours
     shapes[splat] = vec4(f.mean, f.conic.xy);
     bounds[splat] = vec4(f.conic.z, f.minor_axis, f.major_axis);
+    // guard: colours at least 0 := colours[splat] = vec4(colour, f.opacity);
     colours[splat] = vec4(max(colour, vec3(0.0)), f.opacity);
 #if HAS_DISCS
     if (DISCS) {
