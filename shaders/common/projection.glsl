@@ -1,6 +1,6 @@
 // EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
 // scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC, DISCS (splats are
-// flat: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/per_pixel.py has it).
+// surfels: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/forward_per_pixel.py has it).
 #include "common/lens.glsl"
 #include "common/numbers.glsl"
 
@@ -14,10 +14,10 @@ uniform vec4 u_ray_limits;         // least and greatest t.xy / t.z that the Jac
 uniform float u_near;
 uniform float u_blur;              // px²
 uniform float u_alpha_cut;
-uniform float u_least_share;       // of its opacity, below which a splat's alpha is 0 too
+uniform float u_least_share;       // share of its opacity below which a splat's alpha is 0, too
 
 #if HAS_DISCS
-#include "common/disc_projection.glsl"
+#include "common/surfel_projection.glsl"
 #endif
 
 const float MIN_QUAT_COMPONENT = 1e-30;
@@ -32,10 +32,10 @@ struct Footprint {
     float depth;     // t.z
     vec3 direction;  // unit, world axes, from the eye
 #if HAS_SLOPES
-    vec2 depth_slope; // world units a px: where a pixel's ray meets the splat's densest point, less `depth`
+    vec2 depth_slope; // world units per px: depth of the densest point on a pixel's ray, less `depth`
 #endif
 #if HAS_DISCS
-    Disc disc;       // what decides alpha: the conic and its axes are those of an ellipse around it
+    Surfel surfel;       // decides alpha: the conic and its axes are those of an ellipse around it
 #endif
 };
 
@@ -98,8 +98,8 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
 #if HAS_DISCS
     if (DISCS) {
         float least = max(u_alpha_cut, u_least_share * opacity);
-        float disc_reach = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : DISC_MOST_REACH;
-        if (!disc_of(t, unit_axes, scale, disc_reach, f.disc, m0, m1)) return false;
+        float surfel_radius_squared = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : UNBOUNDED_RADIUS_SQUARED;
+        if (!surfel_of(t, unit_axes, scale, surfel_radius_squared, f.surfel, m0, m1)) return false;
     }
 #endif
     if (!is_finite(m0) || !is_finite(m1)) return false;  // guard: finite footprints
@@ -128,7 +128,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     vec2 covariance = spread * vec2(dot(m0, along_z), dot(m1, along_z));
     float whitened = f.conic.x * covariance.x + f.conic.y * covariance.y;
     f.depth_slope = vec2(f.conic.x * whitened, f.conic.y * whitened + f.conic.z * f.conic.z * covariance.y);
-    // What a determinant without digits says is not used.
+    // A determinant that has lost its digits is not used.
     if (!(det > 1e-9 * xx * yy) || !is_finite(f.depth_slope)) f.depth_slope = vec2(0.0);
 #endif
     // guard: finite footprints
@@ -144,9 +144,9 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         float stretch = max(abs(along.x), abs(along.y));
         along = stretch > 0.0 ? normalize(along / stretch) : vec2(1.0, 0.0);
         // A little wide, because log() is only good to 1e-4 or so on some drivers.
-        float reach = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
-        f.major_axis = along * (reach * sqrt(major));
-        f.minor_axis = reach * sqrt(det / major);
+        float radius = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
+        f.major_axis = along * (radius * sqrt(major));
+        f.minor_axis = radius * sqrt(det / major);
         vec2 across = f.minor_axis * vec2(-along.y, along.x);
         vec2 extent = min(sqrt(f.major_axis * f.major_axis + across * across), WHOLE_IMAGE) + 0.02;
         // Off screen: no pixel centre within the box.

@@ -32,7 +32,7 @@ MARKER = re.compile(r"(?P<guard>.*?) *(?://|#) guard: (?P<name>[^:]+?)(?: := (?P
 
 PROJECTION, TRUTH, RASTER = "shaders/common/projection.glsl", "scene/projection.py", "raster/project.py"
 PROJECT, FRAGMENT = "shaders/quads/project.comp.glsl", "shaders/quads/draw.frag.glsl"
-SURFEL, SURFELS = "shaders/common/disc.glsl", "shaders/common/disc_projection.glsl"
+SURFEL, SURFELS = "shaders/common/surfel.glsl", "shaders/common/surfel_projection.glsl"
 BUFFERS, OPTICS = "renderers/gl/scene_buffers.py", "raster/camera_models.py"
 
 FOLDED = "a lens that folds back"

@@ -105,7 +105,7 @@ def pictures(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> tuple[np
     model = replace(settings.model, antialiased=antialiased).with_footprint(footprint)
     settings = replace(settings, model=model)
     shown: dict[str, Any] = {"mode": mode, "edits": edits_of(effects)}
-    shown["overlay"] = Highlight() if "selected" in effects else None
+    shown["highlight"] = Highlight() if "selected" in effects else None
     camera = next((CAMERAS[effect] for effect in effects if effect in CAMERAS), CAMERA)
     renderer.load(scene)
     special = renderer.render(scene, camera, settings, **shown)
