@@ -112,6 +112,7 @@ def magnified(form, u, v):
 @inline
 def clamped(view, x_by_z, y_by_z):
     """The slopes that the Jacobian is taken at."""
+    # guard: slope clamp := return x_by_z, y_by_z
     return min(max(x_by_z, view.min_u), view.max_u), min(max(y_by_z, view.min_v), view.max_v)
 
 
@@ -144,6 +145,7 @@ def _within_reach(lens, drawn, tx, ty, tz):
     if lens is None:
         return drawn
     # Without dividing: where z is 0 that would be NaN.
+    # guard: fold of the lens := return drawn
     return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)
 
 

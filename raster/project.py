@@ -280,7 +280,7 @@ def project_group(view, optics, discs, lanes):
     ox, oy, oz = three_columns(lanes, OFFSET)
     tx, ty, tz = camera_point(view, ox, oy, oz)
     nothing, one = fill(tx, 0.0), fill(tx, 1.0)
-    drawn = keep_if_at_least(one, tz, fill(tz, view.near))
+    drawn = keep_if_at_least(one, tz, fill(tz, view.near))  # guard: near plane := drawn = one
     drawn = if_three_finite(if_three_finite(drawn, ox, oy, oz), tx, ty, tz)
     drawn = within_reach(drawn, optics, tx, ty, tz)
     set_column(lanes, DEPTH, tz)
@@ -289,6 +289,7 @@ def project_group(view, optics, discs, lanes):
 
     qw, qx, qy, qz = four_columns(lanes, QUAT)
     largest = max(max(abs(qw), abs(qx)), max(abs(qy), abs(qz)))  # noqa: PLW3301 vectors come in twos
+    # guard: zero quaternions
     drawn = keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))
     drawn = if_finite(if_three_finite(drawn, qw, qx, qy), qz)
     shrink = one / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
@@ -395,13 +396,15 @@ def project(
                 own = min(degree, np.int64(own_degrees[i]))
             sh_basis(dx, dy, dz, own, basis)
             red, green, blue = sh_sum(sh, i, basis, (own + 1) * (own + 1))
+            # guard: finite colours := if False:
             if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
                 continue
             if edits is not None:
                 row = edits.palette[palette_row(edits, i)]
                 if row[RECOLOURS] > 0:
                     red, green, blue = recoloured(row, red, green, blue)
-            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)  # guard: colours at least 0
+            # guard: finite colours := if False:
             if not (is_finite(red) and is_finite(green) and is_finite(blue)):
                 continue
 

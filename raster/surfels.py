@@ -189,8 +189,8 @@ def project_discs(view, perspective, tx, ty, tz, axes, scales, reach, lanes, fir
 @inline
 def disc_power(u, v, lean, slope, most_lean, screen):
     """(u/slope)² + (v/slope)² of pixels that meet the plane, and at most `screen`: vectors."""
-    slope = keep_if_at_least(slope, slope, fill(slope, DISC_LEAST_SLOPE))
-    slope = keep_if_at_least(slope, most_lean, lean)
+    slope = keep_if_at_least(slope, slope, fill(slope, DISC_LEAST_SLOPE))  # guard: least slope
+    slope = keep_if_at_least(slope, most_lean, lean)  # guard: near plane
     # A slope of 0 makes these infinite, or NaN at the mean: minimum gives its second argument then.
     inverse = divide(fill(slope, 1.0), slope)
     return minimum(fma(u, u, v * v) * (inverse * inverse), screen)

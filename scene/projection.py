@@ -56,6 +56,7 @@ def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     """(N, 4) wxyz of any length but zero -> (N, 3, 3) in the same float dtype. Zero gives NaN."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
+        # guard: largest component first := scaled = quats
         scaled = quats / np.abs(quats).max(axis=1, keepdims=True)
         w, x, y, z = (scaled / np.linalg.norm(scaled, axis=1, keepdims=True)).T
         return np.stack(
@@ -111,16 +112,19 @@ def project(
         quats = gaussians.quats.astype(dtype)
         scales = np.exp(gaussians.log_scales.astype(dtype))
         opacities = sigmoid(gaussians.opacity_logits.astype(dtype))
-        keep = t[:, 2] >= model.near
+        keep = t[:, 2] >= model.near  # guard: near plane := keep = t[:, 2] > -np.inf
         if camera.lens is not None:
             with np.errstate(divide="ignore"):
+                # guard: fold of the lens := pass
                 keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
-        keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT
+        keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT  # guard: zero quaternions
+        # guard: finite SH := for values in (offsets, t, quats, scales, opacities[:, None]):
         for values in (offsets, t, quats, scales, opacities[:, None], used_sh):
             keep &= _finite(values)
         keep &= opacities > 0 if model.alpha_cut == 0 else opacities >= model.alpha_cut
 
     indices = np.flatnonzero(keep)
+    # guard: order of ties := indices = indices[np.argsort(t[indices, 2], kind="stable")[::-1]]
     indices = indices[np.argsort(t[indices, 2], kind="stable")]
     t, offsets, opacities = t[indices], offsets[indices], opacities[indices]
 
@@ -157,11 +161,12 @@ def project(
         else:
             half_extents = np.full((len(indices), 2), np.inf, dtype=dtype)
             drawn = opacities > 0
-    drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d) & _finite(real_covariances)
+    drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d)
+    drawn &= _finite(real_covariances)  # guard: finite footprints
 
     directions = viewing_directions(offsets, camera)
     colours = sh_colours(used_sh[indices], directions, degree)
-    drawn &= _finite(colours)
+    drawn &= _finite(colours)  # guard: finite colours
     return Footprints(
         indices=indices[drawn],
         depths=t[drawn, 2],
@@ -188,6 +193,7 @@ def viewing_directions(offsets: np.ndarray, camera: Camera) -> np.ndarray:
     if camera.orthographic:
         return np.broadcast_to(camera.forward.astype(offsets.dtype), offsets.shape)
     # By the largest component first: the squares of 1e20 leave float32's range.
+    # guard: largest offset first := directions = offsets * 1.0
     directions = offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
@@ -203,6 +209,7 @@ def projection_jacobians(t: np.ndarray, camera: Camera, margin: float | None) ->
         return J
     x, y, z = t.T
     u_min, v_min, u_max, v_max = camera.slope_limits(margin)
+    # guard: slope clamp := u, v = x / z, y / z
     u, v = np.clip(x / z, u_min, u_max), np.clip(y / z, v_min, v_max)
     if camera.lens is None:
         J[:, 0, 0] = camera.fx / z

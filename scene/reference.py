@@ -67,6 +67,7 @@ def alphas(footprints: Footprints, which: np.ndarray, x: np.ndarray, y: np.ndarr
         # Far outside a tiny splat the square overflows to inf: exp gives the right 0.
         with np.errstate(over="ignore"):
             q = (a * dx + b * dy) ** 2 + (c * dy) ** 2
+    # guard: cap of alpha := alpha = footprints.opacities[which, None] * np.exp(-q / 2)
     alpha = np.minimum(settings.model.max_alpha, footprints.opacities[which, None] * np.exp(-q / 2))
     return np.where(alpha >= settings.model.alpha_cut, alpha, 0)
 

@@ -31,7 +31,7 @@ BLOCK = 8
 """Pixels a block is wide and high."""
 
 HIDE_GROUP = 64
-"""Invocations of a work group of ``quads/hide.comp.glsl``."""
+"""Invocations of a work group of ``quads/cull_occluded.comp.glsl``."""
 
 
 class OcclusionPass:
@@ -40,8 +40,8 @@ class OcclusionPass:
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
         flags = {"BLOCK": BLOCK, "SLABS": SLABS}
-        self._close = load_compute(ctx, "quads/close.comp.glsl", flags)
-        self._hide = load_compute(ctx, "quads/hide.comp.glsl", flags)
+        self._close = load_compute(ctx, "quads/opaque_blocks.comp.glsl", flags)
+        self._hide = load_compute(ctx, "quads/cull_occluded.comp.glsl", flags)
         self._closed: moderngl.Buffer | None = None
         self._size = (0, 0)
 
@@ -65,7 +65,7 @@ class OcclusionPass:
             raise RuntimeError("start() comes before hide()")
         gathered.use(0)
         self._closed.bind_to_storage_buffer(0)
-        grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_gathered": 0}
+        grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_accumulation": 0}
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})
         self._close.run(-(-self._blocks // 8))
         self._ctx.memory_barrier()

@@ -142,7 +142,7 @@ class Resolving:
         else:
             gathered.texture.use(1)  # a general program has the sampler all the same
         values = {
-            "u_gathered": 0,
+            "u_accumulation": 0,
             "u_weights": 1,
             **background_values,
             "u_brightest": shown.brightest,

@@ -13,8 +13,7 @@ from splatview import raster
 from splatview.measure.hard_cases.case import about_axis, camera, splats
 from splatview.raster import Workspace, draw_frame, parameters_of
 from splatview.raster.contributions import count_work
-from splatview.scene import Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
-from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
+from splatview.scene import Gaussians, ImageModel, RenderSettings, reference
 
 DISCS = RenderSettings(model=ImageModel().with_footprint("disc"), background=(0.1, 0.3, 0.2))
 CAMERA = camera(45, 37, focal=33.0)
@@ -58,21 +57,6 @@ def test_without_a_cut_every_disc_reaches_every_pixel():
     for view in (CAMERA, PARALLEL):
         truth = reference.render(of_all_kinds(3), view, chosen)
         np.testing.assert_allclose(raster.render(of_all_kinds(3), view, chosen), truth, atol=2e-4)
-
-
-def test_edits_are_seen_as_they_are_baked():
-    scene = of_all_kinds(4)
-    palette = (
-        IDENTITY,
-        Adjustment(rotation=(0.8, 0.36, -0.48, 0.0), scale=1.3, translation=(0.2, 0.0, 0.1)),
-        Adjustment(size=0.6, opacity=(1.5, -0.1, 0.05, 0.9)),
-    )
-    marks = (np.arange(len(scene)) % 3).astype(np.uint32) << PALETTE_SHIFT
-    marks[::7] |= HIDDEN
-    edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
-    drawn = raster.render(scene, CAMERA, DISCS, edits=edits)
-    np.testing.assert_allclose(drawn, reference.render(bake(scene, edits), CAMERA, DISCS), atol=2e-4)
-    assert np.abs(drawn - raster.render(scene, CAMERA, DISCS)).max() > 0.1
 
 
 def test_in_per_pixel_order_planes_cross():
@@ -125,9 +109,3 @@ def test_ellipsoids_have_no_rows_of_discs():
     frame = draw_frame(parameters_of(scene), CAMERA, DISCS, workspace)
     assert frame.discs is not None and frame.discs.rows.nbytes == 32 * len(scene)
     assert workspace.nbytes >= before + frame.discs.rows.nbytes
-
-
-def test_a_lens_is_refused():
-    bent = replace(CAMERA, lens=Lens(model="SIMPLE_RADIAL", parameters=(0.1,)))
-    with pytest.raises(InputError, match="has a lens"):
-        raster.render(of_all_kinds(1), bent, DISCS)

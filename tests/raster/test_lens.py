@@ -1,4 +1,4 @@
-"""Lenses and parallel rays on the CPU: against the reference, and against a pinhole's picture resampled."""
+"""Lenses and parallel rays on the CPU: against a pinhole's picture resampled."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from splatview.raster import contributions, front, render
 from splatview.raster.camera_models import atan_lanes
 from splatview.raster.compiling import kernel
 from splatview.raster.simd import LANES, load, store
-from splatview.scene import Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
+from splatview.scene import Gaussians, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import undistort
 
 PINHOLE = look_at((0.2, 0.1, -1.3), (0, 0, 0), up=(0, -1, 0), fov_y=75, width=75, height=51)
 LENSES = {
     "OPENCV": (-0.2, 0.05, 0.01, -0.02),
-    "FULL_OPENCV": (0.1, -0.05, 0.01, -0.02, 0.02, 0.2, 0.05, 0.01),
     "OPENCV_FISHEYE": (0.05, -0.02, 0.01, 0.003),
-    "FOV": (1.2,),
-    "THIN_PRISM_FISHEYE": (0.03, 0.01, 0.01, -0.02, 0.0, 0.01, 0.02, -0.01),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (0.03, 0.01, -0.01, 0.02, 0.0, 0.01, 0.01, -0.02, 0.02, 0.01, -0.01, 0.02),
 }
 CAMERAS = {
     **{name: replace(PINHOLE, lens=Lens(model=name, parameters=LENSES[name])) for name in LENSES},
@@ -44,15 +40,6 @@ def test_angles_are_right_to_the_last_places():
     np.testing.assert_allclose(out, np.arctan(x), rtol=2e-15, atol=0)
     _angles(np.full(LANES, np.nan), out)
     assert np.isnan(out[:LANES]).all()
-
-
-@pytest.mark.parametrize("antialiased", [False, True])
-@pytest.mark.parametrize("kind", CAMERAS)
-def test_as_the_reference(random_gaussians, kind, antialiased):
-    scene = random_gaussians(400, sh_degree=2, seed=8)
-    settings = RenderSettings(model=ImageModel(antialiased=antialiased), background=(0.1, 0.2, 0.3))
-    image = render(scene, CAMERAS[kind], settings)
-    assert np.abs(image - reference.render(scene, CAMERAS[kind], settings)).max() < 2e-3
 
 
 @pytest.mark.parametrize("kind", ["OPENCV", "parallel"])

@@ -10,25 +10,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import PANELS, in_window, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.viewer.state import AppState
 
 BUDGETS = {"cpu": (20.0, 30.0, 45.0), "quads": (250.0, 400.0)}
 """ms, within what software OpenGL and the CPU can do with half a million splats."""
-
-PANELS = (474, 57)
-"""Px of the window beside and above the picture, about; what is measured is reported."""
 
 LEARNING = 12
 """Pictures under a budget that are not counted: the governor finds out about the machine."""
@@ -161,34 +155,6 @@ def pricing() -> bool:
     return any(thread.name == "splatview-cpu-plan" for thread in threading.enumerate())
 
 
-def measure(scene: Path, renderer: str, size: tuple[int, int], pictures: int) -> dict[str, Any]:
-    """One window on a screen of its own."""
-    ready, write_end = os.pipe()
-    screen = f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}x24"
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen, "-nolisten", "tcp"],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        display = f":{pipe.readline().strip()}"
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            report = Path(folder) / "report.json"
-            environment = dict(
-                os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
-            )
-            environment.pop("WAYLAND_DISPLAY", None)
-            command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
-            command += ["--pictures", str(pictures), "--renderer", renderer, "--watch", str(report)]
-            subprocess.run(command, env=environment, check=True, timeout=600)
-            return json.loads(report.read_text())
-    finally:
-        server.terminate()
-        server.wait()
-
-
 def row(renderer: str, found: dict[str, Any], one: dict[str, Any]) -> list[str]:
     low, high = one["quartiles_ms"]
     full = found["full_ms"]
@@ -204,26 +170,26 @@ def row(renderer: str, found: dict[str, Any], one: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--size", default="640x360")
+    parser = make_parser(__doc__, "governor.json", size="640x360")
     parser.add_argument("--pictures", type=int, default=60)
+    parser.add_argument("scene", type=Path)
     parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
     parser.add_argument("--renderer", choices=BUDGETS)
-    parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    width, height = options.size
     if options.watch:
-        watch(options.scene, options.renderer, (width, height), options.pictures, options.watch)
+        watch(options.scene, options.renderer, options.size, options.pictures, options.watch)
         return
     renderers = [options.renderer] if options.renderer else list(BUDGETS)
     made = {}
     for renderer in renderers:
-        made[renderer] = measure(options.scene, renderer, (width, height), options.pictures)
+        size = ["--size", f"{width}x{height}", "--pictures", options.pictures]
+        arguments = [options.scene, *size, "--renderer", renderer, "--watch"]
+        made[renderer] = in_window(__file__, arguments, options.size, timeout=600)
         print(renderer, json.dumps(made[renderer], indent=1), flush=True)
     write_results(
-        options.output or FOLDER / "governor.json",
+        options.output,
         {
             "scene": options.scene.name,
             "renderers": made,

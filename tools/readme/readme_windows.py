@@ -5,6 +5,7 @@ python tools/readme/readme_windows.py editing SCENE    opens, cleans up a little
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
@@ -110,5 +111,10 @@ DRIVES = {"editing": editing, "accuracy": accuracy, "effects": effects}
 
 
 if __name__ == "__main__":
-    name, *paths = sys.argv[1:]
-    sys.exit(run_window([Path(path) for path in paths], size=(1280, 800), drive=DRIVES[name]))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drive", choices=DRIVES)
+    parser.add_argument("scenes", nargs="*", type=Path)
+    options = parser.parse_args()
+    sys.exit(run_window(options.scenes, size=(1280, 800), drive=DRIVES[options.drive]))

@@ -11,7 +11,7 @@ from splatview import raster
 from splatview.measure.metrics import psnr
 from splatview.renderers.gl.tiles import HARDWARE, NEAREST, SOFTWARE, TilesRenderer
 from splatview.renderers.request import FrameRequest
-from splatview.scene import Gaussians, ImageModel, InputError, RenderSettings, look_at
+from splatview.scene import ImageModel, InputError, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
 
 SETTINGS = RenderSettings(order="per-pixel", early_stop=0.0, background=(0.2, 0.1, 0.4))
@@ -64,32 +64,6 @@ def test_what_finds_no_room_among_the_pairs_is_blended_behind(ctx, random_gaussi
     cramped.close()
     assert psnr(picture, raster.render(scene, CAMERA, SETTINGS)) > 30
     np.testing.assert_allclose(picture[..., 3], raster.render(scene, CAMERA, SETTINGS)[..., 3], atol=5e-3)
-
-
-def test_sheets_that_cross_do_not_pop(tiles):
-    turn = np.radians(35) / 2
-    sheets = Gaussians(
-        means=np.array([[-0.001, 0, 0], [0.001, 0, 0]], np.float32),
-        quats=np.array([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]], np.float32),
-        log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
-        opacity_logits=np.array([4, 4], np.float32),
-        sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
-    )
-
-    def change(order) -> float:
-        left, right = (
-            tiles.render(
-                FrameRequest(
-                    sheets,
-                    look_at((x, 0, -2.5), (0, 0, 0), width=40, height=33),
-                    replace(SETTINGS, order=order),
-                )
-            )
-            for x in (-3e-3, 3e-3)  # apart by more than the last digits of float32 depths
-        )
-        return float(np.abs(left - right).max())
-
-    assert change("32-bit") > 0.3 and change("per-pixel") < 0.05
 
 
 def test_flat_splats_are_the_cpus(tiles, random_gaussians):

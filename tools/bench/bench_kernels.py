@@ -1,6 +1,6 @@
 """Times every stage of the rasteriser beside what the machine's multipliers can do at best.
 
-    python tools/bench_kernels.py [--full] [--threads N] [--json FILE]
+    python tools/bench/bench_kernels.py [--full] [--threads N] [--json FILE]
 
 The peak is measured in the same run: a loop of independent fused multiply-adds.
 """
@@ -119,6 +119,7 @@ def forward_rate(frame: Frame) -> float:
         0,
         frame.lists,
         frame.records,
+        frame.discs,
         frame.view,
         frame.background,
         frame.retirement,
@@ -196,7 +197,7 @@ def summary(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python tools/bench_kernels.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tools/bench/bench_kernels.py", description=__doc__)
     parser.add_argument("--full", action="store_true", help="all counts at all sizes: some minutes")
     parser.add_argument("--threads", type=int, default=available_threads())
     parser.add_argument("--json", help="write the results to this file")
