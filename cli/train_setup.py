@@ -18,6 +18,7 @@ from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
 from splatview.scene.effects import Effect
+from splatview.scene.progress import Progress
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
 from splatview.trainer.effects import capture_effects, model_for, with_exposure
@@ -132,7 +133,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     capture = _with_status(
         console,
         "Reading photos",
-        lambda show: load_capture(folder, downscale=downscale, lens=lens, progress=show),
+        lambda progress: load_capture(folder, downscale=downscale, lens=lens, progress=progress),
     )
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     shots, held_out = Shots(shots_of(capture.train), seed), shots_of(capture.held_out)
@@ -194,14 +195,14 @@ def _demo(console: Console) -> tuple[Path, float]:
     """The folder of the demo's photos, and the seconds that making them took."""
     begun = time.perf_counter()
     title = "Taking pictures of the demo scene (once per installation)"
-    folder = _with_status(console, title, lambda show: cached_demo_capture(progress=show))
+    folder = _with_status(console, title, lambda progress: cached_demo_capture(progress=progress))
     return folder, time.perf_counter() - begun
 
 
-def _with_status(console: Console, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) -> Any:
     """Does `work` while its share shows behind the title."""
     with console.status(title) as status:
-        return work(lambda share: status.update(f"{title}: {share:.0%}"))
+        return work(Progress(report=lambda share: status.update(f"{title}: {share:.0%}")))
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:

@@ -29,7 +29,7 @@ from splatview.scene.captures.photos import downscaled_size, read_pixels
 from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
 from splatview.scene.errors import InputError
 from splatview.scene.formats import load_cameras
-from splatview.scene.formats.io import Watch
+from splatview.scene.progress import Progress
 
 HOLD_OUT_EVERY = 8
 """By sorted name, starting with the first: the usual split since Barron et al. 2022."""
@@ -56,9 +56,9 @@ def capture_of(
     downscale: int,
     background: tuple[float, float, float],
     lens: LensUse,
-    watch: Watch,
+    progress: Progress,
 ) -> Capture:
-    """Raises InputError, LoadCancelled."""
+    """Raises InputError, Cancelled."""
     shots, twice = _unique(posed.shots)
     _check_count(posed, shots)
     shots, evidence = _without_lenses_that_do_not_show(shots, downscale)
@@ -69,7 +69,7 @@ def capture_of(
     photos, hidden, transparent, kept = [], [], 0, 0
     pixel_count = hidden_pixels = 0
     for shot, is_held_out, (pixels, is_transparent) in zip(
-        shots, held_out, _read_all(shots, downscale, background, lens, watch), strict=True
+        shots, held_out, _read_all(shots, downscale, background, lens, progress), strict=True
     ):
         if pixels.mask is not None and not pixels.mask.any():
             hidden.append(shot.name)
@@ -204,7 +204,7 @@ def _read_all(
     downscale: int,
     background: tuple[float, float, float],
     lens: LensUse,
-    watch: Watch,
+    progress: Progress,
 ):
     """Yields `read_pixels` of each shot in turn."""
     for shot in shots:
@@ -212,14 +212,14 @@ def _read_all(
     readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
     pool = ThreadPoolExecutor(readers, thread_name_prefix="photos")
     try:
-        watch.step(0.0)
+        progress.step(0.0)
         # Only a few ahead: what is read and waits is held in memory.
         pending = [
             pool.submit(read_pixels, shot, downscale, background, lens) for shot in shots[: 2 * readers]
         ]
         for i in range(len(shots)):
             result = pending[i].result()
-            watch.step((i + 1) / len(shots))
+            progress.step((i + 1) / len(shots))
             if len(pending) < len(shots):
                 pending.append(pool.submit(read_pixels, shots[len(pending)], downscale, background, lens))
             yield result

@@ -19,6 +19,7 @@ from splatview.scene.errors import InputError
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import RenderSettings
 from splatview.scene.lens import Lens
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
 
@@ -69,7 +70,7 @@ def demo_capture(
     lens: Lens | None = None,
     fov_y: float = FOV_Y,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = NO_PROGRESS,
 ) -> Capture:
     """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
 
@@ -91,8 +92,7 @@ def demo_capture(
         image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
         image.flags.writeable = False
         shots.append(_photo(camera, image, i))
-        if progress is not None:
-            progress((i + 1) / photos)
+        progress.step((i + 1) / photos)
     cameras = [shot.camera for shot in shots]
     points, colours = _points(truth, cameras, np.random.default_rng(seed))
     return Capture(name="demo", photos=tuple(shots), points=points, point_colours=colours)

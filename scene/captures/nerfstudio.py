@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -210,12 +210,10 @@ POINTS = "sparse_pc.ply"
 _POINT = np.dtype([(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
 
 
-def save_capture(
-    capture: Capture, folder: Path, *, progress: Callable[[float], None] = lambda share: None
-) -> None:
+def save_capture(capture: Capture, folder: Path) -> None:
     """Writes photos, poses and points into `folder`, which is made; photos' names must end in .png.
 
-    Masks and what photos were laid over are not written. `progress` gets the share done, 0 to 1.
+    Masks and what photos were laid over are not written.
 
     Raises:
         InputError: the system refuses, or the format does not know a photo's lens.
@@ -224,9 +222,8 @@ def save_capture(
     images = folder / "images"
     try:
         images.mkdir(parents=True, exist_ok=True)
-        for i, photo in enumerate(capture.photos):
+        for photo in capture.photos:
             Image.fromarray(photo.image()).save(images / photo.name)
-            progress((i + 1) / len(capture.photos))
         (folder / POINTS).write_bytes(_point_cloud(capture.points, capture.point_colours))
         content = {
             "ply_file_path": POINTS,

@@ -9,12 +9,11 @@ from pathlib import Path
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
-from splatview.scene.formats.io import LoadCancelled, Watch
 from splatview.scene.formats.ply import load_ply, save_ply
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 __all__ = [
-    "LoadCancelled",
     "check_saving",
     "load_cameras",
     "load_scene",
@@ -26,19 +25,15 @@ __all__ = [
 def load_scene(
     path: str | os.PathLike[str],
     *,
-    progress: Callable[[float], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
+    progress: Progress = NO_PROGRESS,
 ) -> Gaussians:
     """The splats in a file; the format is told by its first bytes.
 
-    `progress` gets the share done, 0 to 1; `cancelled` is asked every few milliseconds. Both are called
-    from this thread.
-
     Raises:
         InputError: the file is missing, damaged or of another kind.
-        LoadCancelled: `cancelled` returned true.
+        Cancelled: nobody waits for it any more.
     """
-    return load_ply(Path(path), Watch(progress=progress, cancelled=cancelled))
+    return load_ply(Path(path), progress)
 
 
 def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:

@@ -6,9 +6,8 @@ import json
 import math
 import os
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
@@ -172,30 +171,3 @@ def array(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str
         size = " x ".join(map(str, shape))
         raise InputError(f"{where}: {key!r} must be {size} numbers in brackets")
     return np.array(value, dtype=np.float64)
-
-
-# ---- How a long load reports where it is and learns that nobody waits for it any more.
-
-
-class LoadCancelled(Exception):
-    """The caller's `cancelled()` turned true; nothing was kept of the load."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Watch:
-    """The caller's two callbacks; both are called from the thread that loads."""
-
-    progress: Callable[[float], None] | None = None
-    """Gets the share done, 0 to 1, never falling."""
-    cancelled: Callable[[], bool] | None = None
-
-    def check(self) -> None:
-        """Call between pieces of work of a few milliseconds. Raises LoadCancelled."""
-        if self.cancelled is not None and self.cancelled():
-            raise LoadCancelled
-
-    def step(self, share: float) -> None:
-        """As `check`, and tells that `share` of the work is done."""
-        self.check()
-        if self.progress is not None:
-            self.progress(min(share, 1.0))

@@ -18,11 +18,12 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyProperty
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch, atomic_write
+from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.ply_body import Target, check_size, read_rows
 from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, Header, read_header, scalar_types
 from splatview.scene.formats.point_cloud import read_point_cloud
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.progress import Progress
 
 # ---- Files that are something else: recognised by their first bytes, and refused with what to do.
 
@@ -98,11 +99,11 @@ FLAT_TAG = "SplatRenderMode: 2dgs"
 """The comment by which a file says that its splats are discs."""
 
 
-def load_ply(path: Path, watch: Watch) -> Gaussians:
-    """Splats, or a point cloud as round splats. Raises InputError and LoadCancelled."""
+def load_ply(path: Path, progress: Progress) -> Gaussians:
+    """Splats, or a point cloud as round splats. Raises InputError and Cancelled."""
     try:
         with open(path, "rb", opener=_open_regular) as file:
-            return _load(file, path, watch)
+            return _load(file, path, progress)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -127,7 +128,7 @@ def _open_regular(name: str, flags: int) -> int:
     return descriptor
 
 
-def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
+def _load(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
     file_bytes = os.fstat(file.fileno()).st_size
     if file_bytes == 0:
         raise InputError(f"{path}: is empty")
@@ -139,12 +140,17 @@ def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
         raise InputError(f"{path}: has no element vertex, so no splats")
     splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
     if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
-        return read_point_cloud(file, file_bytes, header, vertex, path, watch)
-    return _read_splats(file, file_bytes, header, vertex, path, watch)
+        return read_point_cloud(file, file_bytes, header, vertex, path, progress)
+    return _read_splats(file, file_bytes, header, vertex, path, progress)
 
 
 def _read_splats(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
+    file: io.BufferedReader,
+    file_bytes: int,
+    header: Header,
+    vertex: PlyElement,
+    path: Path,
+    progress: Progress,
 ) -> Gaussians:
     types = scalar_types(vertex)
     rest = [name for name in types if name.startswith("f_rest_")]
@@ -190,7 +196,7 @@ def _read_splats(
         *(([name], values) for name, values in extras.items()),
     ]
     targets = [Target(names=names, array=array) for names, array in named]
-    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+    read_rows(file, file_bytes, header, vertex, targets, path, progress)
 
     comments = header.comments
     if any(types[name].itemsize == 8 for name in used if name not in POSITION):

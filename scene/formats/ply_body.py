@@ -19,8 +19,9 @@ import numpy as np
 from plyfile import PlyElement, PlyListProperty, PlyParseError, PlyProperty
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch, excerpt
+from splatview.scene.formats.io import excerpt
 from splatview.scene.formats.ply_header import Header, scalar_types
+from splatview.scene.progress import Progress
 
 CHUNK_BYTES = 1 << 20
 """Read at once: small enough for a second-level cache and for a cancel within milliseconds."""
@@ -99,15 +100,15 @@ def read_rows(
     element: PlyElement,
     targets: Sequence[Target],
     path: object,
-    watch: Watch,
+    progress: Progress,
 ) -> None:
     """Fills `targets` from the rows of `element`; `file` stands at the start of the body.
 
     Raises:
         InputError: the file ends too early, or a row is not what the header says.
-        LoadCancelled: see `Watch`.
+        Cancelled: nobody waits for it any more.
     """
-    body = _Body(file, file_bytes, header, path, watch)
+    body = _Body(file, file_bytes, header, path, progress)
     for earlier in header.elements.values():
         if earlier is element:
             break
@@ -117,17 +118,17 @@ def read_rows(
         stop = start + len(block)
         _unpack(block, targets, start, stop, path)
         start = stop
-        watch.step(start / element.count)
+        progress.step(start / element.count)
 
 
 class _Body:
     """Walks a body from where `file` stands. plyfile reads from it as from a stream."""
 
     def __init__(
-        self, file: io.BufferedReader, file_bytes: int, header: Header, path: object, watch: Watch
+        self, file: io.BufferedReader, file_bytes: int, header: Header, path: object, progress: Progress
     ) -> None:
         self._file, self._file_bytes, self._header = file, file_bytes, header
-        self._path, self._watch = path, watch
+        self._path, self._progress = path, progress
         self._lines = 0
 
     def read(self, size: int) -> bytes:
@@ -143,7 +144,7 @@ class _Body:
                 raise InputError(f"{self._path}: a line of the body is endless; the file is damaged")
             self._lines += 1
             if self._lines % WALK == 0:
-                self._watch.check()
+                self._progress.check()
             if line.strip():
                 return line.decode("latin-1")
         return ""
@@ -160,7 +161,7 @@ class _Body:
         elif dtype.hasobject:
             for _ in self.blocks(element):
                 # Who skips has no progress to tell, but must hear a cancel.
-                self._watch.check()
+                self._progress.check()
         else:
             self._file.seek(element.count * dtype.itemsize, io.SEEK_CUR)
 

@@ -9,10 +9,10 @@ import numpy as np
 from plyfile import PlyElement
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch
 from splatview.scene.formats.ply_body import Target, check_size, read_rows
 from splatview.scene.formats.ply_header import Header, scalar_types
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.progress import Progress
 from splatview.scene.sh import rgb_to_sh
 
 COLOURS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -31,7 +31,12 @@ CLAMP = 4.0
 
 
 def read_point_cloud(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
+    file: io.BufferedReader,
+    file_bytes: int,
+    header: Header,
+    vertex: PlyElement,
+    path: Path,
+    progress: Progress,
 ) -> Gaussians:
     """Round splats at the points, coloured as they are, sized by `spacing`. Raises as `load_ply`."""
     types = scalar_types(vertex)
@@ -52,7 +57,7 @@ def read_point_cloud(
     if colour_names:
         targets.append(Target(names=colour_names, array=colours))
     targets += [Target(names=[name], array=values) for name, values in extras.items()]
-    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+    read_rows(file, file_bytes, header, vertex, targets, path, progress)
 
     if colour_names:
         colours /= _white(colours, types[colour_names[0]])

@@ -18,7 +18,6 @@ import numpy as np
 
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import (
     ATTRIBUTES,
     AttributeRange,
@@ -35,6 +34,7 @@ from splatview.edit.selectors import (
     histogram,
     typical_spacing,
 )
+from splatview.edit.tools import NoTools
 from splatview.measure.machine import FOLDER, write_results
 from splatview.scene import Camera, Gaussians, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits

@@ -15,7 +15,8 @@ from splatview.measure.knobs import Plan
 from splatview.measure.metrics import heat, largest_error, perceptual_map, psnr, signed_map
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.quality.measurement import Cancelled, Painter
+from splatview.scene.progress import Cancelled
+from splatview.viewer.quality.measurement import Painter
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

@@ -22,6 +22,7 @@ from splatview.scene import Camera, Gaussians
 from splatview.scene.camera import turned_about
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, used_sh_degree
+from splatview.scene.progress import Cancelled
 from splatview.viewer.navigation import orbit
 from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
 
@@ -35,10 +36,6 @@ if TYPE_CHECKING:
 
 PATIENCE = 0.05
 """Seconds between two looks at whether the work was cancelled, while the GL thread is waited for."""
-
-
-class Cancelled(Exception):
-    """The user has what was asked for no longer in mind."""
 
 
 class Painter:
