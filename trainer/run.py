@@ -21,7 +21,7 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects import Effect
-from splatview.scene.formats import save_scene
+from splatview.scene.formats import check_format, save_scene
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.distributed import PeerLost
@@ -59,8 +59,7 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
-        if self.scene.suffix.lower() != ".ply":
-            raise InputError(f"{self.scene}: scenes are saved as .ply; give it that suffix")
+        check_format(self.scene)
         for path in (self.scene, self.checkpoint, self.metrics):
             if path is not None:
                 check_writable(path)

@@ -141,9 +141,6 @@ def _skipped(splats: int) -> Saving:
     return Saving(what=f"nothing: having it saves {operations:,} operations a picture")
 
 
-# ---- Footprints: whether opacity is scaled by their area, and whether splats are flat.
-
-
 MIP_BLUR = 0.1
 """px²: the kernel of Mip-Splatting (Yu et al. 2024), for files that say they were trained so."""
 

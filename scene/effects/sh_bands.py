@@ -11,8 +11,6 @@ from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.health import sh_reach
 from splatview.scene.projection import FLOAT32_MAX
 
-# ---- Which coefficients of spherical harmonics have to be stored and summed: those that are not zero.
-#
 # Leaving out zeros changes no picture, not in its last bit, so nobody need be asked. What it saves depends on
 # the scene. Trained ones have hardly a zero: in `playbot` (500,000 splats, degree 2) and `skull` (94,936,
 # degree 3) every splat has its highest band, and so in scenes that this program has trained; in `train-1000`

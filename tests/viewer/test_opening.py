@@ -203,9 +203,9 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
 
     begun = threading.Event()
 
-    def read(path, *, progress, cancelled):
+    def read(path, *, progress):
         assert begun.wait(10)
-        progress(1.0)
+        progress.step(1.0)
         assert app.loading is not None
         seen.append(app.loading.progress)
         return real(path)

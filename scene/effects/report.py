@@ -1,4 +1,4 @@
-"""The whole receipt: every effect, on or off, in a fixed order."""
+"""The effects report: every effect of a scene and a view, on or off, in a fixed order."""
 
 from __future__ import annotations
 
@@ -35,9 +35,6 @@ from splatview.scene.gaussians import Gaussians
 from splatview.scene.health import FAR_SPACING, Finding, check
 from splatview.scene.image_model import RenderSettings
 from splatview.scene.projection import FLOAT32_MAX
-
-# ---- What depends on how a scene is looked at: the lens, the order, and whether anything has changed.
-
 
 GRID = 17
 """Pixels along each side of a picture where it is looked how far a lens moves them."""
@@ -102,9 +99,6 @@ def largest_displacement(camera: Camera) -> float:
     return float(moved[np.isfinite(moved)].max(initial=0.0))
 
 
-# ---- Where the splats are: whether float32 can hold it.
-
-
 def centred_effect(gaussians: Gaussians) -> Effect:
     """Whether positions are kept relative to a centre in float64, or may be single numbers of float32.
 
@@ -138,9 +132,6 @@ def centred_effect(gaussians: Gaussians) -> Effect:
         saving=Saving(what="one difference a splat"),
         bound=math.inf if on else 0.0,
     )
-
-
-# ---- Edits in force: what is left out, moved or recoloured, and what is only lit up.
 
 
 MARK_BYTES = 4
@@ -257,7 +248,7 @@ def _grade(gaussians: Gaussians, edits: SceneEdits) -> Effect:
     )
 
 
-def census(
+def effects_report(
     gaussians: Gaussians,
     *,
     findings: list[Finding] | None = None,
@@ -270,7 +261,7 @@ def census(
     """All effects, in a fixed order; SH bands only as far as the file has them.
 
     `findings`: what `health.check` said of the scene, where that is known already. `overrides`: what the user
-    has forced on or off, by name; it is told, and changes nothing of what the census says. The rest is how
+    has forced on or off, by name; it is told, and changes nothing of what the analysis says. The rest is how
     the scene is looked at, as far as that is known: by which `camera` after which `previous` one, with which
     `edits` in force and which `settings`.
     """
