@@ -52,10 +52,10 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
 )
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
@@ -158,15 +158,15 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     factor, early_stop = float(changes.pop("splats", 1.0)), changes.pop("early_stop", None)
     precision = changes.pop("precision", "float32")
     shots = Shots(shots_of(capture.train), seed)
-    pull = automatic_pull(len(shots))
+    regularisation = automatic_regularisation(len(shots))
     settings = TrainSettings(
         iterations=None,
         minutes=minutes,
         seed=seed,
-        opacity_pull=pull,
-        scale_pull=pull,
-        drop=automatic_drop(len(shots)),
-        elongation=automatic_elongation(len(shots)),
+        opacity_reg=regularisation,
+        scale_reg=regularisation,
+        dropout=automatic_dropout(len(shots)),
+        max_aspect=automatic_max_aspect(len(shots)),
         background=capture.background or (0.0, 0.0, 0.0),
         max_splats=max(1, round(factor * automatic_limit(shots.pixel_count, minutes))),
     )

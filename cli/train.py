@@ -36,6 +36,7 @@ from splatview.trainer.distributed import (
 from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import Outputs, Progress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 
 # ---- What `splatview train` prints: a bar while it runs, lines of evaluations, a table at the end.
@@ -247,7 +248,7 @@ def make_parser() -> Parser:
         help="photos whose lens is no pinhole: train through it, or take its distortion out of them first "
         f"(default: {DEFAULT_LENS_USE})",
     )
-    group.add_argument("--strategy", choices=("mcmc", "classic"), help="density control (default: mcmc)")
+    group.add_argument("--strategy", choices=tuple(STRATEGIES), help="density control (default: mcmc)")
     group.add_argument(
         "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
     )
@@ -288,7 +289,7 @@ def make_parser() -> Parser:
 
 
 def levels(text: str) -> tuple[tuple[float, int], ...]:
-    """`0.1:4,0.3:2` or `none`, as `TrainSettings.coarse`."""
+    """`0.1:4,0.3:2` or `none`, as `TrainSettings.resolution`."""
     if text == "none":
         return ()
     pairs = [part.split(":") for part in text.split(",")]

@@ -26,13 +26,14 @@ from splatview.trainer.run import Outputs
 from splatview.trainer.settings import (
     PAPER_ITERATIONS,
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
     automatic_steps,
 )
 from splatview.trainer.splats import initial_parameters
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shot, Shots, shots_of
 from splatview.trainer.warm_up import warm_up
@@ -232,23 +233,23 @@ def _new_trainer(
     iterations, minutes = options.iterations, options.minutes
     if iterations is None:
         iterations = automatic_steps(len(shots)) or (PAPER_ITERATIONS if minutes is None else None)
-    strategy = options.strategy or "mcmc"
-    if options.abs_grad and strategy != "classic":
+    strategy = options.strategy or TrainSettings.strategy
+    if options.abs_grad and not hasattr(STRATEGIES[strategy][0], "absolute_gradient"):
         raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
-    pull = automatic_pull(len(shots))
+    regularisation = automatic_regularisation(len(shots))
     settings = TrainSettings(
         iterations=iterations,
         minutes=minutes,
         seed=seed,
         batch=batch,
-        opacity_pull=pull,
-        scale_pull=pull,
-        drop=automatic_drop(len(shots)),
-        elongation=automatic_elongation(len(shots)),
+        opacity_reg=regularisation,
+        scale_reg=regularisation,
+        dropout=automatic_dropout(len(shots)),
+        max_aspect=automatic_max_aspect(len(shots)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
-        coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
+        resolution=TrainSettings.resolution if options.coarse is None else options.coarse,
         background=capture.background or (0.0, 0.0, 0.0),
         model=model_for(capture, options.antialiased or "auto"),
         max_splats=options.max_splats

@@ -41,14 +41,14 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     BASELINE,
     *_rungs(
         "resolution",
-        full={"coarse": ()},
-        half_for_60_percent={"coarse": ((0.6, 2),)},
-        quarter_then_half={"coarse": ((0.2, 4), (0.5, 2))},
+        full={"resolution": ()},
+        half_for_60_percent={"resolution": ((0.6, 2),)},
+        quarter_then_half={"resolution": ((0.2, 4), (0.5, 2))},
     ),
     *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
-    *_rungs("optimiser", all_splats={"seen_only": False}),
+    *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),
     *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),
 )

@@ -9,13 +9,11 @@ import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splatview.raster import (
-    Frame,
-    Gradients,
     Parameters,
     Workspace,
     available_threads,
@@ -31,9 +29,8 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.loss import photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, comments_for, fresh
-from splatview.trainer.strategies.default import DefaultStrategy
-from splatview.trainer.strategies.mcmc import MCMCStrategy
-from splatview.trainer.strategies.ops import some_dropped
+from splatview.trainer.strategies import STRATEGIES, Strategy
+from splatview.trainer.strategies.ops import dropout
 from splatview.trainer.views import Shot, Shots
 
 KEPT = ("seed", "strategy", "background", "model", "exposure")
@@ -41,23 +38,6 @@ KEPT = ("seed", "strategy", "background", "model", "exposure")
 
 CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
-
-
-class DensityControl(Protocol):
-    """What decides where splats are born and die."""
-
-    settings: TrainSettings
-
-    def begin(self, count: int) -> None: ...
-    def keep(self, kept: np.ndarray) -> None: ...
-    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
-    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats: ...
-    def after_step(
-        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
-    ) -> None: ...
-    def totals(self) -> list[np.ndarray]: ...
-    def state(self) -> dict[str, np.ndarray]: ...
-    def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
 
 class StepReport(NamedTuple):
@@ -112,11 +92,8 @@ class Trainer:
         self.counters = Counters()
         self.clock = StageClock()
         """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
-        self.control: DensityControl
-        if settings.strategy == "mcmc":
-            self.control = MCMCStrategy(settings, self.extent, len(parameters.means))
-        else:
-            self.control = DefaultStrategy(settings, self.extent)
+        _, strategy = STRATEGIES[settings.strategy]
+        self.control: Strategy = strategy(settings, self.extent)
         self.control.begin(len(self.splats))
         self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
         self._workspace = Workspace()
@@ -205,7 +182,7 @@ class Trainer:
         if self.exposures.is_due(progress):
             self.exposures.decide(
                 splats.parameters,
-                self.shots.sized(settings.shrink_at(progress)),
+                self.shots.sized(settings.downscale_at(progress)),
                 self.render_settings,
                 self._workspace,
                 self.threads,
@@ -215,16 +192,15 @@ class Trainer:
         counters.iteration += 1
         rates = settings.rates(progress, self.extent)
         with self.clock.stage("adam"):
-            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
-            pull = settings.pull_at(progress, self.extent, self.shots.focal)
+            moved = seen if settings.visible_only else _everything(len(splats), len(seen))
             adam_step(
                 splats,
                 gradients,
                 moved,
                 rates,
                 counters.iteration,
-                pull=pull,
-                elongation=settings.elongation,
+                regularisation=self.control.regularisation(progress, self.shots.focal),
+                max_aspect=settings.max_aspect,
                 threads=self.threads,
             )
         if self.exposures.is_on:
@@ -248,16 +224,16 @@ class Trainer:
     def _look(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
         """Mean gradients over the step's photos, who was seen in them, and the mean loss."""
         settings, group = self.settings, self.group
-        first, shrink = self.counters.iteration * settings.batch, settings.shrink_at(progress)
+        first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
         mine = range(first + group.rank, first + settings.batch, group.size)
         observing = progress < settings.refine_until
         if settings.batch == 1:
-            return self._look_at(self.shots.at(first, shrink), observing, first)
+            return self._look_at(self.shots.at(first, downscale), observing, first)
         totals = self.control.totals() if observing and group.size > 1 else []
         before = [total.copy() for total in totals]
         batch = BatchSum(self.splats.parameters)
         for place in mine:
-            looked = self._look_at(self.shots.at(place, shrink), observing, place)
+            looked = self._look_at(self.shots.at(place, downscale), observing, place)
             with self.clock.stage("batch"):
                 batch.add(*looked)
         with self.clock.stage("batch"):
@@ -277,11 +253,11 @@ class Trainer:
     ) -> tuple[Parameters, list[np.ndarray], float]:
         """The gradients by one photo, the splats that reach into it, and its loss. `place`: how many photos
         have been looked at before."""
-        parameters, share = self.splats.parameters, self.settings.drop * self.progress
+        parameters, share = self.splats.parameters, self.settings.dropout * self.progress
         if share > 0:
             with self.clock.stage("drop"):
                 rng = np.random.default_rng([self.settings.seed, place, 2])
-                parameters = some_dropped(parameters, share, rng)
+                parameters = dropout(parameters, share, rng)
         frame = draw_frame(
             parameters,
             shot.camera,

@@ -9,6 +9,7 @@ import numpy as np
 from splatview.scene import Lens, look_at
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shot, Shots
 
@@ -24,7 +25,7 @@ def warm_up(*, lens: bool = False) -> None:
     shot = Shot(replace(camera, lens=BARREL if lens else None), np.zeros((16, 16, 3), np.uint8))
     points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
     colours = np.full((32, 3), 128, np.uint8)
-    for strategy in ("mcmc", "classic"):
+    for strategy in STRATEGIES:
         settings = TrainSettings(iterations=2, strategy=strategy, refine_until=1.0, max_splats=32)
         trainer = Trainer(Shots([shot], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:

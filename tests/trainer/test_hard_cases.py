@@ -140,7 +140,7 @@ def trainer_of(case: HardCase, strategy: str) -> Trainer:
         least_refine_steps=3,
         max_splats=2 * len(scene) + 50,
         sh_every=0.2,
-        drop=0.1,
+        dropout=0.1,
         **options,
     )
     shots = [shot_of(camera, number) for number, camera in enumerate(case.cameras)]

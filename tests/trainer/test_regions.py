@@ -64,7 +64,7 @@ def test_nothing_grows_in_a_region(make_trainer, strategy: str) -> None:
     left = splats.parameters.means[:, 0] <= 0
     before, ids = splats.parameters.means[left].copy(), splats.ids[left]
     if isinstance(control, DefaultStrategy):
-        control.pulled[:], control.seen[:] = 1.0, 1
+        control.gradient_sums[:], control.view_counts[:] = 1.0, 1
     else:
         splats.parameters.opacity_logits[~left] = -1.0
         splats.parameters.opacity_logits[left] = 5.0  # most of what is drawn, were it drawn

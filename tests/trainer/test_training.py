@@ -18,13 +18,15 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
     automatic_steps,
 )
-from splatview.trainer.strategies.ops import some_dropped
+from splatview.trainer.strategies.default import DefaultStrategy
+from splatview.trainer.strategies.mcmc import MCMCStrategy
+from splatview.trainer.strategies.ops import dropout
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import Shot, Shots
 
@@ -79,12 +81,12 @@ def test_bands_are_unlocked_in_turn(make_trainer) -> None:
 
 def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
     behind = start._replace(means=start.means + np.float32(1e4))
-    for seen_only in (True, False):
-        trainer = make_trainer(seen_only=seen_only, strategy="classic")
+    for visible_only in (True, False):
+        trainer = make_trainer(visible_only=visible_only, strategy="classic")
         far = Trainer(trainer.shots, behind, 3.0, trainer.settings)
         far.splats.first.means[:] = 1
         far.step()
-        assert (far.splats.parameters.means == behind.means).all() == seen_only
+        assert (far.splats.parameters.means == behind.means).all() == visible_only
 
 
 @pytest.mark.parametrize("strategy", ["classic", "mcmc"])
@@ -229,19 +231,26 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"minutes": float("nan")}, "minutes"),
         ({"sh_degree": 4}, "sh_degree"),
         ({"seed": -1}, "seed"),
-        ({"elongation": 0.5}, "elongation"),
-        ({"drop": 1.0}, "drop"),
+        ({"max_aspect": 0.5}, "max_aspect"),
+        ({"dropout": 1.0}, "dropout"),
     ):
         with pytest.raises(ValueError, match=name):
             make_settings(**options)
 
 
 def test_few_photos_pull_harder_and_drop_more() -> None:
-    assert automatic_pull(1) == automatic_pull(13) == 0.1
-    assert automatic_pull(1000) == 0.01
-    assert 0.01 < automatic_pull(84) < 0.1
-    assert automatic_drop(1) == automatic_drop(13) == 0.2 > automatic_drop(30) > automatic_drop(80) == 0
-    assert 1 < automatic_elongation(13) < automatic_elongation(84)
+    assert automatic_regularisation(1) == automatic_regularisation(13) == 0.1
+    assert automatic_regularisation(1000) == 0.01
+    assert 0.01 < automatic_regularisation(84) < 0.1
+    assert (
+        automatic_dropout(1)
+        == automatic_dropout(13)
+        == 0.2
+        > automatic_dropout(30)
+        > automatic_dropout(80)
+        == 0
+    )
+    assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
 
@@ -255,7 +264,7 @@ def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> 
     rng = np.random.default_rng(0)
     many = start._replace(opacity_logits=np.full(20_000, -4.0, np.float32))
     before = many.opacity_logits.copy()
-    dropped = some_dropped(many, 0.2, rng)
+    dropped = dropout(many, 0.2, rng)
     np.testing.assert_array_equal(many.opacity_logits, before)
     opacities = 1 / (1 + np.exp(-dropped.opacity_logits.astype(np.float64)))
     gone = opacities < 1 / 255 / 100
@@ -266,7 +275,7 @@ def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> 
 
 
 def test_dropping_learns_repeats_and_ends_whole(make_trainer, shots: list[Shot]) -> None:
-    first, second = (make_trainer(iterations=300, drop=0.3, batch=2) for _ in range(2))
+    first, second = (make_trainer(iterations=300, dropout=0.3, batch=2) for _ in range(2))
     before = evaluate(first.splats.parameters, shots[:1], first.render_settings)
     assert run(first, 300) == run(second, 300)
     assert_equal(first, second)
@@ -276,14 +285,15 @@ def test_dropping_learns_repeats_and_ends_whole(make_trainer, shots: list[Shot])
 
 
 def test_rates_settle_and_pulls_fade() -> None:
-    settings = TrainSettings(settle_from=0.5, settle_to=0.1, pull_end=0.01, opacity_pull=0.1)
+    settings = TrainSettings(settle_from=0.5, settle_to=0.1, reg_end=0.01, opacity_reg=0.1)
     a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
     assert a[1:] == b[1:]
     np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
-    assert settings.pull_at(0.5, 2.0, 400).opacity == pytest.approx(0.01)
-    assert settings.pull_at(0, 2.0, 400).scale == pytest.approx(settings.scale_pull / 2)
-    assert settings.pull_at(0, 2.0, 400).least_scale == pytest.approx(0.1 * 2 / 400)
-    assert replace(settings, strategy="classic").pull_at(0.5, 2.0, 400) == (0, 0, 0)
+    control = MCMCStrategy(settings, 2.0)
+    assert control.regularisation(0.5, 400).opacity == pytest.approx(0.01)
+    assert control.regularisation(0, 400).scale == pytest.approx(settings.scale_reg / 2)
+    assert control.regularisation(0, 400).least_scale == pytest.approx(0.1 * 2 / 400)
+    assert DefaultStrategy(settings, 2.0).regularisation(0.5, 400) == (0, 0, 0)
 
 
 def test_masked_photos_are_measured_by_what_is_left(make_trainer, shots: list[Shot]) -> None:
