@@ -169,7 +169,7 @@ def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> i
     training = LiveTraining(
         thread=thread,
         name=ready.capture.name,
-        photos=watched_photos(ready.trainer.shots.all, ready.held_out),
+        photos=watched_photos(ready.trainer.views.all, ready.held_out),
         settings=ready.trainer.render_settings,
     )
 
@@ -337,9 +337,9 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
 
 
 def _opening(ready: Run) -> str:
-    trainer, (_, width, height) = ready.trainer, ready.trainer.shots.names()[0]
+    trainer, (_, width, height) = ready.trainer, ready.trainer.views.names()[0]
     text = (
-        f"{ready.capture.name}: {len(trainer.shots)} photos to train on, {len(ready.held_out)} held out,"
+        f"{ready.capture.name}: {len(trainer.views)} photos to train on, {len(ready.held_out)} held out,"
         f" {width}x{height} px; {len(trainer.splats):,} splats to begin with"
     )
     if trainer.group.size > 1:

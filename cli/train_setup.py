@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from splatview.cli.run_lock import claim
+from splatview.cli.run_lock import lock_run
 from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
@@ -35,7 +35,7 @@ from splatview.trainer.settings import (
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots, shots_of
+from splatview.trainer.views import TrainView, TrainViews, train_views
 from splatview.trainer.warm_up import warm_up
 
 COMPILED_SECONDS = 10.0
@@ -68,7 +68,7 @@ class Run:
 
     capture: Capture
     trainer: Trainer
-    held_out: list[Shot]
+    held_out: list[TrainView]
     outputs: Outputs
     notes: dict[str, Any]
     """For checkpoints."""
@@ -129,7 +129,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
-        claim(outputs.checkpoint)
+        lock_run(outputs.checkpoint)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
     capture = _with_status(
         console,
@@ -137,20 +137,20 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
         lambda progress: load_capture(folder, downscale=downscale, lens=lens, progress=progress),
     )
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
-    shots, held_out = Shots(shots_of(capture.train), seed), shots_of(capture.held_out)
+    views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
         console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
     if checkpoint is None:
-        trainer = _new_trainer(capture, shots, seed, batch, options, group)
-        if options.iterations is None and automatic_steps(len(shots)) is not None:
+        trainer = _new_trainer(capture, views, seed, batch, options, group)
+        if options.iterations is None and automatic_steps(len(views)) is not None:
             console.print(
-                f"{len(shots)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
+                f"{len(views)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
                 " learn single photos by heart; --iterations asks for more",
                 highlight=False,
                 soft_wrap=True,
             )
     else:
-        trainer = _resumed_trainer(shots, checkpoint, options, group)
+        trainer = _resumed_trainer(views, checkpoint, options, group)
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     antialiased = (
@@ -228,15 +228,15 @@ def _check_room(outputs: Outputs, splats: int) -> None:
 
 
 def _new_trainer(
-    capture: Capture, shots: Shots, seed: int, batch: int, options: argparse.Namespace, group: Group
+    capture: Capture, views: TrainViews, seed: int, batch: int, options: argparse.Namespace, group: Group
 ) -> Trainer:
     iterations, minutes = options.iterations, options.minutes
     if iterations is None:
-        iterations = automatic_steps(len(shots)) or (PAPER_ITERATIONS if minutes is None else None)
+        iterations = automatic_steps(len(views)) or (PAPER_ITERATIONS if minutes is None else None)
     strategy = options.strategy or TrainSettings.strategy
     if options.abs_grad and not hasattr(STRATEGIES[strategy][0], "absolute_gradient"):
         raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
-    regularisation = automatic_regularisation(len(shots))
+    regularisation = automatic_regularisation(len(views))
     settings = TrainSettings(
         iterations=iterations,
         minutes=minutes,
@@ -244,8 +244,8 @@ def _new_trainer(
         batch=batch,
         opacity_reg=regularisation,
         scale_reg=regularisation,
-        dropout=automatic_dropout(len(shots)),
-        max_aspect=automatic_max_aspect(len(shots)),
+        dropout=automatic_dropout(len(views)),
+        max_aspect=automatic_max_aspect(len(views)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
@@ -253,24 +253,24 @@ def _new_trainer(
         background=capture.background or (0.0, 0.0, 0.0),
         model=model_for(capture, options.antialiased or "auto"),
         max_splats=options.max_splats
-        or automatic_limit(shots.pixel_count, minutes if options.iterations is None else None),
+        or automatic_limit(views.pixel_count, minutes if options.iterations is None else None),
     )
     extent = capture.scene_radius
     parameters = initial_parameters(
         capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=seed
     )
-    return Trainer(shots, parameters, extent, settings, threads=_threads(options, group), group=group)
+    return Trainer(views, parameters, extent, settings, threads=_threads(options, group), group=group)
 
 
 def _resumed_trainer(
-    shots: Shots, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
+    views: TrainViews, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
 ) -> Trainer:
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
     parameters = checkpoint.splats.parameters
     trainer = Trainer(
-        shots, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
+        views, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
     )
     restore(trainer, checkpoint)
     if trainer.done:
@@ -291,7 +291,7 @@ def _check_equal(run: Run, group: Processes) -> None:
         group,
         {
             "options": digest(trainer.settings),
-            "photos": digest(trainer.shots.names(), *(shot.pixels for shot in trainer.shots.all)),
+            "photos": digest(trainer.views.names(), *(view.pixels for view in trainer.views.all)),
             "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
             "checkpoint": digest(trainer.counters.iteration),
         },

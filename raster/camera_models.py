@@ -144,7 +144,7 @@ def _within_reach(lens, drawn, tx, ty, tz):
     if lens is None:
         return drawn
     # Without dividing: where z is 0 that would be NaN.
-    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)
+    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.valid_radius_squared)
 
 
 @inline

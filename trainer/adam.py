@@ -53,7 +53,7 @@ NO_REGULARISATION = Regularisation()
 def adam_step(
     splats: Splats,
     gradients: Parameters,
-    seen: Sequence[np.ndarray],
+    visible: Sequence[np.ndarray],
     rates: Rates,
     step: int,
     *,
@@ -61,7 +61,7 @@ def adam_step(
     max_aspect: float = math.inf,
     threads: int,
 ) -> None:
-    """Moves the splats named by `seen`, arrays of distinct indices (int32) that may be worked on apart.
+    """Moves the splats named by `visible`, arrays of distinct indices (int32) that may be worked on apart.
 
     `step` counts from 1. `gradients` have the shapes of the parameters; rows not named are not read.
     No moved splat is left longer than `max_aspect` times its middle axis: the longest is cut.
@@ -74,7 +74,7 @@ def adam_step(
     limits = np.array([opacity_weight / count, scale_weight / 3 / count, least_scale, math.log(max_aspect)])
     run(
         move,
-        [(indices,) for indices in seen if len(indices)],
+        [(indices,) for indices in visible if len(indices)],
         (
             *splats.parameters,
             *splats.first,

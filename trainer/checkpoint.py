@@ -64,7 +64,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         "counters": asdict(trainer.counters),
         "extent": trainer.extent,
         "next_id": splats.next_id,
-        "photos": trainer.shots.names(),
+        "photos": trainer.views.names(),
         "notes": notes or {},
     }
     _remove_leftovers(path)
@@ -105,7 +105,7 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     Raises:
         InputError: the photos are others.
     """
-    ours, theirs = trainer.shots.names(), checkpoint.photos
+    ours, theirs = trainer.views.names(), checkpoint.photos
     if ours != theirs:
         different = next((a for a, b in zip(ours, theirs, strict=False) if a != b), None)
         about = f"{different[0]} is {different[1]}x{different[2]}" if different else f"there are {len(ours)}"

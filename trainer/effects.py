@@ -132,34 +132,34 @@ def _exposure(settings: TrainSettings) -> Effect:
 
 
 def _masks(capture: Capture) -> Effect:
-    evidence = capture.evidence
-    why = f"{evidence.masks} of {len(capture.photos)} photos have a mask"
-    if evidence.hidden > 0:
-        what = " or beyond what their lens saw" if evidence.lenses else ""
-        why += f"; {evidence.hidden:.2%} of all pixels are masked{what}, and not compared"
-    return Effect(name="masks", on=evidence.hidden > 0, why=why, saving=Saving(what="a look at each pixel"))
+    statistics = capture.statistics
+    why = f"{statistics.masks} of {len(capture.photos)} photos have a mask"
+    if statistics.hidden > 0:
+        what = " or beyond what their lens saw" if statistics.lenses else ""
+        why += f"; {statistics.hidden:.2%} of all pixels are masked{what}, and not compared"
+    return Effect(name="masks", on=statistics.hidden > 0, why=why, saving=Saving(what="a look at each pixel"))
 
 
 def _lens(capture: Capture) -> Effect:
-    evidence, photos = capture.evidence, len(capture.photos)
+    statistics, photos = capture.statistics, len(capture.photos)
     through = any(photo.camera.lens is not None for photo in capture.photos)
-    if evidence.lenses:
-        bent = f"{evidence.lenses} of {photos} photos have a lens that moves points by up to"
-        why = f"{bent} {evidence.displacement:.3g} px: " + (
+    if statistics.lenses:
+        bent = f"{statistics.lenses} of {photos} photos have a lens that moves points by up to"
+        why = f"{bent} {statistics.displacement:.3g} px: " + (
             "pictures are drawn through them" if through else "taken out of the photos"
         )
-    elif evidence.lenses_left_out:
-        most = f"lenses move no point by more than {evidence.displacement:.2g} px"
+    elif statistics.lenses_left_out:
+        most = f"lenses move no point by more than {statistics.displacement:.2g} px"
         why = f"{most}, of {LEAST_DISPLACEMENT:g} that could show: photos are used as they are"
     else:
         why = f"all {photos} cameras are pinholes"
     return Effect(
         name="lens distortion",
-        on=evidence.lenses > 0,
+        on=statistics.lenses > 0,
         why=why,
         saving=Saving(what="the resampling of each photo"),
         # Where a photo goes from black to white within a pixel.
-        bound=min(evidence.displacement, 1.0),
+        bound=min(statistics.displacement, 1.0),
     )
 
 
@@ -183,7 +183,7 @@ def _antialiased(capture: Capture, settings: TrainSettings, asked: Antialiased) 
 
 
 def _background(capture: Capture, settings: TrainSettings) -> Effect:
-    transparent = capture.evidence.transparent
+    transparent = capture.statistics.transparent
     colour = ", ".join(f"{part:g}" for part in settings.background)
     why = f"{transparent} of {len(capture.photos)} photos have transparency"
     return Effect(

@@ -28,7 +28,7 @@ from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
 from splatview.trainer.trainer import StepReport, Trainer
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 
 CHECKPOINT_SECONDS = 60.0
 """A kill costs at most about so much of the work."""
@@ -119,7 +119,7 @@ class TrainingRun:
     def __init__(
         self,
         trainer: Trainer,
-        held_out: Sequence[Shot],
+        held_out: Sequence[TrainView],
         outputs: Outputs,
         *,
         started: float,
@@ -201,7 +201,7 @@ class TrainingRun:
         self.on_progress(progress)
         return progress
 
-    def evaluate(self, on_picture: Callable[[Shot, np.ndarray], None] | None = None) -> Evaluation:
+    def evaluate(self, on_picture: Callable[[TrainView, np.ndarray], None] | None = None) -> Evaluation:
         """Measures the scene as it is on the held-out photos, of which there must be some."""
         trainer, begun = self.trainer, time.perf_counter()
         self.evaluation = evaluate(
@@ -254,12 +254,12 @@ class TrainingRun:
         if not self.held_out:
             return None
         folder = self.outputs.pictures
-        wanted = {shot.camera.name for shot in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
+        wanted = {view.camera.name for view in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
 
-        def write(shot: Shot, picture: np.ndarray) -> None:
-            if shot.camera.name in wanted:
-                name = Path(shot.camera.name.replace("/", "_").replace("\\", "_")).stem
-                side_by_side(shot, picture).save(folder / f"{name}.png")
+        def write(view: TrainView, picture: np.ndarray) -> None:
+            if view.camera.name in wanted:
+                name = Path(view.camera.name.replace("/", "_").replace("\\", "_")).stem
+                side_by_side(view, picture).save(folder / f"{name}.png")
 
         try:
             folder.mkdir(parents=True, exist_ok=True)

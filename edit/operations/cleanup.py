@@ -16,7 +16,7 @@ from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet
 from splatview.scene import Camera, InputError
 from splatview.scene.edits import DELETED, HIDDEN, LARGEST_LOGIT, LOCKED
-from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, check, sh_reach
+from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, check, sh_bound
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class Repair(Operation):
             case "SH out of range":
                 sh = gaussians.sh[at].astype(np.float64)
                 # A hair below, so that the rounded values are found no more.
-                reach = sh_reach(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
+                reach = sh_bound(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
                 return "sh", sh * (BRIGHT / reach)[:, None, None]
             case _:
                 return "log_scales", self._repaired_scales(gaussians.log_scales[at].astype(np.float64))

@@ -28,7 +28,7 @@ MARGIN = 1.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoEvidence:
+class PhotoStatistics:
     """Of all photos of a capture, at their final sizes."""
 
     lenses: int = 0
@@ -114,7 +114,7 @@ class Capture:
     """(P, 3) uint8 RGB."""
     background: tuple[float, float, float] | None = None
     """What photos with transparency were laid over, RGB in 0..1; None where none has any."""
-    evidence: PhotoEvidence = field(default_factory=PhotoEvidence)
+    statistics: PhotoStatistics = field(default_factory=PhotoStatistics)
     """What was found out about the photos while they were read."""
     warnings: tuple[str, ...] = ()
     """A line each: what was left out or made up."""
@@ -150,7 +150,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Shot:
+class PosedPhoto:
     """A photo on disk with its pose."""
 
     name: str
@@ -170,7 +170,7 @@ class PosedPhotos:
     """The file or folder that names the photos."""
     images: Path
     """Where they were looked for."""
-    shots: Sequence[Shot]
+    entries: Sequence[PosedPhoto]
     missing: Sequence[str] = ()
     """Photos with a pose that are not on disk."""
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))

@@ -85,17 +85,17 @@ def demo_capture(
         raise InputError(f"a demo capture needs at least two photos, got {photos}")
     if truth is None:
         truth = demo_truth(splats)
-    shots = []
+    entries = []
     for i, camera in enumerate(demo_cameras(photos, width, height, fov_y)):
         camera = replace(camera, lens=lens)
         picture = render(truth, camera, RenderSettings())[..., :3]
         image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
         image.flags.writeable = False
-        shots.append(_photo(camera, image, i))
+        entries.append(_photo(camera, image, i))
         progress.step((i + 1) / photos)
-    cameras = [shot.camera for shot in shots]
+    cameras = [entry.camera for entry in entries]
     points, colours = _points(truth, cameras, np.random.default_rng(seed))
-    return Capture(name="demo", photos=tuple(shots), points=points, point_colours=colours)
+    return Capture(name="demo", photos=tuple(entries), points=points, point_colours=colours)
 
 
 def _photo(camera: Camera, image: np.ndarray, i: int) -> Photo:

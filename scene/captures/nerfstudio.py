@@ -22,8 +22,8 @@ from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     Capture,
     Photo,
+    PosedPhoto,
     PosedPhotos,
-    Shot,
     find_mask,
     find_photo,
     tidy_name,
@@ -57,7 +57,7 @@ def find_transforms(folder: Path) -> list[Frames]:
 
 def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
     """The capture in `folder` by `files` of `find_transforms`. Raises InputError."""
-    shots, missing, ply_names = [], [], []
+    entries, missing, ply_names = [], [], []
     for path, held_out in files:
         content = read_json(path, what="capture")
         frames = content.get("frames") if isinstance(content, dict) else None
@@ -74,7 +74,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
                 missing.append(name)
                 continue
             shot_held_out = held_out if held_out_names is None else name in held_out_names
-            shots.append(
+            entries.append(
                 _shot({**content, **frame}, f"{where} ({excerpt(name)})", folder, photo, shot_held_out)
             )
         if isinstance(content.get("ply_file_path"), str):
@@ -83,7 +83,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
     return PosedPhotos(
         source=files[0][0],
         images=folder,
-        shots=shots,
+        entries=entries,
         missing=missing,
         points=points,
         point_colours=colours,
@@ -102,7 +102,9 @@ def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
     return None
 
 
-def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None) -> Shot:
+def _shot(
+    values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None
+) -> PosedPhoto:
     name = tidy_name(values["file_path"])
     try:
         camera = _camera(values, where, photo, name)
@@ -110,7 +112,7 @@ def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held
         raise
     except (ValueError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from None
-    return Shot(
+    return PosedPhoto(
         name=name,
         path=photo,
         camera=camera,

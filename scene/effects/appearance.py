@@ -10,7 +10,7 @@ import numpy as np
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
 from splatview.scene.effects.sh_bands import SLICE
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.health import Finding, sh_reach
+from splatview.scene.health import Finding, sh_bound
 from splatview.scene.image_model import BLUR, RenderSettings
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
@@ -34,7 +34,7 @@ def brightest_colour(gaussians: Gaussians) -> float:
     for start in range(0, len(gaussians), SLICE):
         sh = gaussians.sh[start : start + SLICE]
         with np.errstate(over="ignore", invalid="ignore"):
-            colours = 0.5 + SH_C0 * sh[:, 0] + sh_reach(sh)[:, 1:].sum(axis=1)
+            colours = 0.5 + SH_C0 * sh[:, 0] + sh_bound(sh)[:, 1:].sum(axis=1)
             drawn = np.isfinite(sh).all(axis=(1, 2))
         brightest = max(brightest, float(colours[drawn].max(initial=0.0)))
     return brightest

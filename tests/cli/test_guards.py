@@ -269,14 +269,14 @@ RAYS = (
         TRUTH,
         "reference",
         FOLDED,
-        {"(axis=1) < camera.lens.form.reach_squared": "(axis=1) < np.inf"},
+        {"(axis=1) < camera.lens.form.valid_radius_squared": "(axis=1) < np.inf"},
     ),
     Removal(
         "reach of the lens",
         "raster/optics.py",
         "cpu",
         FOLDED,
-        {"keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)": "drawn"},
+        {"keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.valid_radius_squared)": "drawn"},
     ),
 )
 

@@ -19,7 +19,7 @@ from splatview.measure.metrics import psnr
 from splatview.renderers.gl.context import create_headless_context
 from splatview.renderers.headless import HeadlessRenderer, SceneArtist, make_headless
 from splatview.scene import Camera, Gaussians, InputError, look_at
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.formats import save_scene
 
 EXACT_DB = 60.0
@@ -56,7 +56,7 @@ def artists(scene) -> dict[str, SceneArtist]:
 
 
 def turned(camera: Camera, degrees: float) -> Camera:
-    return turned_about(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
+    return orbited(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
 
 
 def drawn(artist: SceneArtist, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:

@@ -125,7 +125,7 @@ def test_an_edited_run_resumes_bit_for_bit(make_trainer, tmp_path: Path, strateg
     checkpoint = load_checkpoint(tmp_path / "run.safetensors")
     assert checkpoint.settings == trainer.settings
     resumed = Trainer(
-        trainer.shots, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
+        trainer.views, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
     )
     restore(resumed, checkpoint)
     for _ in range(50):

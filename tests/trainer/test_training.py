@@ -28,7 +28,7 @@ from splatview.trainer.strategies.default import DefaultStrategy
 from splatview.trainer.strategies.mcmc import MCMCStrategy
 from splatview.trainer.strategies.ops import dropout
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 make_settings: Any = TrainSettings
 
@@ -45,13 +45,13 @@ def assert_equal(a: Trainer, b: Trainer) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["classic", "mcmc"])
-def test_a_run_learns_the_scene(make_trainer, shots: list[Shot], strategy: str) -> None:
+def test_a_run_learns_the_scene(make_trainer, views: list[TrainView], strategy: str) -> None:
     trainer = make_trainer(iterations=500, strategy=strategy)
-    before = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    before = evaluate(trainer.splats.parameters, views[:1], trainer.render_settings)
     report = trainer.step()
     while not trainer.done:
         report = trainer.step()
-    after = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    after = evaluate(trainer.splats.parameters, views[:1], trainer.render_settings)
     assert report.iteration == 500 and report.progress == 1
     # Measured on the photo held out: from 17.2 dB to 29.8 (classic) and 27.7 (mcmc).
     assert after.psnr > max(before.psnr + 8, 22)
@@ -83,7 +83,7 @@ def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
     behind = start._replace(means=start.means + np.float32(1e4))
     for visible_only in (True, False):
         trainer = make_trainer(visible_only=visible_only, strategy="classic")
-        far = Trainer(trainer.shots, behind, 3.0, trainer.settings)
+        far = Trainer(trainer.views, behind, 3.0, trainer.settings)
         far.splats.first.means[:] = 1
         far.step()
         assert (far.splats.parameters.means == behind.means).all() == visible_only
@@ -101,7 +101,7 @@ def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strateg
     assert checkpoint.notes == {"downscale": 2}
     assert checkpoint.settings == part.settings
     resumed = Trainer(
-        part.shots, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
+        part.views, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
     )
     restore(resumed, checkpoint)
     assert_equal(resumed, part)
@@ -109,11 +109,11 @@ def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strateg
     assert_equal(resumed, whole)
 
 
-def test_checkpoints_of_other_photos_are_refused(make_trainer, shots, start, tmp_path: Path) -> None:
+def test_checkpoints_of_other_photos_are_refused(make_trainer, views, start, tmp_path: Path) -> None:
     path = tmp_path / "run.safetensors"
     trainer = make_trainer()
     save_checkpoint(trainer, path)
-    other = Trainer(Shots(shots[2:], 0), start, 3.0, trainer.settings)
+    other = Trainer(TrainViews(views[2:], 0), start, 3.0, trainer.settings)
     with pytest.raises(InputError, match="other photos"):
         restore(other, load_checkpoint(path))
 
@@ -182,31 +182,31 @@ def test_a_kill_at_any_moment_leaves_a_whole_checkpoint(tmp_path: Path) -> None:
             assert (array == checkpoint.counters.iteration).all()
 
 
-def test_photos_come_once_each_in_every_round(shots: list[Shot]) -> None:
-    count = len(shots)
-    order = Shots(shots, seed=3)
+def test_photos_come_once_each_in_every_round(views: list[TrainView]) -> None:
+    count = len(views)
+    order = TrainViews(views, seed=3)
     rounds = [[order.at(count * epoch + i).camera.name for i in range(count)] for epoch in range(3)]
-    assert all(sorted(names) == sorted(shot.camera.name for shot in shots) for names in rounds)
+    assert all(sorted(names) == sorted(view.camera.name for view in views) for names in rounds)
     assert rounds[0] != rounds[1]
-    again = Shots(shots, seed=3)
+    again = TrainViews(views, seed=3)
     assert [again.at(2 * count + i).camera.name for i in range(count)] == rounds[2]
 
 
-def test_smaller_photos_are_averages_with_the_same_view(shots: list[Shot]) -> None:
+def test_smaller_photos_are_averages_with_the_same_view(views: list[TrainView]) -> None:
     mask = np.ones((40, 48), np.bool_)
     mask[0, 0] = False
-    small = replace(shots[0], mask=mask).smaller(2)
-    assert small.pixels.shape == (20, 24, 3) and small.camera.fx == shots[0].camera.fx / 2
-    blocks = shots[0].pixels.astype(float).reshape(20, 2, 24, 2, 3).mean(axis=(1, 3))
+    small = replace(views[0], mask=mask).smaller(2)
+    assert small.pixels.shape == (20, 24, 3) and small.camera.fx == views[0].camera.fx / 2
+    blocks = views[0].pixels.astype(float).reshape(20, 2, 24, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(small.pixels, blocks, atol=0.51)
     assert small.mask is not None and not small.mask[0, 0] and small.mask.sum() == 479
-    assert shots[0].smaller(10).pixels.shape == (11, 11, 3)
+    assert views[0].smaller(10).pixels.shape == (11, 11, 3)
 
 
-def test_photos_too_small_for_the_loss_are_named(shots: list[Shot]) -> None:
-    camera = shots[0].camera.resized(10, 40)
+def test_photos_too_small_for_the_loss_are_named(views: list[TrainView]) -> None:
+    camera = views[0].camera.resized(10, 40)
     with pytest.raises(InputError, match=r"view_0.png: 10x40 is too small"):
-        Shot(camera, np.zeros((40, 10, 3), np.uint8))
+        TrainView(camera, np.zeros((40, 10, 3), np.uint8))
 
 
 def test_schedules_scale_with_the_length_of_the_run() -> None:
@@ -274,12 +274,12 @@ def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> 
     assert dropped.means is many.means
 
 
-def test_dropping_learns_repeats_and_ends_whole(make_trainer, shots: list[Shot]) -> None:
+def test_dropping_learns_repeats_and_ends_whole(make_trainer, views: list[TrainView]) -> None:
     first, second = (make_trainer(iterations=300, dropout=0.3, batch=2) for _ in range(2))
-    before = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+    before = evaluate(first.splats.parameters, views[:1], first.render_settings)
     assert run(first, 300) == run(second, 300)
     assert_equal(first, second)
-    after = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+    after = evaluate(first.splats.parameters, views[:1], first.render_settings)
     assert after.psnr > before.psnr + 7
     assert (first.splats.parameters.opacity_logits > -20).all()
 
@@ -296,16 +296,16 @@ def test_rates_settle_and_pulls_fade() -> None:
     assert DefaultStrategy(settings, 2.0).regularisation(0.5, 400) == (0, 0, 0)
 
 
-def test_masked_photos_are_measured_by_what_is_left(make_trainer, shots: list[Shot]) -> None:
+def test_masked_photos_are_measured_by_what_is_left(make_trainer, views: list[TrainView]) -> None:
     trainer = make_trainer()
     left = np.zeros((40, 48), np.bool_)
     left[:, :20] = True
-    half = replace(shots[0], mask=left)
+    half = replace(views[0], mask=left)
     painted = half.pixels.copy()
     painted[~left] = 255
     scores = [
-        evaluate(trainer.splats.parameters, [shot], trainer.render_settings).scores[0]
-        for shot in (half, replace(half, pixels=painted), replace(shots[0], pixels=painted))
+        evaluate(trainer.splats.parameters, [view], trainer.render_settings).scores[0]
+        for view in (half, replace(half, pixels=painted), replace(views[0], pixels=painted))
     ]
     assert scores[0] == scores[1] and scores[2].psnr < scores[0].psnr - 3
     nothing = replace(half, mask=np.zeros((40, 48), np.bool_))

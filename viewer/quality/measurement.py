@@ -19,7 +19,7 @@ from splatview.measure.work import Bill, bill_of
 from splatview.raster.contributions import count_work
 from splatview.renderers.headless import with_rest_hidden
 from splatview.scene import Camera, Gaussians
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, used_sh_degree
 from splatview.scene.progress import Cancelled
@@ -86,7 +86,7 @@ class Painter:
         return self._timed(camera, plan, anew=True)
 
     def _turned(self, camera: Camera, degrees: float) -> Camera:
-        return turned_about(camera, self._target, -camera.R_camera_world[1], degrees) if degrees else camera
+        return orbited(camera, self._target, -camera.R_camera_world[1], degrees) if degrees else camera
 
     def _timed(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         size = reduced_size(camera.width, camera.height, plan.resolution)
