@@ -39,8 +39,6 @@ from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 
-# ---- What `splatview train` prints: a bar while it runs, lines of evaluations, a table at the end.
-
 
 def make_bar(console: Console) -> Bar:
     """Its tasks have a field "numbers", see `numbers`."""
@@ -99,9 +97,6 @@ def print_summary(
     )
     if evaluation is not None:
         console.print(f"side by side: {outputs.pictures}", highlight=False, soft_wrap=True)
-
-
-# ---- `splatview train` with a window: the scene is seen to grow, and may be steered.
 
 
 EVAL_SECONDS = 4.0

@@ -207,9 +207,6 @@ def look_at(
     )
 
 
-# ---- The same view with other rays: in parallel, or through a lens.
-
-
 ROOM = 10.0
 """Scene radii before the scene at which the eye of parallel rays stands at least: what is behind it is cut
 off, and where it stands changes nothing else."""
@@ -245,9 +242,6 @@ def through_lens(camera: Camera, lens: Lens) -> Camera:
         )
     factor = slope / float(distort(np.array([0.0, slope]), lens)[1])
     return replace(camera, lens=lens, fx=camera.fx * factor, fy=camera.fy * factor)
-
-
-# ---- Cameras that go round something.
 
 
 def orbited(camera: Camera, target: np.ndarray, up: np.ndarray, degrees: float) -> Camera:

@@ -133,7 +133,7 @@ def _form_of(lens: Lens) -> LensForm:
             changes = {**fisheye, **_stretched(k[:6]), "p2": k[6], "p1": k[7], "skew_last": True}
             changes |= {"s1": k[8], "s2": k[9], "s3": k[10], "s4": k[11]}
     numbers: dict[str, Any] = dict.fromkeys(LensForm._fields, 0.0)
-    numbers |= {"unit": 1.0, "reach_squared": math.inf, "skew_last": False}
+    numbers |= {"unit": 1.0, "valid_radius_squared": math.inf, "skew_last": False}
     return LensForm(**{**numbers, **changes})
 
 

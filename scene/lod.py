@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,16 +76,7 @@ def merge_in_cells(gaussians: Gaussians, cell: float) -> Gaussians:
         _merged(gaussians, members[first:end], starts[begin:stop] - first)
         for begin, stop, first, end in _batches(starts, len(members))
     ]
-    kept = gaussians.take(alone)
-    kept = Gaussians(
-        means=kept.means,
-        quats=kept.quats,
-        log_scales=kept.log_scales,
-        opacity_logits=kept.opacity_logits,
-        sh=kept.sh,
-        comments=gaussians.comments,
-    )
-    return concatenate([*parts, kept])
+    return concatenate([*parts, replace(gaussians, extras={}).take(alone)])
 
 
 def chances(finer: Gaussians, cell: float, gaussians: Gaussians) -> np.ndarray:
@@ -173,13 +165,13 @@ def _merged(gaussians: Gaussians, members: np.ndarray, starts: np.ndarray) -> Ga
     # So many layers lie over one another where the members' light meets the merged splat's area. ...
     layers = sums / (scales[:, 1] * scales[:, 2])
     # ... From two on it is opaque, and half transparent only where 1 - exp(-layers·g) is: further out.
-    reach = np.sqrt(np.maximum(np.log(2 * np.maximum(layers, 1)) / math.log(2), 1))
+    spread_out = np.sqrt(np.maximum(np.log(2 * np.maximum(layers, 1)) / math.log(2), 1))
     opacity = np.clip(layers, _TINY, FULL_OPACITY)
     sh = gaussians.sh[members].reshape(len(members), -1)
     return Gaussians(
         means=(origin + centre).astype(gaussians.means.dtype),
         quats=quaternions(axes).astype(np.float32),
-        log_scales=np.log(scales * reach[:, None]).astype(np.float32),
+        log_scales=np.log(scales * spread_out[:, None]).astype(np.float32),
         opacity_logits=np.log(opacity / (1 - opacity)).astype(np.float32),
         sh=total(share[:, None].astype(np.float32) * sh).reshape(len(starts), -1, 3),
     )

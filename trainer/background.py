@@ -30,9 +30,6 @@ from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
 
-# ---- What a training thread shows of itself, and the share of the machine that it keeps to.
-
-
 State = Literal["training", "paused", "done", "failed"]
 
 LEAST_SHARE = 0.02
@@ -103,9 +100,6 @@ class Status:
         if self.settings.minutes is not None:
             left.append(60 * self.settings.minutes - self.seconds)
         return max(min(left), 0.0) if left else None
-
-
-# ---- Curves of a run for plots: bounded, written by one thread and read by any, neither ever waiting.
 
 
 LIMIT = 4096

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import numpy as np
 
@@ -71,12 +72,7 @@ def crowd() -> Gaussians:
     return good
 
 
-def case(
-    name: str, what: str, build, *, cameras=(FRONT, TURNED), settings=ONLY_PLAIN, **statement
-) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
+case = partial(HardCase, theme=THEME, cameras=(FRONT, TURNED), settings=ONLY_PLAIN)
 
 
 def in_attribute(title: str, name: str, what: str, *values: float, **options) -> HardCase:

@@ -271,9 +271,6 @@ def capture_name(path: Path) -> str:
     return path.absolute().name or "capture"
 
 
-# ---- Captures by the ``cameras.json`` that the 3DGS trainer (Kerbl et al. 2023) writes beside its results.
-
-
 FILE_NAME = "cameras.json"
 
 POINTS = ("input.ply", "points3d.ply")

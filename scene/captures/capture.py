@@ -12,9 +12,6 @@ import numpy as np
 
 from splatview.scene.camera import Camera
 
-# ---- What is found out about photos while they are read, so that training does only what they call for.
-
-
 LEAST_DISPLACEMENT = 0.05
 """Px of a photo at its final size. A lens that moves no point of the picture by more is left out: nothing is
 resampled. Poses are rarely known to better than ten times this; where two pixels side by side are black and
@@ -140,9 +137,6 @@ class Capture:
         if not radius > 1e-9 * (1 + np.abs(centre).max()):
             radius = float(np.median(np.linalg.norm(self.points - centre, axis=1)))
         return EXTENT_MARGIN * radius
-
-
-# ---- What the readers of the formats hand on: where each photo lies and how it was taken.
 
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")

@@ -89,9 +89,6 @@ def mix(a, b, share: np.ndarray) -> np.ndarray:
     return np.asarray(a) * (1 - share) + np.asarray(b) * share
 
 
-# ---- From points, directions and colours to Gaussians: discs that tile a surface, needles, soft balls.
-
-
 DISC_SIGMA = 0.60
 """Standard deviation of a disc in units of the spacing: smaller shows holes, larger blurs."""
 

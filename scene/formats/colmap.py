@@ -112,17 +112,7 @@ def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
         matrix[:3, 3] = image.translation
-        return Camera(
-            width=lens.width,
-            height=lens.height,
-            fx=lens.fx,
-            fy=lens.fy,
-            cx=lens.cx,
-            cy=lens.cy,
-            world_to_camera=matrix,
-            name=image.name,
-            lens=lens.lens,
-        )
+        return Camera(**vars(lens), world_to_camera=matrix, name=image.name)
     except ValueError as error:
         raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
 
