@@ -19,7 +19,8 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from splatview.cli.arguments import Parser, count, index, positive
-from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels
+from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.cli.window import no_window
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
@@ -34,7 +35,7 @@ from splatview.trainer.distributed import (
     stopping_between_steps,
 )
 from splatview.trainer.evaluate import Evaluation
-from splatview.trainer.run import Outputs, Progress, TrainingRun
+from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
@@ -52,7 +53,7 @@ def make_bar(console: Console) -> Bar:
     )
 
 
-def numbers(progress: Progress, evaluation: Evaluation | None) -> str:
+def numbers(progress: RunProgress, evaluation: Evaluation | None) -> str:
     """The figures behind the bar; `evaluation` is the last one."""
     step = progress.step
     text = f"step {step.iteration:,}  loss {step.loss:.4f}  {step.gaussians:,} splats"
@@ -69,7 +70,7 @@ def effect_line(effect: Effect) -> str:
     return f"  {'on ' if effect.in_force else 'off'}  {effect.name}: {effect.why}"
 
 
-def evaluation_line(progress: Progress) -> str:
+def evaluation_line(progress: RunProgress) -> str:
     step, evaluation = progress.step, progress.evaluation
     assert evaluation is not None
     return (
@@ -89,14 +90,13 @@ def print_summary(
             table.add_row(score.name, f"{score.psnr:.2f}", f"{score.ssim:.4f}")
         table.add_row("mean", f"{evaluation.psnr:.2f}", f"{evaluation.ssim:.4f}", style="bold")
         console.print(table)
-    console.print(
+    say(
+        console,
         f"{outputs.scene}: {len(trainer.splats):,} splats, {counters.iteration:,} steps in"
         f" {counters.seconds:.1f} s",
-        highlight=False,
-        soft_wrap=True,
     )
     if evaluation is not None:
-        console.print(f"side by side: {outputs.pictures}", highlight=False, soft_wrap=True)
+        say(console, f"side by side: {outputs.pictures}")
 
 
 EVAL_SECONDS = 4.0
@@ -122,7 +122,7 @@ def train_in_window(
     """
     console = Console(stderr=True)
     ready = prepare(options, console, Alone())
-    console.print(opening(ready), highlight=False, soft_wrap=True)
+    say(console, opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     session = TrainingRun(
         ready.trainer,
@@ -152,7 +152,7 @@ def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
             thread.close()
     finally:
         for note in thread.take_notes():
-            console.print(f"[yellow]{note}", highlight=False, soft_wrap=True)
+            say(console, f"[yellow]{note}")
     _conclude(console, ready, thread)
 
 
@@ -180,12 +180,7 @@ def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     elif status.saved_at is None:
         console.print("nothing was trained, and nothing written", highlight=False)
     else:
-        console.print(
-            f"stopped at step {status.iteration:,}: {outputs.scene} is as far as it came;"
-            f" go on with --resume {outputs.checkpoint}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        say(console, f"stopped at step {status.iteration:,}: {_as_far(outputs)}")
 
 
 @contextmanager
@@ -203,9 +198,6 @@ def _undisturbed() -> Iterator[None]:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
 
-
-EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 EVAL_EVERY = 1000
 """Steps between evaluations where nothing else is asked for."""
@@ -326,7 +318,7 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
         ready = prepare(options, console, group)
     except ToldElsewhere:
         return EXIT_BAD_INPUT
-    console.print(_opening(ready), highlight=False, soft_wrap=True)
+    say(console, _opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
@@ -348,9 +340,9 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
     with make_bar(console) as bar:
         task = bar.add_task("", total=1.0, numbers="")
 
-        def show(progress: Progress) -> None:
+        def show(progress: RunProgress) -> None:
             if progress.evaluation is not None:
-                bar.console.print(evaluation_line(progress), highlight=False, soft_wrap=True)
+                say(bar.console, evaluation_line(progress))
             bar.update(task, completed=progress.step.progress, numbers=numbers(progress, session.evaluation))
 
         session = TrainingRun(
@@ -362,7 +354,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             notes=ready.notes,
             effects=ready.effects,
             on_progress=show,
-            on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
+            on_note=lambda note: say(bar.console, f"[yellow]{note}"),
         )
         try:
             with stopping_between_steps(trainer.group):
@@ -370,10 +362,9 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         except PeerLost as error:
             raise InputError(f"{error}; {_as_far(outputs)}") from None
     if not completed:
-        console.print(
+        say(
+            console,
             f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}",
-            highlight=False,
-            soft_wrap=True,
         )
         return EXIT_INTERRUPTED
     evaluation = session.final_evaluation()

@@ -44,7 +44,7 @@ COMPILED_SECONDS = 10.0
 BYTES_A_SPLAT = 250 + 2 * 710
 """In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
 
-OF_THE_CHECKPOINT = (
+OF_THE_CHECKPOINT = [
     "seed",
     "strategy",
     "max_splats",
@@ -54,8 +54,13 @@ OF_THE_CHECKPOINT = (
     "antialiased",
     "abs_grad",
     "lens",
-)
+]
 """Options that a resumed run takes from where it was."""
+
+
+def say(console: Console, text: str) -> None:
+    """Prints a line as it is, however long."""
+    console.print(text, highlight=False, soft_wrap=True)
 
 
 class ToldElsewhere(Exception):
@@ -139,15 +144,14 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
-        console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
+        say(console, f"[yellow]{warning}")
     if checkpoint is None:
         trainer = _new_trainer(capture, views, seed, batch, options, group)
         if options.iterations is None and automatic_steps(len(views)) is not None:
-            console.print(
+            say(
+                console,
                 f"{len(views)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
                 " learn single photos by heart; --iterations asks for more",
-                highlight=False,
-                soft_wrap=True,
             )
     else:
         trainer = _resumed_trainer(views, checkpoint, options, group)
@@ -174,10 +178,9 @@ def ready_kernels(console: Console, *, lens: bool = False) -> float:
     seconds = time.perf_counter() - begun
     if seconds < COMPILED_SECONDS:
         return 0.0
-    console.print(
+    say(
+        console,
         f"compiling took {seconds:.0f} s, once per installation; --minutes does not count it",
-        highlight=False,
-        soft_wrap=True,
     )
     return seconds
 

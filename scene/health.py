@@ -1,4 +1,4 @@
-"""Which splats of a scene are ill or extreme: named findings with the splats they concern."""
+"""Which splats of a scene are invalid or extreme: named findings with the splats they concern."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ FISHEYE_RADIUS = 1e3
 in the plane one unit ahead, where all of this is computed."""
 
 LEAST_OMEGA = 1e-6
-"""Of FOV: below it the lens is a pinhole to the last digit."""
+"""Angle of a FOV lens, radians, below which it is a pinhole to the last digit."""
 
 NEWTON_STEPS = 30
 NEWTON_TOLERANCE = 1e-13

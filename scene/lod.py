@@ -2,7 +2,7 @@
 
 Moments are kept (as in Zwicker et al. 2001, and in hierarchies of Gaussians since): a merged splat has
 the mean, the covariance and the colour of its members, each weighted with the light that it takes, which
-is its opacity times its area. Splats larger than a cell stay as they are, and so do lone ones and ill ones.
+is its opacity times its area. Splats larger than a cell stay as they are, and so do lone and invalid ones.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MEMBER_SIZE = 1.5
 """A splat is merged when its largest standard deviation is below so many cells."""
 
 GROWTH = 1.5
-"""Of the cell's side from one level to the next."""
+"""Factor of the cell's side from one level to the next."""
 
 FIRST_CELL = 1.4
 """The first level's cell, in units of the median of the splats' largest standard deviation."""

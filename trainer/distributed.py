@@ -29,7 +29,7 @@ class Group(Protocol):
     """The processes of a run, as one of them sees them. All must make the same calls in the same order."""
 
     rank: int
-    """Of this process, 0 to size - 1; 0 is the one that writes."""
+    """Number of this process, 0 to size - 1; 0 is the one that writes."""
     size: int
     stopping: bool
     """Whether this process was asked to stop; see `agreed`."""
@@ -171,7 +171,7 @@ def share_of_cores() -> int:
 
 
 def digest(*parts: Any) -> str:
-    """Of arrays and plain values; equal digests mean equal parts."""
+    """SHA-256 of arrays and plain values; equal digests mean equal parts."""
     made = hashlib.sha256()
     for part in parts:
         made.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
@@ -216,7 +216,7 @@ class BatchSum:
         self._loss += loss
 
     def means(self, photos: int, group: Group, threads: int) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over `photos` of all processes, who was seen in any (int32), and the mean loss."""
+        """Mean gradients over `photos` of all processes, splats visible in any (int32), and the mean loss."""
         group.add_up([self._flat, self._visible, self._loss])
         self._flat *= np.float32(1 / photos)
         visible = np.flatnonzero(self._visible).astype(np.int32)

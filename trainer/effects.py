@@ -32,7 +32,7 @@ OUTERMOST = 5
 """Percent of the photos at either end that do not decide."""
 
 POINTS = 2000
-"""Of the capture's, that depths are measured by."""
+"""Points of the capture that depths are measured by."""
 
 EXPOSURE = "exposure of each photo"
 

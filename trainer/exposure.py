@@ -73,12 +73,12 @@ class Exposures:
     """The exposures of a run's photos. Nothing is computed where it is off."""
 
     names: Sequence[str]
-    """Of the photos, by camera."""
+    """Names of the photos, by camera."""
     mode: Mode = "auto"
     is_decided: bool = False
     is_on: bool = False
     evidence: Evidence | None = None
-    """Of the decision, where it was made by evidence in this process."""
+    """Evidence of the decision, where it was made by that in this process."""
 
     def __post_init__(self) -> None:
         shape = (len(self.names), 3, 2)

@@ -1,7 +1,7 @@
 """A whole run, whoever drives it: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end.
 
-Without a window `run` does it all; with one, `thread.BackgroundTraining` calls the parts between which a user
-may pause.
+Without a window `run` does it all; with one, `background.BackgroundTraining` calls the parts between which a
+user may pause.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ METRICS_STEPS = 50
 """Steps between lines of metrics, besides those of evaluations."""
 
 EVALUATION_SHARE = 0.05
-"""Of the time, that evaluations by the clock may take."""
+"""Share of the time that evaluations by the clock may take."""
 
 MOST_PICTURES = 8
 """Side-by-side pictures that are written."""
@@ -67,13 +67,13 @@ class Outputs:
             raise InputError(f"{self.pictures}: is in the way of the folder for pictures; move it")
 
 
-class Progress(NamedTuple):
+class RunProgress(NamedTuple):
     """What a progress bar shows."""
 
     step: StepReport
     seconds: float
     evaluation: Evaluation | None
-    """Of this step, if it was evaluated."""
+    """Scores of this step, if it was evaluated."""
 
 
 def check_writable(path: Path) -> None:
@@ -127,7 +127,7 @@ class TrainingRun:
         eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
         effects: tuple[Effect, ...] = (),
-        on_progress: Callable[[Progress], None] = lambda progress: None,
+        on_progress: Callable[[RunProgress], None] = lambda progress: None,
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
@@ -141,9 +141,9 @@ class TrainingRun:
         """What the run computes and why; replaced once exposures are decided."""
         self._effects_told: tuple[Effect, ...] = ()
         self.evaluation: Evaluation | None = None
-        """The last one."""
+        """Latest scores on the held-out photos."""
         self.evaluated_at = 0
-        """Step of the last one."""
+        """Step of `evaluation`."""
         self.stopwatch = Stopwatch(started - trainer.counters.seconds)
         # The first is due at once: a run killed in its first minute can be resumed too.
         self._checkpointed = -math.inf
@@ -180,7 +180,7 @@ class TrainingRun:
         self.keep()
         return completed
 
-    def step(self) -> Progress:
+    def step(self) -> RunProgress:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures = self.trainer.exposures
         undecided = not exposures.is_decided
@@ -197,7 +197,7 @@ class TrainingRun:
             self._write_metrics(report, evaluation)
         if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
             self.checkpoint()
-        progress = Progress(report, self.seconds, evaluation)
+        progress = RunProgress(report, self.seconds, evaluation)
         self.on_progress(progress)
         return progress
 

@@ -118,18 +118,20 @@ class TrainSettings(StrategySettings):
     """Share of the run after which one more band is trained."""
 
     means_rate: float = 4.8e-4
-    """Times the extent of the scene, at the start (three times the paper's: short runs move farther)..."""
+    """Times the extent of the scene, at the start (three times the paper's: short runs move farther);
+    exponential in between."""
     means_rate_end: float = 6e-6
-    """... and at the end, exponentially in between."""
+    """Times the extent of the scene, at the end."""
     quats_rate: float = 1e-3
     log_scales_rate: float = 5e-3
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
-    """Of the constant band; higher bands have a twentieth."""
+    """Rate of the constant band; higher bands have a twentieth."""
     settle_from: float = 0.5
-    """From this share of the run on all rates but that of the means, which has its own end, go down..."""
+    """Share of the run from which all rates but that of the means, which has its own end, go down."""
     settle_to: float = 0.1
-    """... exponentially, to this factor at the end: the last photos do not pull the scene their way."""
+    """Factor of those rates at the end, reached exponentially: the last photos do not pull the scene their
+    way."""
     max_aspect: float = math.inf
     """No splat is longer than so many times its middle axis. See `automatic_max_aspect`."""
     dropout: float = 0.0

@@ -25,8 +25,8 @@ class Splats:
     second: Parameters
     """Adam's running average of the squared gradient."""
     ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
-    """(N,) int64: who is who. A splat keeps its number as long as it lives and no number is given twice, so
-    that what was chosen on an earlier snapshot can still be found. From 0 on where left out."""
+    """(N,) int64: numbers of the splats. A splat keeps its number as long as it lives and no number is given
+    twice, so that what was chosen on an earlier snapshot can still be found. From 0 on where left out."""
     next_id: int = 0
 
     def __post_init__(self) -> None:

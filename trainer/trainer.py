@@ -59,9 +59,9 @@ class Counters:
     seconds: float = 0.0
     """Wall-clock time since the run began, pauses between resumed parts left out."""
     refined_at: int = 0
-    """Step of the last refinement, and..."""
+    """Step of the last refinement."""
     refined_progress: float = 0.0
-    """... its share of the run."""
+    """Share of the run at the last refinement."""
 
 
 class Trainer:
@@ -98,7 +98,7 @@ class Trainer:
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
-        """Of pictures and of what is differentiated through them; the scene itself is float32."""
+        """dtype of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
             model=settings.model, background=settings.background, blend="float32"
         )
@@ -222,7 +222,7 @@ class Trainer:
         return StepReport(counters.iteration, loss, len(self.splats), self.progress)
 
     def _batch_gradients(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over the step's photos, who was seen in them, and the mean loss."""
+        """Mean gradients over the step's photos, the splats visible in them, and the mean loss."""
         settings, group = self.settings, self.group
         first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
         mine = range(first + group.rank, first + settings.batch, group.size)

@@ -81,7 +81,7 @@ class TrainViews:
 
     @property
     def pixel_count(self) -> int:
-        """Of all photos together."""
+        """Pixels of all photos together."""
         return sum(view.camera.width * view.camera.height for view in self._sizes[1])
 
     def names(self) -> list[list[Any]]:

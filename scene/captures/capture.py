@@ -26,7 +26,7 @@ MARGIN = 1.01
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoStatistics:
-    """Of all photos of a capture, at their final sizes."""
+    """Statistics of all photos of a capture, at their final sizes."""
 
     lenses: int = 0
     """Photos whose camera has a lens that is no pinhole."""
@@ -103,7 +103,7 @@ class Capture:
     """At least two photos, of which at least one is to train on; sorted by name."""
 
     name: str
-    """Of its folder."""
+    """Name of its folder."""
     photos: tuple[Photo, ...]
     points: np.ndarray
     """(P, 3) float64, finite, P >= 4: where surfaces are, or random where the capture does not say."""
@@ -140,7 +140,7 @@ class Capture:
 
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-"""Of photos whose names come without."""
+"""Suffixes of photos whose names come without."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

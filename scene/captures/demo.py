@@ -31,7 +31,7 @@ DISTANCE = 5.6
 TURN = (-29.0, 26.0)
 """Degrees from the first view, within which no tree stands before the camera."""
 HEIGHTS = (0.55, 1.75)
-"""Of the eye over the target, in turn."""
+"""Heights of the eye over the target, in turn."""
 FOV_Y = 46.0
 
 POINTS = 6000
@@ -40,7 +40,7 @@ POINT_NOISE = 0.004
 OUTLIERS = 0.01
 """Share of the points that are wrong matches: anywhere along their ray."""
 MIN_OPACITY = 0.6
-"""Of splats that a reconstruction would find points on."""
+"""Least opacity of splats that a reconstruction would find points on."""
 
 
 def demo_truth(splats: int | None = None) -> Gaussians:

@@ -92,7 +92,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
 
 
 def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
-    """Of nerfstudio's lists; None where the file has none."""
+    """Names in nerfstudio's lists; None where the file has none."""
     for key in ("test_filenames", "val_filenames"):
         names = content.get(key)
         if names:

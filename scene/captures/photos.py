@@ -86,7 +86,7 @@ def _orientation(image: Image.Image) -> int:
 
 
 ROWS_AT_ONCE = 64
-"""Of an undistorted photo: bounds the memory for its coordinates."""
+"""Rows of an undistorted photo worked on together: bounds the memory for its coordinates."""
 
 
 def undistorted(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

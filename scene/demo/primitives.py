@@ -32,7 +32,7 @@ def noise(points: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _noise(points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-    """Of points (D, N), with gradients (D, GRADIENTS)."""
+    """Noise at points (D, N), with gradients (D, GRADIENTS)."""
     cells = np.floor(points)
     offsets = points - cells
     fades = offsets**3 * (offsets * (offsets * 6 - 15) + 10)

@@ -114,9 +114,9 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
     """Splats that no picture shows: they are skipped before anything else is computed."""
     findings = {finding.name: finding for finding in health}
     invisible = findings["invisible"].count
-    ill = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
-    invalid_splats = len(np.unique(np.concatenate([finding.indices for finding in ill])))
-    kinds = ", ".join(f"{finding.count:,} {finding.name}" for finding in ill if finding.count)
+    culled = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
+    undrawable = len(np.unique(np.concatenate([finding.indices for finding in culled])))
+    kinds = ", ".join(f"{finding.count:,} {finding.name}" for finding in culled if finding.count)
     return [
         Effect(
             name="skip faint splats",
@@ -126,10 +126,10 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
         ),
         Effect(
             name="skip ill splats",
-            on=invalid_splats > 0,
-            why=f"{invalid_splats:,} of {len(gaussians):,} splats cannot be drawn"
+            on=undrawable > 0,
+            why=f"{undrawable:,} of {len(gaussians):,} splats cannot be drawn"
             + (f": {kinds}" if kinds else ""),
-            saving=_skipped(invalid_splats),
+            saving=_skipped(undrawable),
         ),
     ]
 
@@ -215,7 +215,7 @@ def flat_effect(gaussians: Gaussians) -> Effect:
 
 
 def _said_flat(comments: tuple[str, ...]) -> bool:
-    """Of several tags the last counts."""
+    """Whether the file says so; of several tags the last counts."""
     modes = [re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", text, re.IGNORECASE) for text in comments]
     said = [mode[1].lower() for mode in modes if mode]
     return bool(said) and said[-1] == "2dgs"

@@ -148,7 +148,7 @@ CROP_OPERATIONS = 21
 
 
 def edit_effects(gaussians: Gaussians, edits: SceneEdits | None) -> list[Effect]:
-    """Of the edits in force; all off where there are none."""
+    """Effects of the edits in force; all off where there are none."""
     n = len(gaussians)
     if edits is None:
         edits = SceneEdits(marks=np.zeros(n, np.uint32))

@@ -22,7 +22,7 @@ from splatview.scene.lens import COUNTS, Lens
 from splatview.scene.projection import rotation_matrices
 
 MAX_NAME_BYTES = 4096
-"""Of an image; longer than any file system's."""
+"""Bytes of an image's name; longer than any file system's."""
 
 
 MODELS = (
@@ -39,7 +39,7 @@ MODELS = (
     "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE",
 )
-"""By COLMAP's model number."""
+"""Lens models by COLMAP's number."""
 
 ONE_FOCAL_LENGTH = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 """Models that begin with f, cx, cy; the others begin with fx, fy, cx, cy. The distortion follows."""

@@ -28,7 +28,7 @@ CHUNK_BYTES = 1 << 20
 """Read at once: small enough for a second-level cache and for a cancel within milliseconds."""
 
 MAX_LINE_BYTES = 1 << 22
-"""Of an ascii body; a row of a splat has some 600."""
+"""Bytes of a line of an ascii body; a row of a splat has some 600."""
 
 TEXT_CHUNK_BYTES = 1 << 18
 """Parsed at once: text takes ten times as long as binary."""

@@ -149,14 +149,14 @@ from splatview.raster import Parameters
 from splatview.scene import look_at
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.trainer import Trainer
 n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
                np.zeros(n, np.float32), np.zeros((n, 16, 3), np.float32))
 camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
-trainer = Trainer(Shots([Shot(camera, np.zeros((16, 16, 3), np.uint8))], 0), p, 1.0, TrainSettings())
-while True:
+trainer = Trainer(TrainViews([TrainView(camera, np.zeros((16, 16, 3), np.uint8))], 0), p, 1.0,
+TrainSettings()) while True:
     for array in trainer.splats.parameters:
         array[:] = trainer.counters.iteration
     save_checkpoint(trainer, Path(sys.argv[1]))
