@@ -118,7 +118,7 @@ def test_a_run_resumed_half_way_ends_in_the_same_file(
 
     step = session.TrainingRun.step
 
-    def interrupted(self: session.TrainingRun) -> session.Progress:
+    def interrupted(self: session.TrainingRun) -> session.RunProgress:
         if self.trainer.counters.iteration == 40:
             raise KeyboardInterrupt
         return step(self)

@@ -155,8 +155,9 @@ n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
                np.zeros(n, np.float32), np.zeros((n, 16, 3), np.float32))
 camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
-trainer = Trainer(TrainViews([TrainView(camera, np.zeros((16, 16, 3), np.uint8))], 0), p, 1.0,
-TrainSettings()) while True:
+view = TrainView(camera, np.zeros((16, 16, 3), np.uint8))
+trainer = Trainer(TrainViews([view], 0), p, 1.0, TrainSettings())
+while True:
     for array in trainer.splats.parameters:
         array[:] = trainer.counters.iteration
     save_checkpoint(trainer, Path(sys.argv[1]))
