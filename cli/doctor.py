@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from splatview.cli.arguments import Parser
 from splatview.cli.window import no_window
+from splatview.measure.machine import available_cores
 from splatview.renderers import FrameRequest, automatic_choice
 from splatview.renderers.headless import make_headless
 from splatview.scene import Gaussians, InputError, RenderSettings, look_at, reference
@@ -66,11 +66,6 @@ def examine() -> dict[str, Any]:
         "renderers": {name: tried(name) for name in BOUNDS},
         "auto": {"renderer": auto, "why": why},
     }
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def installed(name: str) -> str | None:

@@ -14,12 +14,12 @@ from splatview.edit.document import Document
 from splatview.edit.export import exported
 from splatview.edit.impact import StepPrices, in_words
 from splatview.edit.operations import OPERATIONS, Operation
-from splatview.edit.progress import Watch
 from splatview.edit.recipe import check_scene, load_recipe, replay
 from splatview.edit.sample_views import sample_cameras
 from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import check_saving, load_scene, save_scene
+from splatview.scene.progress import Progress
 
 VIEWS = 8
 """That a price is measured in."""
@@ -93,7 +93,7 @@ def run(arguments: list[str]) -> int:
 
     try:
         check_scene(recipe, document, any_scene=args.any_scene)
-        replay(recipe, document, on_step=report, watch=Watch(progress=_printer()))
+        replay(recipe, document, on_step=report, progress=Progress(report=_printer()))
         scene = exported(document)
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None

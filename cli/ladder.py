@@ -53,14 +53,14 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
 )
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots, shots_of
+from splatview.trainer.views import TrainView, TrainViews, train_views
 
 # ---- `splatview ladder --train CAPTURE`: the same question asked of training, at equal seconds.
 
@@ -85,7 +85,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
-    held_out = shots_of(capture.held_out)
+    held_out = train_views(capture.held_out)
     if not held_out:
         raise InputError(f"{name}: has no held-out photos to measure by")
     ready_kernels(console)
@@ -121,7 +121,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
 
 def train_rung(
     capture: Capture,
-    held_out: list[Shot],
+    held_out: list[TrainView],
     rung: TrainingRung,
     minutes: float,
     seed: int,
@@ -158,24 +158,24 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     changes = dict(rung.changes)
     factor, early_stop = float(changes.pop("splats", 1.0)), changes.pop("early_stop", None)
     precision = changes.pop("precision", "float32")
-    shots = Shots(shots_of(capture.train), seed)
-    pull = automatic_pull(len(shots))
+    views = TrainViews(train_views(capture.train), seed)
+    regularisation = automatic_regularisation(len(views))
     settings = TrainSettings(
         iterations=None,
         minutes=minutes,
         seed=seed,
-        opacity_pull=pull,
-        scale_pull=pull,
-        drop=automatic_drop(len(shots)),
-        elongation=automatic_elongation(len(shots)),
+        opacity_reg=regularisation,
+        scale_reg=regularisation,
+        dropout=automatic_dropout(len(views)),
+        max_aspect=automatic_max_aspect(len(views)),
         background=capture.background or (0.0, 0.0, 0.0),
-        max_splats=max(1, round(factor * automatic_limit(shots.pixel_count, minutes))),
+        max_splats=max(1, round(factor * automatic_limit(views.pixel_count, minutes))),
     )
     settings = replace(settings, **changes)
     parameters = initial_parameters(
         capture.points, capture.point_colours, capture.scene_radius, limit=settings.max_splats, seed=seed
     )
-    trainer = Trainer(shots, parameters, capture.scene_radius, settings)
+    trainer = Trainer(views, parameters, capture.scene_radius, settings)
     trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:
         trainer.render_settings = replace(trainer.render_settings, early_stop=early_stop)

@@ -11,14 +11,15 @@ import numpy as np
 from splatview.edit.kernels.grid import linked
 from splatview.edit.kernels.kdtree import nearest
 from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.edit.selectors.attributes import attribute_values, log_scales, opacities
 from splatview.edit.selectors.base import above_zero, choice, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits, shown
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Detector:
@@ -45,7 +46,7 @@ class Detector:
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
         """(N,) float32: the greater the worse; NaN for splats that are not shown.
 
@@ -92,11 +93,13 @@ class Neighbourhood:
         return result
 
 
-def neighbourhood(gaussians: Gaussians, edits: SceneEdits, k: int, watch: Watch = UNWATCHED) -> Neighbourhood:
+def neighbourhood(
+    gaussians: Gaussians, edits: SceneEdits, k: int, progress: Progress = NO_PROGRESS
+) -> Neighbourhood:
     """The `k` nearest neighbours of all that is shown. Raises Cancelled."""
     positions = positions_of(gaussians, edits)
     indices = np.flatnonzero(shown(gaussians, edits) & np.isfinite(positions).all(axis=1))
-    neighbours, distances = nearest(positions[indices], k, watch)
+    neighbours, distances = nearest(positions[indices], k, progress)
     with np.errstate(over="ignore", invalid="ignore"):
         sizes = np.exp(np.sort(log_scales(gaussians, edits)[indices], axis=1)[:, 1].astype(np.float64))
     furthest = distances[:, -1]
@@ -146,9 +149,9 @@ class IsolatedClusters(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        near = neighbourhood(gaussians, edits, NEIGHBOURS, watch)
+        near = neighbourhood(gaussians, edits, NEIGHBOURS, progress)
         reaches = np.maximum(self.reach * near.typical, WIDTHS * near.extents)
         labels = linked(near.neighbours, near.distances, reaches)
         mass = np.nan_to_num(opacities(gaussians, edits)[near.indices].astype(np.float64))
@@ -184,9 +187,9 @@ class SparseSplats(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        near = neighbourhood(gaussians, edits, self.neighbours, watch)
+        near = neighbourhood(gaussians, edits, self.neighbours, progress)
         with np.errstate(over="ignore", invalid="ignore"):
             usual = np.maximum(near.typical, WIDTHS * near.extents)
             return near.spread(near.distances[:, -1] / usual)
@@ -233,9 +236,9 @@ class Needles(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         # Growing or shrinking a splat leaves the ratio as it is.
         name = "anisotropy" if self.discs else "elongation"
         ratios = attribute_values(name, gaussians, edits, tools)
@@ -268,15 +271,15 @@ class Giants(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         largest = log_scales(gaussians, edits).max(axis=1)
         if self.against == "scene":
             _, radius = robust_bounds(positions_of(gaussians, edits)[shown(gaussians, edits)])
             with np.errstate(over="ignore"):
                 return _hide(np.exp(largest) / (SCENE_SHARE * radius), gaussians, edits)
-        near = neighbourhood(gaussians, edits, LEAST_NEIGHBOURS, watch)
+        near = neighbourhood(gaussians, edits, LEAST_NEIGHBOURS, progress)
         own = largest[near.indices].astype(np.float64)
         others = np.where(near.neighbours >= 0, own[near.neighbours], np.nan)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -306,9 +309,9 @@ class FaintSplats(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         with np.errstate(divide="ignore"):
             scores = 1 / opacities(gaussians, edits)
         return np.where(shown(gaussians, edits), scores, np.float32(np.nan))
@@ -336,10 +339,10 @@ class UnseenSplats(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
         cameras = list(cameras) or sample_cameras(gaussians, edits)
-        total = contributions(gaussians, edits, tools, cameras, watch=watch)
+        total = contributions(gaussians, edits, tools, cameras, progress=progress)
         with np.errstate(divide="ignore", over="ignore"):
             scores = (1 / total).astype(np.float32)
         return np.where(shown(gaussians, edits), scores, np.float32(np.nan))
@@ -354,14 +357,14 @@ def contributions(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """(N,) float64: the sum of the contributions to all `cameras`, view by view. Raises Cancelled."""
     total = np.zeros(len(gaussians))
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
+        progress.step(i / len(cameras))
         total += tools.contributions(gaussians, [camera], edits)
-    watch.step(1.0)
+    progress.step(1.0)
     return total
 
 
@@ -387,15 +390,15 @@ class HealthDetector(Detector):
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         scores = np.zeros(len(gaussians), np.float32)
         for finding in check(gaussians):
             if self.wanted(finding):
                 scores[finding.indices] = 1
         scores[~shown(gaussians, edits)] = np.nan
-        watch.step(1.0)
+        progress.step(1.0)
         return scores
 
     def meaning(self, threshold: float) -> str:

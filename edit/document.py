@@ -17,9 +17,9 @@ from splatview.edit.detectors import Detector, contributions, sample_cameras
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, NoTools, Tools, Watch
 from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet, State
+from splatview.edit.tools import NoTools, Tools
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import (
     DELETED,
@@ -34,6 +34,7 @@ from splatview.scene.edits import (
     crop_rows,
 )
 from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 # ---- Undo and redo without end: the steps that were done, and where in them the document stands.
 
@@ -321,27 +322,29 @@ class Document:
         return Path(self.folder or os.curdir, text)
 
     def scores(
-        self, detector: Detector, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED
+        self, detector: Detector, cameras: tuple[Camera, ...] = (), *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         """The detector's scores of the scene as it is now, (N,) float32; kept until the next edit, so that
         what a preview has found out is not found out again.
 
         Raises:
             InputError: it wants a renderer that there is not.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         return self._measured(
             (type(detector), json.dumps(to_json([detector, *cameras]))),
-            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, watch=watch),
+            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, progress=progress),
         )
 
-    def contributions(self, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED) -> np.ndarray:
+    def contributions(
+        self, cameras: tuple[Camera, ...] = (), *, progress: Progress = NO_PROGRESS
+    ) -> np.ndarray:
         """What each splat contributes to the views, (N,) float64; kept and raised as by `scores`. Without
         `cameras` the views are `sample_cameras`."""
 
         def measure() -> np.ndarray:
             views = cameras or sample_cameras(self.gaussians, self.edits)
-            return contributions(self.gaussians, self.edits, self.tools, views, watch=watch)
+            return contributions(self.gaussians, self.edits, self.tools, views, progress=progress)
 
         return self._measured((contributions, json.dumps(to_json(cameras))), measure)
 
@@ -368,15 +371,15 @@ class Document:
 
     # Changing it.
 
-    def plan(self, operation: Operation, *, watch: Watch = UNWATCHED) -> Planned:
+    def plan(self, operation: Operation, *, progress: Progress = NO_PROGRESS) -> Planned:
         """What `operation` would do now; for slow ones in a thread of its own, while nothing is changed.
 
         Raises:
             InputError: it cannot be done here.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         revision = self.state.revision
-        return Planned(operation, operation.plan(self, watch), revision)
+        return Planned(operation, operation.plan(self, progress), revision)
 
     def apply(self, operation: Operation | Planned) -> Change:
         """Does it, as the next step of the history, unless it alters nothing. A preview that is in force

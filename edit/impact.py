@@ -11,10 +11,11 @@ import numpy as np
 from splatview.edit.changes import Change, SaveOnce
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.state import State
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 NO_LOSS = 100.0
 """dB: an error of 1e-5, a hundredth of what an 8-bit picture can show. Pictures that differ less count as
@@ -55,10 +56,10 @@ def price(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> Price:
     """The loss of going from `before` to `after`, over the views of `cameras`. Raises Cancelled."""
-    views = price_views(gaussians, before, after, tools, cameras, watch=watch)
+    views = price_views(gaussians, before, after, tools, cameras, progress=progress)
     return price_of(shown_less(gaussians, before, after), views)
 
 
@@ -69,18 +70,18 @@ def price_views(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> Iterator[ViewPrice]:
     """View by view, so that a window can show what is known so far and stop when it wants.
 
     The edits must not change meanwhile; `with_deleted` makes some that do not. Raises Cancelled.
     """
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
+        progress.step(i / len(cameras))
         first = tools.picture(gaussians, camera, before)
-        watch.step((i + 0.5) / len(cameras))
+        progress.step((i + 0.5) / len(cameras))
         yield compare(camera, first, tools.picture(gaussians, camera, after))
-    watch.step(1.0)
+    progress.step(1.0)
 
 
 def compare(camera: Camera, before: np.ndarray, after: np.ndarray) -> ViewPrice:
@@ -137,7 +138,7 @@ def decimate(
     cameras: Sequence[Camera],
     target: int,
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """Which splats to drop so that `target` of those shown stay, (N,) bool: those that contribute least.
 
@@ -155,7 +156,7 @@ def decimate(
     indices = np.flatnonzero(shown(gaussians, edits))
     mask = np.zeros(len(gaussians), bool)
     if target < len(indices):
-        worth = contributions(gaussians, edits, tools, cameras, watch=watch)[indices]
+        worth = contributions(gaussians, edits, tools, cameras, progress=progress)[indices]
         order = np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")
         mask[indices[order[target:]]] = True
     return mask
@@ -172,7 +173,7 @@ def price_operations(
     operations: Mapping[str, Operation],
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> dict[str, Price]:
     """The price of each of `operations` by itself, by its key, over the views of `cameras`.
 
@@ -181,7 +182,7 @@ def price_operations(
 
     Raises:
         InputError: an operation cannot be done here, or there is no renderer.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     before = document.gaussians, unchanging(document.edits)
     planned = {name: document.plan(operation).change for name, operation in operations.items()}
@@ -190,14 +191,14 @@ def price_operations(
     work = max(len(cameras) * (1 + len(afters)), 1)
     done = 0
     for camera in cameras:
-        watch.step(done / work)
+        progress.step(done / work)
         first = document.tools.picture(before[0], camera, before[1])
         done += 1
         for name, (gaussians, edits) in afters.items():
-            watch.step(done / work)
+            progress.step(done / work)
             views[name].append(compare(camera, first, document.tools.picture(gaussians, camera, edits)))
             done += 1
-    watch.step(1.0)
+    progress.step(1.0)
     return {name: price_of(_shown_less(before, afters[name]), views[name]) for name in operations}
 
 

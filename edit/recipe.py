@@ -16,11 +16,11 @@ import numpy as np
 from splatview.edit.changes import Change
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation, Select, operation_from_json
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import IndexRuns
 from splatview.edit.serialization import quoted
 from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write, read_json
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 FORMAT = "splatview_recipe"
 VERSION = 1
@@ -140,18 +140,18 @@ def replay(
     document: Document,
     *,
     on_step: Callable[[int, Operation, Change], None] | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> None:
     """Applies all steps; if one cannot be, those before it are taken back.
 
     Raises:
         InputError: with the step's number and operation.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     position = document.history.position
     # Numbers of a recipe may be out of all bounds: what they make is then infinite, or beyond every limit.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        _replay(recipe, document, position, on_step, watch)
+        _replay(recipe, document, position, on_step, progress)
 
 
 def _replay(
@@ -159,14 +159,14 @@ def _replay(
     document: Document,
     position: int,
     on_step: Callable[[int, Operation, Change], None] | None,
-    watch: Watch,
+    progress: Progress,
 ) -> None:
     try:
         for number, operation in enumerate(recipe.steps, start=1):
-            share = watch.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
+            share = progress.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
             share.step(0.0)
             try:
-                change = document.apply(document.plan(operation, watch=share))
+                change = document.apply(document.plan(operation, progress=share))
             except InputError as error:
                 raise InputError(f"{step_name(number, operation)}: {error}") from None
             if on_step is not None:

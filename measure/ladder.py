@@ -21,7 +21,7 @@ import numpy as np
 from splatview.measure.knobs import KNOBS, Knob, Plan, Value, path_to_view
 from splatview.measure.metrics import largest_error, psnr, ssim
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.background import seen
+from splatview.scene.background import background_colours
 from splatview.scene.projection import project
 from splatview.scene.reference import composite, splats_reaching
 
@@ -540,7 +540,7 @@ def disagreement(
     blocks of SIDE² pixels chosen at random. NaN where either is."""
     footprints = project(gaussians, camera, settings, dtype=np.float64)
     shape = camera.height, camera.width, 3
-    behind = np.broadcast_to(seen(settings.background, camera), shape)
+    behind = np.broadcast_to(background_colours(settings.background, camera), shape)
     rng = np.random.default_rng(seed)
     worst = 0.0
     for _ in range(blocks):

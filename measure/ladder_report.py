@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.measure.machine import describe_machine
+from splatview.measure.machine import describe_machine, finite
 
 MIB = 1 << 20
 
@@ -33,7 +33,7 @@ def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
         "machine": describe_machine(),
         **about,
         "baseline": {"renderer": base.renderer.name, "options": list(base.options), "ms": ladder.baseline.ms},
-        "noise": ladder.noise if math.isfinite(ladder.noise) else None,
+        "noise": finite(ladder.noise),
         "views": ladder.views,
         "rounds": ladder.rounds,
         "complete": ladder.complete,
@@ -58,7 +58,7 @@ def _rung_json(one: Measured) -> dict[str, Any]:
         "value": one.rung.value,
         "renderer": one.rung.renderer.name,
         "options": list(one.rung.options),
-        **{name: _finite(value) for name, value in numbers.items()},
+        **{name: finite(value) for name, value in numbers.items()},
         "pairs": len(one.times),
         "memory": one.memory,
         "clear": is_clear(one),
@@ -107,12 +107,6 @@ def left_out_text(ladder: Ladder) -> str:
         f"Left out for want of time, {len(ladder.left_out)} of {len(ladder.left_out) + len(ladder.rungs)}: "
         f"{'; '.join(parts)}. --seconds {enough} should do for all of them, --renderers and --knobs choose."
     )
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    return value if math.isfinite(value) else None
 
 
 def ratio_text(one: Measured, ladder: Ladder) -> str:

@@ -28,7 +28,7 @@ from splatview.raster.parameters import (
 from splatview.raster.sort import Workspace, in_kept_order
 from splatview.raster.surfels import make_discs
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.background import lay_over
+from splatview.scene.background import composite_over
 from splatview.scene.edits import SceneEdits
 from splatview.scene.order_reuse import keeps_order
 
@@ -172,5 +172,5 @@ def draw_frame(
         threads=threads,
     )
     if not plain:
-        lay_over(frame.image, settings.background, camera)
+        composite_over(frame.image, settings.background, camera)
     return frame

@@ -146,7 +146,7 @@ def _within_reach(lens, drawn, tx, ty, tz):
         return drawn
     # Without dividing: where z is 0 that would be NaN.
     # guard: fold of the lens := return drawn
-    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)
+    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.valid_radius_squared)
 
 
 @inline

@@ -23,7 +23,7 @@ from splatview.raster.parameters import HALF_LOG2_E
 from splatview.raster.simd import LANES, divide, fill, fma, keep_if_at_least, keep_if_below, minimum, store
 from splatview.scene import Camera, ImageModel
 from splatview.scene.image_model import DISC_LEAST_SLOPE, DISC_LEAST_WIDTH
-from splatview.scene.surfels import LEAST_NEAR, LEAST_SCALE, WIDEST, check_discs
+from splatview.scene.surfels import LEAST_NEAR, LEAST_SCALE, WIDEST, check_surfels
 
 UX, UY, VX, VY, FACING, LEAN_X, LEAN_Y, MOST_LEAN = range(8)
 DISC = 8
@@ -67,7 +67,7 @@ class DiscArrays(NamedTuple):
 
 def make_discs(camera: Camera, model: ImageModel) -> DiscModel | None:
     """None where the model has no discs. Raises InputError where it has and the camera has a lens."""
-    check_discs(camera, model)
+    check_surfels(camera, model)
     if model.footprint != "disc":
         return None
     sharpness = min(HALF_LOG2_E / model.blur, MOST_SHARPNESS) if model.blur > 0 else MOST_SHARPNESS

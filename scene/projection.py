@@ -23,7 +23,7 @@ from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import MIN_QUAT_COMPONENT, RenderSettings
 from splatview.scene.lens import distort, distortion_jacobians
 from splatview.scene.sh import sh_colours
-from splatview.scene.surfels import Discs, check_discs, project_discs
+from splatview.scene.surfels import Surfels, check_surfels, project_surfels
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -48,7 +48,7 @@ class Footprints:
     """(V, 3) RGB, at least 0."""
     half_extents: np.ndarray
     """(V, 2) px: beyond mean ± this, alpha is below the cut; inf where there is no cut."""
-    discs: Discs | None = None
+    surfels: Surfels | None = None
     """Where the image model has discs, what decides alpha; the conic is around it."""
 
 
@@ -102,7 +102,7 @@ def project(
         InputError: the model has discs and the camera a lens.
     """
     model = settings.model
-    check_discs(camera, model)
+    check_surfels(camera, model)
     degree = min(gaussians.sh_degree, 3 if settings.sh_degree is None else settings.sh_degree)
     used_sh = gaussians.sh[:, : (degree + 1) ** 2]
 
@@ -116,7 +116,7 @@ def project(
         if camera.lens is not None:
             with np.errstate(divide="ignore"):
                 # guard: fold of the lens := pass
-                keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
+                keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.valid_radius_squared
         keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT  # guard: zero quaternions
         # guard: finite SH := for values in (offsets, t, quats, scales, opacities[:, None]):
         for values in (offsets, t, quats, scales, opacities[:, None], used_sh):
@@ -128,12 +128,12 @@ def project(
     indices = indices[np.argsort(t[indices, 2], kind="stable")]
     t, offsets, opacities = t[indices], offsets[indices], opacities[indices]
 
-    discs = None
+    surfels = None
     if model.footprint == "disc":
         axes = camera.R_camera_world.astype(dtype) @ rotation_matrices(quats[indices])
         with np.errstate(divide="ignore"):
             reach = 2 * np.log(opacities / model.alpha_cut)
-        discs, M = project_discs(t, axes, scales[indices], reach, camera, model)
+        surfels, M = project_surfels(t, axes, scales[indices], reach, camera, model)
     else:
         axes_world = rotation_matrices(quats[indices]) * scales[indices][:, None, :]
         # Scales just within float32's range leave it here; what does is dropped below.
@@ -142,7 +142,7 @@ def project(
                 camera.R_camera_world.astype(dtype) @ axes_world
             )
     covariances, det, det_unblurred, spread = footprint_covariances(M, model.blur)
-    if model.antialiased and discs is None:
+    if model.antialiased and surfels is None:
         with np.errstate(invalid="ignore", divide="ignore"):
             opacities = opacities * np.sqrt(det_unblurred / det)
 
@@ -176,7 +176,7 @@ def project(
         opacities=opacities[drawn],
         colours=colours[drawn],
         half_extents=half_extents[drawn],
-        discs=None if discs is None else discs.take(drawn),
+        surfels=None if surfels is None else surfels.take(drawn),
     )
 
 

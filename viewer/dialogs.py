@@ -11,6 +11,7 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
+from splatview.scene.formats import name_patterns
 from splatview.viewer import save as saving
 from splatview.viewer import theme
 from splatview.viewer.commands import MOUSE, SHORTCUTS
@@ -157,12 +158,12 @@ Kind = Literal[
 ]
 
 FILTERS: dict[Kind, list[str]] = {
-    "scene": ["Splat scenes", "*.ply *.splat *.spz *.ksplat *.sog", "All files", "*"],
+    "scene": ["Splat scenes", name_patterns(), "All files", "*"],
     "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
     "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
     "save_picture": ["PNG pictures", "*.png"],
     "save_camera": ["Cameras", "*.json"],
-    "save_scene": ["Splat scenes", "*.ply"],
+    "save_scene": ["Splat scenes", name_patterns(written=True)],
     "recipe": ["Recipes", "*.json", "All files", "*"],
     "save_recipe": ["Recipes", "*.json"],
 }

@@ -14,9 +14,10 @@ import numpy as np
 from splatview.renderers.demo_cache import cached_demo
 from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects import Effect, scene_effects, settings_for
-from splatview.scene.formats import LoadCancelled, load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
+from splatview.scene.progress import Cancelled, Progress
 
 Stamp = tuple[int, int, int]
 """What tells that a file is still the one that was read."""
@@ -69,7 +70,7 @@ class LoadedScene:
 class Loading:
     """One load under way. All attributes may be read from any thread.
 
-    `read` makes the scene; it is called in the thread with `progress(0..1)` and `cancelled()`.
+    `read` makes the scene; it is called in the thread with its `progress`.
     """
 
     def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
@@ -109,7 +110,7 @@ class Loading:
         began = time.perf_counter()
         try:
             stamps = stamps_of(self._paths)
-            gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
+            gaussians = self._read(progress=Progress(report=self._advance, cancelled=self._cancelled.is_set))
             if self._cancelled.is_set():
                 return
             centre, radius = robust_bounds(gaussians.means)
@@ -124,7 +125,7 @@ class Loading:
                 seconds=time.perf_counter() - began,
                 stamps=stamps,
             )
-        except LoadCancelled:
+        except Cancelled:
             self._cancelled.set()
         except InputError as error:
             self.error = str(error)
@@ -167,16 +168,10 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 
-    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
+    def read(*, progress: Progress) -> Gaussians:
         parts = [added_to.gaussians] if added_to else []
         for path, size, start in zip(paths, sizes, before, strict=True):
-            parts.append(
-                load_scene(
-                    path,
-                    progress=lambda share, size=size, start=start: progress((start + share * size) / whole),
-                    cancelled=cancelled,
-                )
-            )
+            parts.append(load_scene(path, progress=progress.part(start / whole, (start + size) / whole)))
         return concatenate(parts) if len(parts) > 1 else parts[0]
 
     all_paths = (*(added_to.paths if added_to else ()), *paths)

@@ -209,7 +209,7 @@ def picture_corners(camera: Camera, size: float) -> np.ndarray:
     if camera.orthographic:
         w, h = camera.width, camera.height
         return camera.points_at([(0, 0), (w, 0), (w, h), (0, h)], size) / size
-    left, top, right, bottom = camera.seen_slopes
+    left, top, right, bottom = camera.visible_slopes
     if camera.lens is not None:
         left, top, right, bottom = np.clip((left, top, right, bottom), -WIDEST, WIDEST)
     return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splatview.edit.kernels.compiling import inline, kernel
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 SHRUNK = 0.999999
 """A cell's diagonal is a little less than the distance: rounding never joins what is further apart."""
@@ -79,7 +79,7 @@ def _sorted(corners: np.ndarray) -> np.ndarray:
     return np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
 
 
-def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
+def components(points: np.ndarray, distance: float, progress: Progress = NO_PROGRESS) -> np.ndarray:
     """Which cluster each of `points` (M, 3) float64 belongs to: (M,) int32, 0 upwards.
 
     Two points are in one cluster where steps of at most `distance` > 0 lead from one to the other.
@@ -88,9 +88,9 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     cells = make_cells(points, distance)
     parents = np.arange(len(cells.corners), dtype=np.int64)
     for start in range(0, len(parents), CELLS_AT_ONCE):
-        watch.step(start / len(parents))
+        progress.step(start / len(parents))
         _join(start, min(start + CELLS_AT_ONCE, len(parents)), cells, distance * distance, parents)
-    watch.step(1.0)
+    progress.step(1.0)
     roots = _roots(parents)
     _, of_cell = np.unique(roots, return_inverse=True)
     labels = np.full(len(points), -1, np.int32)
@@ -100,17 +100,19 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     return labels
 
 
-def within(points: np.ndarray, sources: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
+def within(
+    points: np.ndarray, sources: np.ndarray, distance: float, progress: Progress = NO_PROGRESS
+) -> np.ndarray:
     """Which of `points` (M, 3) float64 are at most `distance` from one of those in `sources` (M,) bool,
     these included: (M,) bool. Raises Cancelled."""
     cells = make_cells(points, distance)
     chosen = np.ascontiguousarray(sources[cells.order])
     reached = chosen.copy()
     for start in range(0, len(cells.corners), CELLS_AT_ONCE):
-        watch.step(start / len(cells.corners))
+        progress.step(start / len(cells.corners))
         stop = min(start + CELLS_AT_ONCE, len(cells.corners))
         _spread(start, stop, cells, distance * distance, chosen, reached)
-    watch.step(1.0)
+    progress.step(1.0)
     result = sources.copy()
     result[cells.order] |= reached
     return result

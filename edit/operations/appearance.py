@@ -10,9 +10,9 @@ import numpy as np
 
 from splatview.edit.changes import Change, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import SplatSet
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, Four
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -122,7 +122,7 @@ class Opacity(Operation):
         if not 0 <= self.value <= high:
             raise ValueError(f"value must be in 0 to {high} to {self.how} opacities, got {self.value:g}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         value = float(self.value)
         opacity = (0.0, value, 0.0, 1.0) if self.how == "set" else (value, 0.0, 0.0, 1.0)
         verb = f"Opacity {value:g}:" if self.how == "set" else f"Opacity x {value:g}:"
@@ -148,7 +148,7 @@ class Size(Operation):
         if not 1e-9 <= self.value <= 1e9:
             raise ValueError(f"value must be in 1e-9 to 1e9, got {self.value:g}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         if self.how == "scale":
             adjustment = Adjustment(size=float(self.value))
             return adjusting(document, self.scope, adjustment, f"Size x {self.value:g}:")
@@ -186,7 +186,7 @@ class ColourGrade(Operation):
     def __post_init__(self) -> None:
         check_scope(self.scope)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         first, second, third = (_four(row) for row in self.grade.matrix)
         return adjusting(document, self.scope, Adjustment(colour=(first, second, third)), "Grade colours of")
 

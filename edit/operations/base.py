@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from splatview.edit.changes import Change, Part, Recrop, Toggle, readjust, splats_in_words
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.serialization import from_json, to_json
 from splatview.edit.state import SplatSet
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Adjustment, Crop, quat_product
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -32,7 +32,7 @@ class Operation(ABC):
     """One sentence for people who look for it."""
 
     @abstractmethod
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         """What it alters, as the document stands. Alters nothing itself.
 
         Raises:

@@ -12,12 +12,12 @@ from splatview.edit import detectors as detecting
 from splatview.edit.changes import Change, Part, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
 from splatview.edit.operations.select import kind_of, one_of
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet
 from splatview.scene import Camera, InputError
 from splatview.scene.edits import DELETED, HIDDEN, LARGEST_LOGIT, LOCKED
-from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, check, sh_reach
+from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, check, sh_bound
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -37,8 +37,8 @@ class Prune(Operation):
     cameras: tuple[Camera, ...] = ()
     """Views, for detectors that look at pictures; none: views from around the scene."""
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        scores = document.scores(self.by, self.cameras, watch=watch)
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
+        scores = document.scores(self.by, self.cameras, progress=progress)
         doomed = self.by.mask(scores, self.threshold) & editable(document)
         title = f"Prune {splats_in_words(int(np.count_nonzero(doomed)))} by {kind_of(self.by)}"
         return deleting(document, doomed, title)
@@ -66,15 +66,17 @@ class Decimate(Operation):
         if not self.keep >= 1:
             raise ValueError(f"keep must be at least 1, got {self.keep}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return deleting(document, self.doomed(document, watch), f"Decimate to {splats_in_words(self.keep)}")
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
+        return deleting(
+            document, self.doomed(document, progress), f"Decimate to {splats_in_words(self.keep)}"
+        )
 
-    def doomed(self, document: Document, watch: Watch = UNWATCHED) -> np.ndarray:
+    def doomed(self, document: Document, progress: Progress = NO_PROGRESS) -> np.ndarray:
         """Which splats it would delete, (N,) bool: of equal contributions the later ones.
 
         Raises:
             InputError: too many cannot be deleted, or there is no renderer.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         at = np.flatnonzero(editable(document))[::-1]
         excess = document.counts.kept - self.keep
@@ -85,7 +87,7 @@ class Decimate(Operation):
             )
         doomed = np.zeros(len(document.marks), bool)
         if excess > 0:
-            worth = document.contributions(self.cameras, watch=watch)[at]
+            worth = document.contributions(self.cameras, progress=progress)[at]
             doomed[at[np.argsort(worth, kind="stable")[:excess]]] = True
         return doomed
 
@@ -135,8 +137,8 @@ class Repair(Operation):
         if self.finding not in REPAIRS:
             raise ValueError(f"finding must be one of {', '.join(REPAIRS)}, got {self.finding!r}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        watch.step(0.0)
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
+        progress.step(0.0)
         ill = self._ill(document) & ((document.marks & (DELETED | LOCKED)) == 0)
         title = f"Repair {self.finding}: {splats_in_words(int(np.count_nonzero(ill)))}"
         if REPAIRS[self.finding].endswith("deleted"):
@@ -179,7 +181,7 @@ class Repair(Operation):
             case "SH out of range":
                 sh = gaussians.sh[at].astype(np.float64)
                 # A hair below, so that the rounded values are found no more.
-                reach = sh_reach(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
+                reach = sh_bound(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
                 return "sh", sh * (BRIGHT / reach)[:, None, None]
             case _:
                 return "log_scales", self._repaired_scales(gaussians.log_scales[at].astype(np.float64))

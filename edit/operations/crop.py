@@ -9,10 +9,10 @@ import numpy as np
 
 from splatview.edit.changes import Change, Part, Recrop, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import SplatSet
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Crop, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -29,7 +29,7 @@ class AddCrop(Operation):
 
     crop: Crop
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         if len(document.crops) >= MOST_CROPS:
             raise InputError(f"there are {MOST_CROPS} crops already; remove one first")
         return _recropped(document, (*document.crops, self.crop), f"Add {self.crop.shape} {self.crop.name}")
@@ -60,7 +60,7 @@ class ChangeCrop(_OneCrop):
 
     crop: Crop
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         self._crop(document)
         return _recropped(document, self._replaced(document, self.crop), f"Change {self.crop.name}")
 
@@ -70,7 +70,7 @@ class RemoveCrop(_OneCrop):
     op: ClassVar[str] = "remove_crop"
     summary: ClassVar[str] = "Remove a crop; what it cut away is back"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         title = f"Remove {self._crop(document).name}"
         return _recropped(document, self._replaced(document), title)
 
@@ -82,7 +82,7 @@ class EnableCrop(_OneCrop):
 
     enabled: bool
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         crop = replace(self._crop(document), enabled=self.enabled)
         title = f"Switch {crop.name} {'on' if self.enabled else 'off'}"
         return _recropped(document, self._replaced(document, crop), title)
@@ -93,7 +93,7 @@ class DeleteCropped(Operation):
     op: ClassVar[str] = "delete_cropped"
     summary: ClassVar[str] = "Delete what the crops cut away, and remove those crops"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         if not any(crop.enabled for crop in document.crops):
             raise InputError("no crop is in force that could be made permanent")
         # By the exporter's own arithmetic: a splat on the very surface must not change sides.

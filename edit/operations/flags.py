@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from splatview.edit.changes import Change, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -19,7 +19,7 @@ class Delete(Operation):
     op: ClassVar[str] = "delete"
     summary: ClassVar[str] = "Delete the selected splats; the file keeps them until you export over it"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return _selected(document, DELETED, "Delete")
 
 
@@ -28,7 +28,7 @@ class Hide(Operation):
     op: ClassVar[str] = "hide"
     summary: ClassVar[str] = "Hide the selected splats; they are still exported"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return _selected(document, HIDDEN, "Hide")
 
 
@@ -37,7 +37,7 @@ class Show(Operation):
     op: ClassVar[str] = "show"
     summary: ClassVar[str] = "Show all hidden splats again"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return _all_with(document, HIDDEN, "Show")
 
 
@@ -46,7 +46,7 @@ class Lock(Operation):
     op: ClassVar[str] = "lock"
     summary: ClassVar[str] = "Lock the selected splats: visible, but not to be selected or changed"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return _selected(document, LOCKED, "Lock")
 
 
@@ -55,7 +55,7 @@ class Unlock(Operation):
     op: ClassVar[str] = "unlock"
     summary: ClassVar[str] = "Unlock all locked splats"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return _all_with(document, LOCKED, "Unlock")
 
 
@@ -64,7 +64,7 @@ class Isolate(Operation):
     op: ClassVar[str] = "isolate"
     summary: ClassVar[str] = "Hide all but the selected splats"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         # Locked splats too: hiding changes what is seen, not the splat.
         others = document.splats(SELECTED | HIDDEN | DELETED, 0)
         kept = document.counts.selected

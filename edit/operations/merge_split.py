@@ -9,9 +9,9 @@ import numpy as np
 
 from splatview.edit.changes import Append, Change, Part, SaveOnce, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -33,7 +33,7 @@ class Merge(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         other = document.load(document.path(self.path))
         marks = np.full(len(other), SELECTED, np.uint32)
         title = f"Merge {splats_in_words(len(other))} of {document.path(self.path).name}"
@@ -45,7 +45,7 @@ class Duplicate(Operation):
     op: ClassVar[str] = "duplicate"
     summary: ClassVar[str] = "Make a copy of the selected splats, in the same place; the copy is selected"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         at = document.selected.indices
         title = f"Duplicate {splats_in_words(len(at))}"
         return _appended(document, document.gaussians.take(at), document.marks[at], title)
@@ -62,7 +62,7 @@ class Split(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         splats = document.selected
         if not len(splats):
             return Change(title="Split nothing", count=0)

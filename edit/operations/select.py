@@ -12,13 +12,13 @@ from splatview.edit import selectors as selecting
 from splatview.edit.changes import Change, Toggle, splats_in_words
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import grow, shrink
 from splatview.edit.selectors.base import above_zero
 from splatview.edit.serialization import from_json, quoted, to_json
 from splatview.edit.state import SplatSet
 from splatview.scene import InputError
 from splatview.scene.edits import SELECTED
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from splatview.edit.document import Document
@@ -48,8 +48,8 @@ class Select(Operation):
         if self.mode not in MODES:
             raise ValueError(f"mode must be one of {', '.join(MODES)}, got {self.mode!r}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        wanted = self.by.mask(document.gaussians, document.edits, document.tools, watch=watch)
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
+        wanted = self.by.mask(document.gaussians, document.edits, document.tools, progress=progress)
         return selection(document, wanted, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
 
     def to_json(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class SelectAll(Operation):
     op: ClassVar[str] = "select_all"
     summary: ClassVar[str] = "Select everything that is shown and not locked"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return selection(document, np.ones(len(document.marks), bool), MODES["set"], "Select all")
 
 
@@ -103,7 +103,7 @@ class SelectNone(Operation):
     op: ClassVar[str] = "select_none"
     summary: ClassVar[str] = "Select nothing"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         splats = document.selected
         return Change(
             title="Select none", count=len(splats), parts=(Toggle(splats, SELECTED),) if len(splats) else ()
@@ -115,7 +115,7 @@ class SelectInverse(Operation):
     op: ClassVar[str] = "select_inverse"
     summary: ClassVar[str] = "Swap what is selected with what is not"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         return selection(document, np.ones(len(document.marks), bool), INVERT, "Invert the selection")
 
 
@@ -163,7 +163,7 @@ class Grow(_ByNearness):
     op: ClassVar[str] = "grow"
     summary: ClassVar[str] = "Select also what is near the selection"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         mask = (document.marks & SELECTED) != 0
         mask = grow(
             mask,
@@ -171,7 +171,7 @@ class Grow(_ByNearness):
             document.edits,
             distance=self.distance,
             neighbours=self.neighbours,
-            watch=watch,
+            progress=progress,
         )
         return selection(document, mask, MODES["add"], f"Grow {self._by}")
 
@@ -181,7 +181,7 @@ class Shrink(_ByNearness):
     op: ClassVar[str] = "shrink"
     summary: ClassVar[str] = "Deselect what is near to splats that are not selected"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, document: Document, progress: Progress = NO_PROGRESS) -> Change:
         mask = (document.marks & SELECTED) != 0
         mask = shrink(
             mask,
@@ -189,6 +189,6 @@ class Shrink(_ByNearness):
             document.edits,
             distance=self.distance,
             neighbours=self.neighbours,
-            watch=watch,
+            progress=progress,
         )
         return selection(document, mask, MODES["intersect"], f"Shrink {self._by}")

@@ -8,9 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from splatview.edit.progress import UNWATCHED, Tools, Watch
+from splatview.edit.tools import Tools
 from splatview.scene import Gaussians
 from splatview.scene.edits import SceneEdits
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Selector(Protocol):
@@ -20,13 +21,13 @@ class Selector(Protocol):
     """
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         """Which splats are meant: (N,) bool, of all, whether shown, hidden or deleted.
 
         Raises:
             InputError: the selector does not fit the scene, or wants a renderer that there is not.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         ...
 

@@ -13,11 +13,12 @@ import numpy as np
 from splatview.edit.kernels.grid import components, within
 from splatview.edit.kernels.kdtree import nearest
 from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.attributes import TOLERANCE, base_colours, similar
 from splatview.edit.selectors.base import above_zero, at_least, store, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 def grow(
@@ -27,7 +28,7 @@ def grow(
     *,
     distance: float | None = None,
     neighbours: int | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """`mask` (N,) bool and what is near it: (N,) bool.
 
@@ -36,12 +37,12 @@ def grow(
 
     Raises:
         ValueError: both are given or none, or the one given makes no sense.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     _check(distance, neighbours)
     result = mask.copy()
     indices, positions = _shown_places(gaussians, edits)
-    result[indices] |= _reached(positions, mask[indices], distance, neighbours, watch)
+    result[indices] |= _reached(positions, mask[indices], distance, neighbours, progress)
     return result
 
 
@@ -52,13 +53,13 @@ def shrink(
     *,
     distance: float | None = None,
     neighbours: int | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """`mask` (N,) bool without what is near a splat that is shown and not in it. See `grow`."""
     _check(distance, neighbours)
     result = mask.copy()
     indices, positions = _shown_places(gaussians, edits)
-    result[indices] &= ~_reached(positions, ~mask[indices], distance, neighbours, watch)
+    result[indices] &= ~_reached(positions, ~mask[indices], distance, neighbours, progress)
     return result
 
 
@@ -79,11 +80,15 @@ def _shown_places(gaussians: Gaussians, edits: SceneEdits) -> tuple[np.ndarray, 
 
 
 def _reached(
-    positions: np.ndarray, sources: np.ndarray, distance: float | None, neighbours: int | None, watch: Watch
+    positions: np.ndarray,
+    sources: np.ndarray,
+    distance: float | None,
+    neighbours: int | None,
+    progress: Progress,
 ) -> np.ndarray:
     if distance is not None:
-        return within(positions, sources, distance, watch)
-    indices, _ = nearest(positions, neighbours or 1, watch)
+        return within(positions, sources, distance, progress)
+    indices, _ = nearest(positions, neighbours or 1, progress)
     there = indices >= 0
     reached = sources | (sources[indices] & there).any(axis=1)
     reached[indices[sources][there[sources]]] = True
@@ -97,7 +102,7 @@ SAMPLE = 100_000
 """Splats looked at, those nearest to each other: a slab of the scene as thick as gives so many."""
 
 
-def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, watch: Watch = UNWATCHED) -> float:
+def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, progress: Progress = NO_PROGRESS) -> float:
     """Median distance between shown splats and their nearest others, world units; above 0.
 
     Of a scene of more than SAMPLE splats, those in a slab through its middle are looked at. Raises
@@ -110,7 +115,7 @@ def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, watch: Watch = U
         along = positions[:, int(np.argmax(spread))]
         middle = np.argpartition(np.abs(along - np.median(along)), SAMPLE)[:SAMPLE]
         positions = positions[middle]
-    _, distances = nearest(positions, 1, watch)
+    _, distances = nearest(positions, 1, progress)
     usable = distances[(distances > 0) & np.isfinite(distances)]
     return float(np.median(usable)) if len(usable) else 1.0
 
@@ -147,7 +152,7 @@ class Flood:
                 store(self, **{name: above_zero(name, getattr(self, name))})
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         count = len(gaussians)
         if not self.seed < count:
@@ -168,9 +173,9 @@ class Flood:
             return mask
         reach = self.reach
         if reach is None:
-            reach = REACH * typical_spacing(gaussians, edits, watch=watch.part(0.0, 0.3))
+            reach = REACH * typical_spacing(gaussians, edits, progress=progress.part(0.0, 0.3))
         indices = np.flatnonzero(candidates)
-        labels = components(positions[indices], reach, watch.part(0.3, 1.0))
+        labels = components(positions[indices], reach, progress.part(0.3, 1.0))
         mask[indices[labels == labels[np.searchsorted(indices, self.seed)]]] = True
         return mask
 

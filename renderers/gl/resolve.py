@@ -11,7 +11,7 @@ from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, set_uniforms
 from splatview.renderers.modes import VisualMode, mode_flags
 from splatview.scene import Camera, InputError
-from splatview.scene.background import Background, Gradient, Panorama, axes_of, pixel_rays, seen
+from splatview.scene.background import Background, Gradient, Panorama, axes_of, background_colours, pixel_rays
 
 # ---- Backgrounds as the shaders take them: uniforms, and a texture only where one is a picture.
 
@@ -67,7 +67,7 @@ class BackgroundSource:
     def _show_picture(self, background: Background, camera: Camera) -> None:
         kept = self._shown
         if not (isinstance(kept, tuple) and kept[0] is background and camera.same_view(kept[1])):
-            data = np.ascontiguousarray(seen(background, camera, np.float32)).tobytes()
+            data = np.ascontiguousarray(background_colours(background, camera, np.float32)).tobytes()
             self._replace(self._ctx.texture((camera.width, camera.height), 3, data, dtype="f4"))
             self._shown = background, camera
         self._bind()

@@ -21,7 +21,7 @@ from splatview.renderers.gl.context import create_headless_context
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, look_at
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.formats import save_scene
 
 EXACT_DB = 60.0
@@ -58,7 +58,7 @@ def scenes(scene) -> dict[str, HeadlessScene]:
 
 
 def turned(camera: Camera, degrees: float) -> Camera:
-    return turned_about(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
+    return orbited(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
 
 
 def drawn(scene: HeadlessScene, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:

@@ -83,7 +83,7 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 class ReferenceTools:
-    """`splatview.edit.progress.Tools` by the float64 reference: for pictures of a few thousand pixels."""
+    """`splatview.edit.tools.Tools` by the float64 reference: for pictures of a few thousand pixels."""
 
     def _weights(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits):
         """Indices (V,) of the scene and what each adds to each pixel, (V, H·W)."""

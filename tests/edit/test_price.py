@@ -17,12 +17,12 @@ from splatview.edit.impact import (
     unchanging,
     with_deleted,
 )
-from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.measure.metrics import psnr
 from splatview.scene import look_at
 from splatview.scene.edits import DELETED, HIDDEN, shown
 from splatview.scene.framing import robust_bounds
+from splatview.scene.progress import Cancelled, Progress
 
 CAMERAS = [
     look_at((0, 0, -3), (0, 0, 0), width=24, height=18),
@@ -77,14 +77,14 @@ def test_it_comes_view_by_view_and_can_be_stopped(edit_helpers, edited, referenc
             return reference_tools.picture(*arguments)
 
     shares: list[float] = []
-    views = price_views(scene, before, after, Counting(), CAMERAS, watch=Watch(progress=shares.append))  # type: ignore[arg-type]
+    views = price_views(scene, before, after, Counting(), CAMERAS, progress=Progress(report=shares.append))  # type: ignore[arg-type]
     next(views)
     assert len(drawn) == 2
     assert len(list(views)) == 2
     assert shares == sorted(shares)
     assert shares[-1] == 1
     with pytest.raises(Cancelled):
-        price(scene, before, after, reference_tools, CAMERAS, watch=Watch(cancelled=lambda: True))
+        price(scene, before, after, reference_tools, CAMERAS, progress=Progress(cancelled=lambda: True))
 
 
 def test_trial_edits_share_nothing_that_changes(edited):

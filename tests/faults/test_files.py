@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.cli import run_lock as claims
+from splatview.cli import run_lock
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
@@ -192,8 +192,8 @@ def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
 CLAIMING = """
 import sys, time
 from pathlib import Path
-from splatview.cli.run_lock import claim
-claim(Path(sys.argv[1]))
+from splatview.cli.run_lock import lock_run
+lock_run(Path(sys.argv[1]))
 print("mine", flush=True)
 time.sleep(60)
 """
@@ -202,20 +202,20 @@ time.sleep(60)
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_two_runs_do_not_write_the_same_checkpoint(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(claims, "_held", {})
+    monkeypatch.setattr(run_lock, "_held", {})
     ours = tmp_path / "toy.checkpoint.safetensors"
     other = subprocess.Popen([sys.executable, "-c", CLAIMING, str(ours)], stdout=subprocess.PIPE, text=True)
     assert other.stdout is not None and other.stdout.readline() == "mine\n"
     with pytest.raises(InputError, match=rf"process {other.pid}\) trains into it; wait for it, or name"):
-        claims.claim(ours)
-    claims.claim(tmp_path / "another.safetensors")
+        run_lock.lock_run(ours)
+    run_lock.lock_run(tmp_path / "another.safetensors")
     other.kill()
     other.communicate()
-    claims.claim(ours)
-    claims.claim(ours)
+    run_lock.lock_run(ours)
+    run_lock.lock_run(ours)
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", "/proc/nowhere")
-    claims.claim(tmp_path / "third.safetensors")
-    for file in claims._held.values():
+    run_lock.lock_run(tmp_path / "third.safetensors")
+    for file in run_lock._held.values():
         file.close()
 
 

@@ -8,7 +8,7 @@ import pytest
 from splatview import raster
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
-from splatview.scene.order_reuse import ResortPolicy, turned_by
+from splatview.scene.order_reuse import ResortPolicy, view_change
 
 SIZE = (48, 32)
 ANEW = RenderSettings()
@@ -106,9 +106,9 @@ def test_after_so_many_degrees():
 def test_flying_counts_as_turning_by_what_the_scene_sees_of_it():
     ahead = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=8, height=8)
     aside = look_at((3, 0, -3), (3, 0, 0), up=(0, -1, 0), width=8, height=8)
-    assert turned_by(ahead, aside, np.zeros(3), 1.0) == pytest.approx(45)
-    assert turned_by(at(0), at(30), np.zeros(3), 1.0) == pytest.approx(30, abs=2.1)
-    assert turned_by(ahead, ahead, np.zeros(3), 0.0) == 0
+    assert view_change(ahead, aside, np.zeros(3), 1.0) == pytest.approx(45)
+    assert view_change(at(0), at(30), np.zeros(3), 1.0) == pytest.approx(30, abs=2.1)
+    assert view_change(ahead, ahead, np.zeros(3), 0.0) == 0
 
 
 @pytest.mark.parametrize("wrong", [{"resort_frames": 0}, {"resort_degrees": -1.0}])

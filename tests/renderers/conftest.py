@@ -108,7 +108,7 @@ def make_backend(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Bac
         needed = BACKENDS[name].gl_version
         if needed is not None:
             ctx = request.getfixturevalue("ctx")
-            if ctx.version_code < needed:
+            if ctx is None or ctx.version_code < needed:
                 pytest.skip(f"needs OpenGL {needed}")
         renderer = BACKENDS[name].make(ctx, None)
         made.append(Backend(name=name, bound=BOUNDS[name][0], most=BOUNDS[name][1], renderer=renderer))

@@ -347,11 +347,9 @@ def look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
 def slow_down() -> None:
     """Reading takes some ten seconds from here on, unless it is cancelled."""
 
-    def slow(path, *, progress, cancelled):
+    def slow(path, *, progress):
         for step in range(1000):
-            if cancelled():
-                raise loading.LoadCancelled
-            progress(step / 1000)
+            progress.step(step / 1000)
             time.sleep(0.01)
         raise AssertionError("nobody cancelled")
 

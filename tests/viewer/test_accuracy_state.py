@@ -9,7 +9,8 @@ import pytest
 
 from splatview.measure.knobs import Plan
 from splatview.scene import look_at
-from splatview.viewer.quality.measurement import Cancelled, WindowScene
+from splatview.scene.progress import Cancelled
+from splatview.viewer.quality.measurement import WindowScene
 from splatview.viewer.state import AppState
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)

@@ -15,10 +15,10 @@ from splatview.edit.operations import OPERATIONS, Select
 from splatview.edit.operations.appearance import Opacity
 from splatview.edit.operations.crop import RemoveCrop
 from splatview.edit.operations.transform import Transform
-from splatview.edit.progress import Watch
 from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import PREVIEW, Adjustment, Crop
+from splatview.scene.progress import Progress
 from splatview.viewer.commands import ACTIONS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession
@@ -114,8 +114,8 @@ def test_edits_are_told_of_and_mistakes_too(session):
 def test_slow_work_runs_aside_and_nothing_changes_beneath_it(session):
     go_on = threading.Event()
 
-    def work(watch: Watch) -> int:
-        watch.step(0.5)
+    def work(progress: Progress) -> int:
+        progress.step(0.5)
         go_on.wait(60)
         return 7
 
@@ -140,10 +140,10 @@ def test_slow_operations_are_applied_when_they_are_planned(session):
 def test_a_cancelled_job_changes_nothing(session):
     started = threading.Event()
 
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         started.set()
         while True:
-            watch.step(0.1)
+            progress.step(0.1)
             time.sleep(0.001)
 
     session.start("Waiting", work, lambda _: pytest.fail("it was cancelled"))
@@ -158,7 +158,7 @@ def test_a_cancelled_job_changes_nothing(session):
     ("error", "words"), [(InputError("no such file"), "no such file"), (KeyError("x"), "inside the program")]
 )
 def test_a_failing_job_is_told_of(session, error, words):
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         raise error
 
     session.start("Trying", work, lambda _: pytest.fail("it failed"))

@@ -32,7 +32,7 @@ from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shots, shots_of
+from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.commands import ACTIONS
 from splatview.viewer.editing import commands
 from splatview.viewer.editing.session import EditSession, continue_editing, put_away
@@ -51,7 +51,7 @@ def capture():
 @pytest.fixture
 def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     """A training that `app` watches, its first snapshot shown."""
-    shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
+    shots, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     trainer = Trainer(
         shots, start, capture.scene_radius, TrainSettings(iterations=10**6, max_splats=8000), threads=1

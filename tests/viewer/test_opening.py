@@ -10,7 +10,7 @@ import pytest
 
 from splatview.scene import look_at
 from splatview.scene.demo import demo_scene
-from splatview.scene.formats import LoadCancelled, save_camera, save_scene
+from splatview.scene.formats import save_camera, save_scene
 from splatview.viewer import loading
 from splatview.viewer import open as opening
 from splatview.viewer.navigation import orbit
@@ -136,12 +136,12 @@ def slow_reader(monkeypatch):
     """Reading goes on until it is cancelled."""
     started = threading.Event()
 
-    def read(path, *, progress, cancelled):
-        progress(0.25)
+    def read(path, *, progress):
+        progress.step(0.25)
         started.set()
-        while not cancelled():
+        while True:
+            progress.check()
             time.sleep(0.001)
-        raise LoadCancelled
 
     monkeypatch.setattr(loading, "load_scene", read)
     return started
@@ -203,9 +203,9 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
 
     begun = threading.Event()
 
-    def read(path, *, progress, cancelled):
+    def read(path, *, progress):
         assert begun.wait(10)
-        progress(1.0)
+        progress.step(1.0)
         assert app.loading is not None
         seen.append(app.loading.progress)
         return real(path)

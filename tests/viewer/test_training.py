@@ -21,7 +21,7 @@ from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import fresh, initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shots, shots_of
+from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.navigation import orbit
 from splatview.viewer.overlays import nearest, wanted
 from splatview.viewer.state import AppState
@@ -39,7 +39,7 @@ def capture():
 @pytest.fixture
 def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     """A training that `app` watches; its thread has not begun."""
-    shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
+    shots, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     settings = TrainSettings(iterations=10**6, max_splats=8000)
     trainer = Trainer(shots, start, capture.scene_radius, settings, threads=1)
@@ -276,8 +276,8 @@ def test_another_scene_stays_until_the_training_is_asked_for(app, training, rand
 
 
 def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
-    shots = shots_of(capture.train)
-    photos = watched_photos(shots[:2], shots_of(capture.held_out))
+    shots = train_views(capture.train)
+    photos = watched_photos(shots[:2], train_views(capture.held_out))
     assert [photo.name for photo in photos] == sorted(photo.name for photo in photos)
     assert sum(photo.held_out for photo in photos) == len(capture.held_out)
 
@@ -292,7 +292,7 @@ def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
 
 
 def test_a_comparison_is_the_photo_the_render_and_their_difference(capture):
-    shot = shots_of(capture.photos)[1]
+    shot = train_views(capture.photos)[1]
     scene = initial_scene(capture)
     made = compare(Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=1, gain=2.0))
     np.testing.assert_array_equal(made.photo, shot.pixels)
@@ -318,7 +318,7 @@ def initial_scene(capture):
 
 
 def test_what_a_mask_leaves_out_differs_nowhere(capture):
-    shot = shots_of(capture.photos)[1]
+    shot = train_views(capture.photos)[1]
     mask = np.zeros(shot.pixels.shape[:2], bool)
     mask[:, :10] = True
     masked = replace(shot, mask=mask)
@@ -329,7 +329,7 @@ def test_what_a_mask_leaves_out_differs_nowhere(capture):
 
 def test_a_comparer_makes_the_latest_wish_and_survives_trouble(capture, monkeypatch):
     comparer = Comparer()
-    shots, scene = shots_of(capture.photos), initial_scene(capture)
+    shots, scene = train_views(capture.photos), initial_scene(capture)
 
     def wish(index: int, **changes: Any) -> Wish:
         options = {"gaussians": scene, "settings": RenderSettings(), "shrink": 1, "gain": 1.0, **changes}

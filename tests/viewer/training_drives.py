@@ -25,7 +25,7 @@ from imgui_bundle import ImVec2, hello_imgui
 from splatview.cli import train
 from splatview.cli import train as train_window
 from splatview.edit.operations import Select
-from splatview.edit.progress import NoTools
+from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits

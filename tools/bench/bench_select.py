@@ -17,7 +17,6 @@ from harness import make_parser
 
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import (
     ATTRIBUTES,
     AttributeRange,
@@ -34,6 +33,7 @@ from splatview.edit.selectors import (
     histogram,
     typical_spacing,
 )
+from splatview.edit.tools import NoTools
 from splatview.measure.machine import write_results
 from splatview.scene import Camera, Gaussians, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits

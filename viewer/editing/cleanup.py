@@ -10,9 +10,9 @@ import numpy as np
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.impact import Price, price, price_operations, unchanging, with_deleted
 from splatview.edit.operations.cleanup import Decimate, Prune, Repair, editable
-from splatview.edit.progress import Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
+from splatview.scene.progress import Progress
 from splatview.viewer.editing.session import EditSession
 
 if TYPE_CHECKING:
@@ -61,9 +61,9 @@ def look(app: AppState) -> None:
     key = (name, document.versions)
     cameras = views(app, session) if detector.renders else ()
 
-    def work(watch: Watch) -> np.ndarray:
+    def work(progress: Progress) -> np.ndarray:
         # The document keeps them for the deletion that may follow.
-        return document.scores(detector(), cameras, watch=watch)
+        return document.scores(detector(), cameras, progress=progress)
 
     def done(scores: np.ndarray) -> None:
         form.scores, form.of, form.threshold = scores, key, detector.threshold
@@ -93,8 +93,8 @@ def measure_price(app: AppState) -> None:
         return
     after, cameras = with_deleted(before, mask), views(app, session)
 
-    def work(watch: Watch) -> Any:
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch)
+    def work(progress: Progress) -> Any:
+        return price(document.gaussians, before, after, document.tools, cameras, progress=progress)
 
     def done(cost: Any) -> None:
         if form.mask is mask:
@@ -127,11 +127,13 @@ def price_decimation(app: AppState) -> None:
     form, document = session.forms.clean, session.document
     key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(app, session)
 
-    def work(watch: Watch) -> Any:
-        part = watch.part(0.0, 0.4)
+    def work(progress: Progress) -> Any:
+        part = progress.part(0.0, 0.4)
         mask = Decimate(keep=key[0], cameras=cameras).doomed(document, part)
         after = with_deleted(before, mask)
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch.part(0.4, 1.0))
+        return price(
+            document.gaussians, before, after, document.tools, cameras, progress=progress.part(0.4, 1.0)
+        )
 
     def done(cost: Any) -> None:
         form.kept_price = (key, cost)
@@ -168,8 +170,8 @@ def measure(app: AppState, names: Sequence[str]) -> None:
     repairs = {name: Repair(finding=name) for name in names}
     of, cameras = document.versions, views(app, session)
 
-    def work(watch: Watch) -> dict[str, Price]:
-        return price_operations(document, repairs, cameras, watch=watch)
+    def work(progress: Progress) -> dict[str, Price]:
+        return price_operations(document, repairs, cameras, progress=progress)
 
     def done(found: dict[str, Price]) -> None:
         form.prices, form.of = found, of

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from splatview.edit.export import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
-from splatview.edit.progress import Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from splatview.scene import InputError
+from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.session import JOURNALS, EditSession
 from splatview.viewer.loading import stamp_of, stamps_of
@@ -61,7 +61,7 @@ def export_to(app: AppState, path: Path) -> None:
     session.document.cancel_preview()
     document = session.document
 
-    def work(watch: Watch) -> int:
+    def work(progress: Progress) -> int:
         return export(document, target)
 
     def done(count: int) -> None:
@@ -124,9 +124,9 @@ def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -
     session.cancel_preview()
     folder, session.document.folder = session.document.folder, recipe.folder or session.document.folder
 
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         try:
-            replay(recipe, session.document, watch=watch)
+            replay(recipe, session.document, progress=progress)
         finally:
             session.document.folder = folder
 

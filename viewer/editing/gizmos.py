@@ -73,7 +73,7 @@ def placed(centre: ArrayLike, R: np.ndarray, sizes: ArrayLike = (1.0, 1.0, 1.0))
 
 def projection(camera: Camera) -> np.ndarray:
     """OpenGL's clip matrix (4, 4) of a camera without a lens."""
-    left, top, right, bottom = camera.seen_slopes  # y down, where pyrr's is up
+    left, top, right, bottom = camera.visible_slopes  # y down, where pyrr's is up
     if camera.orthographic:
         return matrix44.create_orthogonal_projection(left, right, -bottom, -top, NEAR, FAR).T
     left, top, right, bottom = (NEAR * slope for slope in (left, top, right, bottom))

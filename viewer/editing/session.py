@@ -20,7 +20,6 @@ from splatview.edit.impact import Price, unchanging
 from splatview.edit.journal import Journal
 from splatview.edit.operations.appearance import Grade, How
 from splatview.edit.operations.base import Operation, Scope
-from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.selectors import Histogram
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
@@ -28,6 +27,7 @@ from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, SceneEdits
+from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.tool_state import Depth, Measured, Place, Stroke, ToolName
 from splatview.viewer.loading import Examination, Stamp
@@ -149,7 +149,7 @@ class Job:
     def __init__(
         self,
         title: str,
-        work: Callable[[Watch], Any],
+        work: Callable[[Progress], Any],
         done: Callable[[Any], None],
         *,
         gives_way: bool = False,
@@ -166,9 +166,9 @@ class Job:
         self._thread = threading.Thread(target=self._run, args=(work,), name="splatview-edit", daemon=True)
         self._thread.start()
 
-    def _run(self, work: Callable[[Watch], Any]) -> None:
+    def _run(self, work: Callable[[Progress], Any]) -> None:
         try:
-            self.result = work(Watch(progress=self._note, cancelled=self._cancelled.is_set))
+            self.result = work(Progress(report=self._note, cancelled=self._cancelled.is_set))
         except BaseException as error:
             # Every end is the GL thread's to tell of.
             self.error = error
@@ -344,18 +344,18 @@ class EditSession:
             if self.apply(planned):
                 then()
 
-        self.start(title, lambda watch: self.document.plan(operation, watch=watch), done)
+        self.start(title, lambda progress: self.document.plan(operation, progress=progress), done)
 
     def start(
         self,
         title: str,
-        work: Callable[[Watch], Any],
+        work: Callable[[Progress], Any],
         done: Callable[[Any], None],
         *,
         edits: bool = False,
         gives_way: bool = False,
     ) -> None:
-        """Runs `work(watch)` in a thread and `done(result)` between frames; one job at a time. Where it
+        """Runs `work(progress)` in a thread and `done(result)` between frames; one job at a time. Where it
         `edits` the document, the picture stays as it was until it has ended. One that `gives_way` is dropped
         without a word where the user edits or starts another."""
         if self._busy():

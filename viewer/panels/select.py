@@ -9,9 +9,9 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 
 from splatview.edit.operations import Select
-from splatview.edit.progress import Watch
 from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
 from splatview.scene.edits import DELETED, HIDDEN
+from splatview.scene.progress import Progress
 from splatview.viewer import theme
 from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import mode_of
@@ -120,8 +120,8 @@ def measure(session: EditSession) -> None:
     gaussians, edits, tools = document.gaussians, document.edits, document.tools
     fresh = form.histogram is None
 
-    def work(watch: Watch):
-        watch.step(0.0)
+    def work(progress: Progress):
+        progress.step(0.0)
         values = attribute_values(name, gaussians, edits, tools)
         seen = (edits.marks & (DELETED | HIDDEN)) == 0
         span = usual_span(values, seen)

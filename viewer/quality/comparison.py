@@ -15,7 +15,8 @@ from splatview.measure.knobs import Plan
 from splatview.measure.ladder import draw_by_path
 from splatview.measure.metrics import heat, largest_error, perceptual_map, psnr, signed_map
 from splatview.renderers.request import FrameRequest
-from splatview.viewer.quality.measurement import Cancelled, WindowScene
+from splatview.scene.progress import Cancelled
+from splatview.viewer.quality.measurement import WindowScene
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

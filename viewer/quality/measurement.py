@@ -26,9 +26,9 @@ from splatview.renderers.headless import ANY_CAMERA
 from splatview.renderers.quality import with_rest_hidden
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians
-from splatview.scene.camera import turned_about
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, used_sh_degree
+from splatview.scene.progress import Cancelled
 from splatview.viewer.navigation import orbit
 from splatview.viewer.picture import scaled_camera
 
@@ -38,10 +38,6 @@ if TYPE_CHECKING:
 
 PATIENCE = 0.05
 """Seconds between two looks at whether the work was cancelled, while the GL thread is waited for."""
-
-
-class Cancelled(Exception):
-    """The user has what was asked for no longer in mind."""
 
 
 class WindowScene:
@@ -65,7 +61,7 @@ class WindowScene:
         return applicable(plan) and self._picture.unsupported(request) is None
 
     def turned(self, camera: Camera, degrees: float) -> Camera:
-        return turned_about(camera, self._target, -camera.R_camera_world[1], degrees)
+        return orbited(camera, self._target, -camera.R_camera_world[1], degrees)
 
     def prepare(self, plan: Plan) -> None:
         """Finds out what the plan leaves out; the scene itself is there."""

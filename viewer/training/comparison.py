@@ -12,14 +12,14 @@ import numpy as np
 from splatview import raster
 from splatview.measure.metrics import psnr
 from splatview.scene import Gaussians, RenderSettings
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Wish:
     """What is to be compared."""
 
-    shot: Shot
+    shot: TrainView
     gaussians: Gaussians
     settings: RenderSettings
     shrink: int

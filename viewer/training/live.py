@@ -18,7 +18,7 @@ from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.edits import Crop
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.background import BackgroundTraining, Snapshot, State, Status, pace_of
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 from splatview.viewer import open as camera_list
 from splatview.viewer.loading import Examination, LoadedScene
 from splatview.viewer.navigation import view_from_camera
@@ -72,7 +72,7 @@ MOST_FOR_BOUNDS = 20_000
 class WatchedPhoto:
     """One row of the list of photos."""
 
-    shot: Shot
+    shot: TrainView
     held_out: bool
     label: str
     """Its name, without folders where that is enough to tell it from the others."""
@@ -303,7 +303,7 @@ def viewer_threads(share: float, cores: int) -> int:
     return max(cores - pace_of(share, cores).threads, 1)
 
 
-def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[WatchedPhoto]:
+def watched_photos(train: Sequence[TrainView], held_out: Sequence[TrainView]) -> list[WatchedPhoto]:
     """Both sorts, sorted by name."""
     shots = [(shot, False) for shot in train] + [(shot, True) for shot in held_out]
     files = Counter(PurePosixPath(shot.camera.name).name for shot, _ in shots)
