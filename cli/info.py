@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
-from splatview.cli.ladder import FRAME_TURN, on_interrupt
 from splatview.edit.document import Document
 from splatview.edit.impact import Price, in_words, price_operations
 from splatview.edit.operations.cleanup import REPAIRS, Repair
@@ -22,7 +21,6 @@ from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
-from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.effects import Effect, scene_effects, settings_for, used_sh_degree, view_effects
@@ -69,6 +67,8 @@ def measured_prices(
 
     Raises KeyboardInterrupt where the user ends it early: half of the prices are not said.
     """
+    from splatview.cli.ladder import FRAME_TURN, on_interrupt  # when needed: it compiles
+
     orbit = chosen_orbit(args, gaussians)
     scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
     camera = orbit.turned(0.0)
@@ -118,6 +118,8 @@ VIEWS = 8
 
 def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
+    from splatview.renderers.cpu import CpuRenderer  # when needed: it compiles
+
     document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
@@ -157,8 +159,6 @@ def run(arguments: list[str]) -> int:
                 effect["price"] = price_as_json(prices[effect["name"]])
                 effect["measured"] = str(prices[effect["name"]])
     if args.repairs:
-        # Imported when needed: it compiles.
-
         add_repairs(receipt, gaussians)
     print(json.dumps(receipt, indent=1, allow_nan=False) if args.json else as_text(args.scene, receipt))
     return 0
