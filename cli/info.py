@@ -14,10 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
-from splatview.edit.document import Document
-from splatview.edit.impact import Price, in_words, price_operations
-from splatview.edit.operations.cleanup import REPAIRS, Repair
-from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
@@ -118,7 +114,12 @@ VIEWS = 8
 
 def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
-    from splatview.renderers.cpu import CpuRenderer  # when needed: it compiles
+    # Imported when needed: they compile.
+    from splatview.edit.document import Document
+    from splatview.edit.impact import price_operations
+    from splatview.edit.operations.cleanup import REPAIRS, Repair
+    from splatview.edit.sample_views import sample_cameras
+    from splatview.renderers.cpu import CpuRenderer
 
     document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
@@ -130,6 +131,8 @@ def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
 
 def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
     """A line for each of those findings; none where `add_repairs` was not called."""
+    from splatview.edit.impact import Price, in_words
+
     found = [entry for entry in receipt["health"] if "price" in entry]
     return ["repairs"] * bool(found) + [
         f"  {entry['name']}: {entry['repair']}; {in_words(Price(**entry['price']))}" for entry in found
