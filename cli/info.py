@@ -14,15 +14,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
-from splatview.cli.ladder import FRAME_TURN, on_interrupt
-from splatview.edit.document import Document
-from splatview.edit.impact import Price, in_words, price_operations
-from splatview.edit.operations.cleanup import REPAIRS, Repair
-from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
-from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.effects import Effect, scene_effects, settings_for, used_sh_degree, view_effects
@@ -69,6 +63,8 @@ def measured_prices(
 
     Raises KeyboardInterrupt where the user ends it early: half of the prices are not said.
     """
+    from splatview.cli.ladder import FRAME_TURN, on_interrupt  # when needed: it compiles
+
     orbit = chosen_orbit(args, gaussians)
     scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
     camera = orbit.turned(0.0)
@@ -118,6 +114,13 @@ VIEWS = 8
 
 def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
+    # Imported when needed: they compile.
+    from splatview.edit.document import Document
+    from splatview.edit.impact import price_operations
+    from splatview.edit.operations.cleanup import REPAIRS, Repair
+    from splatview.edit.sample_views import sample_cameras
+    from splatview.renderers.cpu import CpuRenderer
+
     document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
@@ -128,6 +131,8 @@ def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
 
 def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
     """A line for each of those findings; none where `add_repairs` was not called."""
+    from splatview.edit.impact import Price, in_words
+
     found = [entry for entry in receipt["health"] if "price" in entry]
     return ["repairs"] * bool(found) + [
         f"  {entry['name']}: {entry['repair']}; {in_words(Price(**entry['price']))}" for entry in found
@@ -157,8 +162,6 @@ def run(arguments: list[str]) -> int:
                 effect["price"] = price_as_json(prices[effect["name"]])
                 effect["measured"] = str(prices[effect["name"]])
     if args.repairs:
-        # Imported when needed: it compiles.
-
         add_repairs(receipt, gaussians)
     print(json.dumps(receipt, indent=1, allow_nan=False) if args.json else as_text(args.scene, receipt))
     return 0

@@ -5,18 +5,19 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Generator
+from typing import TYPE_CHECKING
 
-import moderngl
 import numpy as np
 
-from splatview import raster
 from splatview.measure.knobs import Plan
 from splatview.renderers import MODES, VisualMode, automatic_choice, make_renderer, on_this_gl
-from splatview.renderers.gl import context
 from splatview.renderers.quality import reduced
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
+
+if TYPE_CHECKING:
+    import moderngl
 
 MOST_HELD = 1 << 30
 """Bytes of scenes that stay loaded besides the latest."""
@@ -35,12 +36,18 @@ def make_headless(name: str, *, mode: VisualMode = "splats") -> Renderer:
     if name in ("cpu", "reference"):
         announce_compiling(name)
         return make_renderer(name)
+    from splatview.renderers.gl import context
+
     return OffscreenRenderer(context.create_headless_context(), name)
 
 
 def announce_compiling(name: str) -> None:
     """Tells on standard error that the renderer called `name` has to be compiled first, if so."""
-    if name == "cpu" and raster.will_compile():
+    if name != "cpu":
+        return
+    from splatview import raster
+
+    if raster.will_compile():
         print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
 
 

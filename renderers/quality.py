@@ -18,8 +18,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from splatview import raster
-from splatview.edit.sample_views import sample_cameras
 from splatview.measure.ladder import Measured
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Gaussians
@@ -559,6 +557,10 @@ def ranked_by_contribution(gaussians: Gaussians) -> np.ndarray:
     """(N,) indices, the splats that make most of the pictures first; of equals the earlier one."""
     if not len(gaussians):
         return np.zeros(0, np.intp)
+    # Imported when needed: they compile.
+    from splatview import raster
+    from splatview.edit.sample_views import sample_cameras
+
     cameras = sample_cameras(gaussians, SceneEdits(marks=np.zeros(len(gaussians), np.uint32)))
     worth = raster.contributions(gaussians, cameras, settings_for(gaussians))
     return np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")
