@@ -51,12 +51,12 @@ UNWATCHED = Watch()
 class Tools(Protocol):
     """All see the scene as `edits` make it; indices are those of `gaussians`."""
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        """(H, W) int32: the splat that makes the visible surface at each pixel, -1 where there is none."""
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+        """(H, W) int32: index of the splat that dominates each pixel, -1 where there is none."""
         ...
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
-        """(N,) float64: the sum over all pixels of all `cameras` of alpha times the light that reaches it."""
+        """(N,) float64: the sum of each splat's contributions, alpha·T, to all pixels of all `cameras`."""
         ...
 
     def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
@@ -71,7 +71,7 @@ class NoTools:
         InputError: always.
     """
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         raise InputError("selecting the front surface needs a renderer")
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""How rays come to the picture: through a pinhole, through a lens, or in parallel.
+"""Camera models, forward and backward: pinhole, lens, and parallel rays.
 
 The kernels take an `Optics` beside the `View`. Which of its fields are None is part of their type, so numba
-compiles one variant a kind, and that for pinholes has no instruction of the others.
+compiles one variant per camera model, and that for pinholes has no instruction of the others.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def clamped(view, x_by_z, y_by_z):
 
 @inline
 def image_point(view, optics, tx, ty, tz):
-    """Where a camera point is seen, px."""
+    """Image of a camera point, px."""
     return _image_point(optics.lens, optics.parallel, view, tx, ty, tz)
 
 
@@ -134,13 +134,13 @@ def _image_point(lens, parallel, view, tx, ty, tz):
 
 
 @inline
-def within_reach(drawn, optics, tx, ty, tz):
-    """`drawn`, and 0 for camera points that are beyond the reach of the lens."""
-    return _within_reach(optics.lens, drawn, tx, ty, tz)
+def within_lens(drawn, optics, tx, ty, tz):
+    """`drawn`, and 0 for camera points outside the lens's field of view."""
+    return _within_lens(optics.lens, drawn, tx, ty, tz)
 
 
 @inline
-def _within_reach(lens, drawn, tx, ty, tz):
+def _within_lens(lens, drawn, tx, ty, tz):
     if lens is None:
         return drawn
     # Without dividing: where z is 0 that would be NaN.
@@ -187,8 +187,8 @@ def _image_axes(lens, parallel, view, tx, ty, tz):
 
 @inline
 def viewing_direction(view, optics, ox, oy, oz):
-    """The unit direction, world axes, in which a point at this offset from the eye is seen, and how much of
-    it a move of the point changes: the inverse distance, or 0 where rays are parallel."""
+    """The unit viewing direction, world axes, of a point at an offset from the eye, and its rate of change
+    with the point: the inverse distance, or 0 where rays are parallel."""
     return _viewing_direction(optics.parallel, view, ox, oy, oz)
 
 
@@ -201,11 +201,9 @@ def _viewing_direction(parallel, view, ox, oy, oz):
     return ox * away, oy * away, oz * away, away
 
 
-# ---- The chain rule of `optics`: from gradients by the footprint to gradients by the splat's place.
-#
-# With D (2, 3) = dL/dJ, J = diag(f)·C·[1/z, 0, -u/z; 0, 1/z, -v/z], C (2, 2) the derivative of the lens at
-# the clamped slopes (u, v), 1 for a pinhole, all of it goes through E = Cᵀ·diag(f)·D, and what C itself
-# changes along u and v.
+# The chain rule: with D (2, 3) = dL/dJ, J = diag(f)·C·[1/z, 0, -u/z; 0, 1/z, -v/z], C (2, 2) the derivative
+# of the lens at the clamped slopes (u, v), 1 for a pinhole, all of it goes through E = Cᵀ·diag(f)·D, and what
+# C itself changes along u and v.
 
 
 @inline

@@ -14,7 +14,7 @@ from splatview.raster.project_backward import POSE_BLOCK, project_backward
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for
-the compiler too beside 5 million splats in 4 GiB."""
+the compiler beside 5 million splats in 4 GiB."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,14 +23,16 @@ class Gradients:
 
     parameters: Parameters
     means2d: np.ndarray
-    """(N, 2) by the mean in the image, px."""
+    """(N, 2), gradient by the mean in the image, px."""
     abs_means2d: np.ndarray
-    """(N, 2) the same, but added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+    """(N, 2), px: sums over pixels of the absolute gradient by the mean in the image (Ye et al. 2024,
+    AbsGS)."""
     background: np.ndarray
     """(3,)"""
     pose: np.ndarray
-    """(6,) float64 by a small motion of the camera, (shift, turn) in camera axes: a point at t in camera
-    axes moves to t + shift + turn x t, so world_to_camera becomes exp([turn, shift])·world_to_camera."""
+    """(6,) float64, gradient by a small motion of the camera, (shift, turn) in camera axes: a point at t in
+    camera axes moves to t + shift + turn x t, so world_to_camera becomes exp([turn,
+    shift])·world_to_camera."""
     milliseconds: dict[str, float]
     """Wall-clock time by stage."""
 
@@ -55,7 +57,7 @@ def differentiate(
         raise ValueError("gradients need an image model with max_alpha below 1")
     if frame.edited:
         raise ValueError("a picture drawn with edits in force has no gradients: bake the edits first")
-    if frame.discs is not None:
+    if frame.surfels is not None:
         raise ValueError("a picture of discs has no gradients: draw it with ellipsoids")
     if frame.by_pixel:
         raise ValueError("a picture in per-pixel order has no gradients: draw it in the 32-bit order")

@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 
 from splatview import raster
-from splatview.raster.frame import kind_of
+from splatview.raster.frame import specialisation_key
 from splatview.renderers import FrameStats
 from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
 from splatview.renderers.moving_quality import (
@@ -53,7 +53,7 @@ class CpuAhead:
         """Has compiled what this picture lacks. Returns what to `wait` for, if it can only be drawn then."""
         if self._precompiler is None:
             return None
-        kind = kind_of(gaussians, camera, settings, edited=shown is not None)
+        kind = specialisation_key(gaussians, camera, settings, edited=shown is not None)
         if self._precompiler.is_done([kind]):
             return None
         pinhole = camera.lens is None and not camera.orthographic and settings.model.footprint != "disc"
@@ -84,7 +84,7 @@ class CpuAhead:
         if shown is None:
             return gaussians, None
         if self._precompiler is None or self._precompiler.is_done(
-            [kind_of(gaussians, camera, settings, edited=True)]
+            [specialisation_key(gaussians, camera, settings, edited=True)]
         ):
             self._baked = None
             return gaussians, shown.drawn
@@ -164,6 +164,7 @@ class CpuTexture:
         self.budget_ms: float | None = None
         """What a picture may take while the camera moves; None: MOVING_MS. May be changed at any time."""
         self._on_ready = on_ready
+        self._depth_order = raster.ReusableOrder()
         self._change = threading.Condition()
         # Guarded by _change:
         self._wish: _Wish | None = None
@@ -358,6 +359,7 @@ class CpuTexture:
             camera,
             wish.settings,
             workspace,
+            depth_order=self._depth_order,
             edits=edits,
             nonzero=raster.nonzero_bands(gaussians),
             threads=self.threads,

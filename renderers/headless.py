@@ -152,11 +152,11 @@ class Cpu:
     name = "cpu"
 
     def __init__(self) -> None:
-        from splatview.raster import Workspace, will_compile
+        from splatview.raster import ReusableOrder, Workspace, will_compile
 
         if will_compile():
             print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
-        self._workspace = Workspace()
+        self._workspace, self._depth_order = Workspace(), ReusableOrder()
         self._last: tuple[int, dict[str, float]] = (0, {})
         self._image_bytes = 0
 
@@ -168,16 +168,21 @@ class Cpu:
     ) -> np.ndarray:
         from splatview.raster import draw_frame, nonzero_bands, parameters_of
 
-        nonzero = nonzero_bands(gaussians)
-        frame = draw_frame(parameters_of(gaussians), camera, settings, self._workspace, nonzero=nonzero)
+        frame = draw_frame(
+            parameters_of(gaussians),
+            camera,
+            settings,
+            self._workspace,
+            depth_order=self._depth_order,
+            nonzero=nonzero_bands(gaussians),
+        )
         visible = sum(int(stop - start) for start, stop in frame.runs)
         self._last = visible, dict(frame.milliseconds)
         self._image_bytes = frame.image.nbytes
         return frame.image
 
     def forget_order(self) -> None:
-        if self._workspace.kept_order is not None:
-            self._workspace.kept_order.resort_policy.forget()
+        self._depth_order.resort_policy.forget()
 
     def stats(self) -> tuple[int, dict[str, float]]:
         return self._last
@@ -516,8 +521,8 @@ def draw_by_reference_float32(gaussians: Gaussians, camera: Camera, settings: Re
 class RasterTools:
     """`edit.tools.Tools`; recipes give the same file in the window and without one because both use it."""
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        return raster.front(gaussians, camera, settings_for(gaussians), edits=edits)
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+        return raster.dominant_splats(gaussians, camera, settings_for(gaussians), edits=edits)
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
         return raster.contributions(gaussians, cameras, settings_for(gaussians), edits=edits)

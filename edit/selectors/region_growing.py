@@ -181,5 +181,5 @@ def picked(
     """The splat that makes the visible surface at pixel (x, y) of what `camera` sees; None: there is none."""
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         return None
-    splat = int(tools.front(gaussians, camera, edits)[int(y), int(x)])
+    splat = int(tools.dominant_splats(gaussians, camera, edits)[int(y), int(x)])
     return splat if splat >= 0 else None

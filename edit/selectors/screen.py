@@ -74,7 +74,7 @@ class ScreenRegion:
         chosen = np.empty(x.size, bool)
         inside(np.stack([x.ravel(), y.ravel()], axis=1), chosen)
         if chosen.any():
-            front = tools.front(gaussians, self.camera, edits)
+            front = tools.dominant_splats(gaussians, self.camera, edits)
             indices = front[top : bottom + 1, left : right + 1].ravel()[chosen]
             mask[indices[indices >= 0]] = True
         return mask

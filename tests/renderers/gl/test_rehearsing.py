@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.raster.frame import kind_of
+from splatview.raster.frame import specialisation_key
 from splatview.renderers import make_renderer
 from splatview.renderers.cpu_async import CpuAhead
 from splatview.renderers.edit_snapshot import edit_snapshot
@@ -210,7 +210,7 @@ def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaus
     assert edits is None
     assert ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)[0] is baked, "baked once"
     meanwhile = raster.render(baked, CAMERA, SETTINGS)
-    stage.finish(kind_of(scene, CAMERA, SETTINGS, edited=True))
+    stage.finish(specialisation_key(scene, CAMERA, SETTINGS, edited=True))
     same, edits = ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)
     assert same is scene
     assert edits is not None
@@ -228,8 +228,8 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     raster.render(scene, CAMERA, SETTINGS)
     kind = ahead.must_wait(scene, CAMERA, discs, None)
     assert kind is not None
-    assert kind == kind_of(scene, CAMERA, discs)
-    assert kind != kind_of(scene, CAMERA, SETTINGS)
+    assert kind == specialisation_key(scene, CAMERA, discs)
+    assert kind != specialisation_key(scene, CAMERA, SETTINGS)
     stage.finish()
     assert ahead.wait(kind)
     assert ahead.must_wait(scene, CAMERA, discs, None) is None
