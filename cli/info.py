@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
 from splatview.cli.ladder import FRAME_TURN, MEASURED, on_interrupt
 from splatview.edit.document import Document
-from splatview.edit.impact import Price, in_words, price_operations
+from splatview.edit.impact import Impact, in_words, operation_impacts
 from splatview.edit.operations.cleanup import REPAIRS, Repair
 from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
@@ -117,7 +117,7 @@ def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     document = Document(gaussians, tools=RasterTools())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
-    prices = price_operations(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
+    prices = operation_impacts(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
     for entry in found:
         entry["repair"], entry["price"] = REPAIRS[entry["name"]], asdict(prices[entry["name"]])
 
@@ -126,7 +126,7 @@ def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
     """A line for each of those findings; none where `add_repairs` was not called."""
     found = [entry for entry in receipt["health"] if "price" in entry]
     return ["repairs"] * bool(found) + [
-        f"  {entry['name']}: {entry['repair']}; {in_words(Price(**entry['price']))}" for entry in found
+        f"  {entry['name']}: {entry['repair']}; {in_words(Impact(**entry['price']))}" for entry in found
     ]
 
 

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> Any:
-    """A dataclass as an object of all its fields; arrays and tuples as lists; the rest as it is.
+    """The JSON form of a value: a dataclass as an object of its fields, arrays and tuples as lists.
 
     A `Camera` takes the form of a camera file. Floats come back to the bit: JSON's decimals are Python's
     shortest that do.

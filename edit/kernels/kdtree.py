@@ -13,16 +13,16 @@ from splatview.edit.kernels.compiling import in_pieces, inline, kernel
 from splatview.edit.progress import UNWATCHED, Watch
 
 LEAF = 8
-"""Points that are compared one by one rather than split further."""
+"""Most points of a leaf, compared one by one."""
 
 DEPTH = 64
-"""Nodes that wait at once: two a level, and halving 2³¹ points takes 31 levels."""
+"""Most nodes waiting: two per level, and halving 2³¹ points takes 31 levels."""
 
 SEARCHES = 1 << 13
-"""Points searched for between two looks at the watch."""
+"""Points per piece of a search."""
 
 BUILD_SHARE = 0.25
-"""Of the time of a search among all points, what building the tree takes."""
+"""Share of the time that building the tree takes."""
 
 
 def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.ndarray, np.ndarray]:

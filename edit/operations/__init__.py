@@ -1,4 +1,4 @@
-"""What can be done to a scene: one module a family, and the table of all by name."""
+"""Operations on a scene, one module per family, and the table of all by name."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ OPERATIONS: dict[str, type[Operation]] = {
 
 
 def operation_from_json(data: Any) -> Operation:
-    """The operation that a step of a recipe describes.
+    """The operation of a step of a recipe.
 
     Raises:
         InputError: there is no such operation, or a field is wrong.
