@@ -40,7 +40,8 @@ for _function in (
 
 
 class Optics(NamedTuple):
-    """All None for a pinhole; at most one is not."""
+    """All None for a pinhole; at most one is not. Functions take them one by one, as numba drops branches by
+    arguments that are None, but not by their attributes."""
 
     lens: LensForm | None = None
     parallel: bool | None = None
@@ -116,13 +117,8 @@ def clamped(view, x_by_z, y_by_z):
 
 
 @inline
-def image_point(view, optics, tx, ty, tz):
+def image_point(lens, parallel, view, tx, ty, tz):
     """Image of a camera point, px."""
-    return _image_point(optics.lens, optics.parallel, view, tx, ty, tz)
-
-
-@inline
-def _image_point(lens, parallel, view, tx, ty, tz):
     if parallel is not None:
         return tx * view.fx + view.cx, ty * view.fy + view.cy
     nearness = 1.0 / tz
@@ -134,13 +130,8 @@ def _image_point(lens, parallel, view, tx, ty, tz):
 
 
 @inline
-def within_lens(drawn, optics, tx, ty, tz):
+def within_lens(lens, drawn, tx, ty, tz):
     """`drawn`, and 0 for camera points outside the lens's field of view."""
-    return _within_lens(optics.lens, drawn, tx, ty, tz)
-
-
-@inline
-def _within_lens(lens, drawn, tx, ty, tz):
     if lens is None:
         return drawn
     # Without dividing: where z is 0 that would be NaN.
@@ -148,13 +139,8 @@ def _within_lens(lens, drawn, tx, ty, tz):
 
 
 @inline
-def image_axes(view, optics, tx, ty, tz):
+def image_axes(lens, parallel, view, tx, ty, tz):
     """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
-    return _image_axes(optics.lens, optics.parallel, view, tx, ty, tz)
-
-
-@inline
-def _image_axes(lens, parallel, view, tx, ty, tz):
     r = view.rotation
     if parallel is not None:
         return (
@@ -186,14 +172,9 @@ def _image_axes(lens, parallel, view, tx, ty, tz):
 
 
 @inline
-def viewing_direction(view, optics, ox, oy, oz):
+def viewing_direction(parallel, view, ox, oy, oz):
     """The unit viewing direction, world axes, of a point at an offset from the eye, and its rate of change
     with the point: the inverse distance, or 0 where rays are parallel."""
-    return _viewing_direction(optics.parallel, view, ox, oy, oz)
-
-
-@inline
-def _viewing_direction(parallel, view, ox, oy, oz):
     if parallel is not None:
         r = view.rotation
         return fill(ox, r[2, 0]), fill(ox, r[2, 1]), fill(ox, r[2, 2]), fill(ox, 0.0)
@@ -213,14 +194,9 @@ def if_within(value, x, least, most):
 
 
 @inline
-def point_gradient(view, optics, x, y, z, d_x2, d_y2, d_j):
+def point_gradient(lens, parallel, view, x, y, z, d_x2, d_y2, d_j):
     """From dL/d(mean in the image) and D, row by row: dL/dt (3) of the camera point t = (x, y, z), and what
     turning the camera changes besides, dL/d(turn) (3): see `raster.gradients`."""
-    return _point_gradient(optics.lens, optics.parallel, view, x, y, z, d_x2, d_y2, d_j)
-
-
-@inline
-def _point_gradient(lens, parallel, view, x, y, z, d_x2, d_y2, d_j):
     fx, fy = view.fx, view.fy
     if parallel is not None:
         # J = [fx, 0, 0; 0, fy, 0] for all points.

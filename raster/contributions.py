@@ -29,14 +29,13 @@ from splatview.raster.forward import (
     STRIPS,
     TILE_PIXELS,
     block_in_image,
-    gather,
     gathered_columns,
+    load_chunk,
     make_termination,
     start_pixels,
     surfel_columns,
     surfel_exponent_at,
     terminate_pixels,
-    touched_blocks,
 )
 from splatview.raster.frame import StageClock, arrange, draw, tile_ranges
 from splatview.raster.parameters import TILE, Parameters, make_view, parameters_of, used_degree
@@ -143,7 +142,7 @@ def _add_contributions(
         clock=StageClock(),
     )
     bins, ids = arranged.bins, np.empty((camera.height, camera.width), np.int32)
-    termination = make_termination(EARLY_STOP, dtype)
+    termination, splats_of = make_termination(EARLY_STOP, dtype), (arranged.records, arranged.surfels)
     cursors = workspace.take("pair_cursors", bins.positions.shape, np.int64)
     cursors[:] = bins.positions
     for band in bins.bands:
@@ -153,18 +152,7 @@ def _add_contributions(
         run(
             contribution_tiles,
             tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-            (
-                bins.offsets,
-                base,
-                lists,
-                arranged.records,
-                arranged.surfels,
-                view,
-                termination,
-                least_coverage,
-                pairs,
-                ids,
-            ),
+            (bins.offsets, base, lists, *splats_of, view, termination, least_coverage, pairs, ids),
             threads,
         )
         run(
@@ -245,22 +233,8 @@ def contribution_tiles(
         first, end = offsets[tile] - base, offsets[tile + 1] - base
         position, some = first, True
         while position < end and some:
-            count = min(end - position, CHUNK)
-            next_stop = min(position + 2 * CHUNK, end)
-            count = gather(
-                lists,
-                position,
-                count,
-                position + count,
-                next_stop,
-                records,
-                left,
-                top,
-                termination.max_log2_drop,
-                gathered,
-                surfels,
-            )
-            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
+            drop = termination.max_log2_drop
+            count = load_chunk(lists, position, end, records, left, top, drop, view, gathered, surfels, rows)
             contribution_chunk(
                 gathered,
                 count,
@@ -353,20 +327,11 @@ def count_work(
     )
     bins, counts = frame.bins, np.zeros((camera.height, camera.width), np.int32)
     for band in bins.bands:
-        lists = bins.write(band, workspace)
+        lists, base = bins.write(band, workspace), int(bins.offsets[band[0]])
         run(
             count_tiles,
             tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-            (
-                bins.offsets,
-                int(bins.offsets[band[0]]),
-                lists,
-                frame.records,
-                frame.surfels,
-                view,
-                early_stop,
-                counts,
-            ),
+            (bins.offsets, base, lists, frame.records, frame.surfels, view, early_stop, counts),
             threads,
         )
     return Counted(

@@ -96,42 +96,20 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
         base, end = int(bins.offsets[band[0]]), int(bins.offsets[band[1]])
         sums = workspace.take("pair_sums", ((end - base) * SUMS,), dtype)
         with clock.stage("backward"):
+            picture = (frame.records, frame.view, frame.background, frame.transmittance, frame.n_contrib)
             run(
                 differentiate_tiles,
                 tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                (
-                    bins.offsets,
-                    base,
-                    lists,
-                    frame.records,
-                    frame.view,
-                    frame.background,
-                    frame.transmittance,
-                    frame.n_contrib,
-                    d_image,
-                    sums,
-                    walked,
-                    d_background,
-                ),
+                (bins.offsets, base, lists, *picture, d_image, sums, walked, d_background),
                 threads,
             )
         with clock.stage("gather"):
             cursors[:] = bins.positions
+            splats = (bins.order, bins.spans_of, bins.spans)
             run(
                 gather_pairs,
                 [(*piece, row) for piece, row in zip(bins.pieces, cursors, strict=True)],
-                (
-                    bins.order,
-                    bins.spans_of,
-                    bins.spans,
-                    *band,
-                    bins.offsets,
-                    base,
-                    walked,
-                    sums,
-                    splat_sums,
-                    number > 0,
-                ),
+                (*splats, *band, bins.offsets, base, walked, sums, splat_sums, number > 0),
                 threads,
             )
     return splat_sums.reshape(-1, SUMS), d_background.sum(axis=0)
@@ -152,21 +130,11 @@ def _parameters(
         means2d = np.empty((count, 2), splats.quats.dtype)
         abs_means2d = np.empty_like(means2d)
     pose_sums = np.zeros((-(-count // POSE_BLOCK), 6))
+    drawn = (frame.visible, *splats, frame.sh_degree, frame.view, frame.optics)
     run(
         project_backward,
         [(*piece, *found) for piece, found in zip(frame.pieces, frame.runs, strict=True)],
-        (
-            frame.visible,
-            *splats,
-            frame.sh_degree,
-            frame.view,
-            frame.optics,
-            splat_sums,
-            *gradients,
-            means2d,
-            abs_means2d,
-            pose_sums,
-        ),
+        (*drawn, splat_sums, *gradients, means2d, abs_means2d, pose_sums),
         frame.threads,
     )
     return gradients, means2d, abs_means2d, pose_sums.sum(axis=0)

@@ -277,14 +277,15 @@ def if_three_finite(drawn, x, y, z):
 @inline
 def project_group(view, optics, surfels, lanes):
     """Fills the columns from FOOTPRINT on from the loaded ones."""
+    lens, parallel = optics
     ox, oy, oz = three_columns(lanes, OFFSET)
     tx, ty, tz = camera_point(view, ox, oy, oz)
     nothing, one = fill(tx, 0.0), fill(tx, 1.0)
     drawn = keep_if_at_least(one, tz, fill(tz, view.near))
     drawn = if_three_finite(if_three_finite(drawn, ox, oy, oz), tx, ty, tz)
-    drawn = within_lens(drawn, optics, tx, ty, tz)
+    drawn = within_lens(lens, drawn, tx, ty, tz)
     set_column(lanes, DEPTH, tz)
-    towards_x, towards_y, towards_z, _ = viewing_direction(view, optics, ox, oy, oz)
+    towards_x, towards_y, towards_z, _ = viewing_direction(parallel, view, ox, oy, oz)
     set_three(lanes, TOWARDS, towards_x, towards_y, towards_z)
 
     qw, qx, qy, qz = four_columns(lanes, QUAT)
@@ -299,7 +300,7 @@ def project_group(view, optics, surfels, lanes):
     rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
     opacity = sigmoid_lanes(column(lanes, LOGIT))
     if surfels is None:
-        axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
+        axes = splat_axes(image_axes(lens, parallel, view, tx, ty, tz), rotation, sx, sy, sz)
     else:
         bound = squared_extent(view, log2_lanes(opacity)) * (1 + EXTENT_SLACK) + EXTENT_SLACK
         turned_axes = camera_axes(view, rotation)
@@ -318,7 +319,7 @@ def project_group(view, optics, surfels, lanes):
     a, c = math.sqrt(yy / det), math.sqrt(inverse_yy)
     b = -(xy * inverse_yy * a)
     drawn = if_three_finite(drawn, a, b, c)
-    x, y = image_point(view, optics, tx, ty, tz)
+    x, y = image_point(lens, parallel, view, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
     extent = squared_extent(view, log2_opacity)

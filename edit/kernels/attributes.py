@@ -140,6 +140,12 @@ def cube_roots(values):
         values[i] = guess
 
 
+@inline
+def mixed(a, b, c, x, y, z):
+    """a·x + b·y + c·z in float32."""
+    return np.float32(a) * x + np.float32(b) * y + np.float32(c) * z
+
+
 @kernel
 def oklab(start, stop, rgb, table, lab):
     """lab[start:stop] (N, 3) float32: Oklab (Ottosson 2020) of display colours rgb (N, 3) float32; NaN of
@@ -147,39 +153,19 @@ def oklab(start, stop, rgb, table, lab):
     cones = np.empty((3, stop - start), np.float32)
     for i in range(start, stop):
         r, g, b = linear(rgb[i, 0], table), linear(rgb[i, 1], table), linear(rgb[i, 2], table)
-        cones[0, i - start] = max(
-            np.float32(0.4122214708) * r + np.float32(0.5363325363) * g + np.float32(0.0514459929) * b,
-            SMALLEST,
-        )
-        cones[1, i - start] = max(
-            np.float32(0.2119034982) * r + np.float32(0.6806995451) * g + np.float32(0.1073969566) * b,
-            SMALLEST,
-        )
-        cones[2, i - start] = max(
-            np.float32(0.0883024619) * r + np.float32(0.2817188376) * g + np.float32(0.6299787005) * b,
-            SMALLEST,
-        )
+        k = i - start
+        cones[0, k] = max(mixed(0.4122214708, 0.5363325363, 0.0514459929, r, g, b), SMALLEST)
+        cones[1, k] = max(mixed(0.2119034982, 0.6806995451, 0.1073969566, r, g, b), SMALLEST)
+        cones[2, k] = max(mixed(0.0883024619, 0.2817188376, 0.6299787005, r, g, b), SMALLEST)
     for row in range(3):
         cube_roots(cones[row])
     for i in range(start, stop):
         long, medium, short = cones[0, i - start], cones[1, i - start], cones[2, i - start]
         if np.isnan(rgb[i, 0] + rgb[i, 1] + rgb[i, 2]):
             long = np.float32(np.nan)
-        lab[i, 0] = (
-            np.float32(0.2104542553) * long
-            + np.float32(0.7936177850) * medium
-            - np.float32(0.0040720468) * short
-        )
-        lab[i, 1] = (
-            np.float32(1.9779984951) * long
-            - np.float32(2.4285922050) * medium
-            + np.float32(0.4505937099) * short
-        )
-        lab[i, 2] = (
-            np.float32(0.0259040371) * long
-            + np.float32(0.7827717662) * medium
-            - np.float32(0.8086757660) * short
-        )
+        lab[i, 0] = mixed(0.2104542553, 0.7936177850, -0.0040720468, long, medium, short)
+        lab[i, 1] = mixed(1.9779984951, -2.4285922050, 0.4505937099, long, medium, short)
+        lab[i, 2] = mixed(0.0259040371, 0.7827717662, -0.8086757660, long, medium, short)
 
 
 @kernel

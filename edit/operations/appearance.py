@@ -23,8 +23,8 @@ STOPS = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Grade:
-    """A colour grade as one affine map of display colours, which spherical harmonics carry exactly. The defaults
-    change nothing.
+    """A colour grade as one affine map of display colours, which spherical harmonics carry exactly. The
+    defaults change nothing.
 
     The steps, in this order, on rgb with 0 black and 1 white:
 

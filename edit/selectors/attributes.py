@@ -89,7 +89,7 @@ LUMINANCE = np.array((0.2126, 0.7152, 0.0722), np.float32)
 """Luminance of red, green and blue (ITU-R BT.709)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Attribute:
     """One number per splat, as histograms show it and ranges select by it."""
 
@@ -188,110 +188,66 @@ def _contribution(query: Query) -> np.ndarray:
 
 
 ATTRIBUTES: dict[str, Attribute] = {
-    "x": Attribute(
-        label="X",
-        unit="world units",
-        what="Position of the centre.",
-        values=lambda query: column(_places(query), 0),
-    ),
-    "y": Attribute(
-        label="Y",
-        unit="world units",
-        what="Position of the centre.",
-        values=lambda query: column(_places(query), 1),
-    ),
-    "z": Attribute(
-        label="Z",
-        unit="world units",
-        what="Position of the centre.",
-        values=lambda query: column(_places(query), 2),
-    ),
+    "x": Attribute("X", "world units", "Position of the centre.", lambda query: column(_places(query), 0)),
+    "y": Attribute("Y", "world units", "Position of the centre.", lambda query: column(_places(query), 1)),
+    "z": Attribute("Z", "world units", "Position of the centre.", lambda query: column(_places(query), 2)),
     "distance": Attribute(
-        label="Distance",
-        unit="world units",
-        what="From the centre to a point.",
-        values=lambda query: distances(_places(query), query.point),
+        "Distance",
+        "world units",
+        "From the centre to a point.",
+        lambda query: distances(_places(query), query.point),
     ),
     "largest scale": Attribute(
-        label="Largest scale",
-        unit="world units",
-        what="Standard deviation along the longest axis.",
-        values=lambda query: np.exp(_log_axes(query)[0]),
+        "Largest scale",
+        "world units",
+        "Standard deviation along the longest axis.",
+        lambda query: np.exp(_log_axes(query)[0]),
         log=True,
     ),
     "smallest scale": Attribute(
-        label="Smallest scale",
-        unit="world units",
-        what="Standard deviation along the shortest axis.",
-        values=lambda query: np.exp(_log_axes(query)[2]),
+        "Smallest scale",
+        "world units",
+        "Standard deviation along the shortest axis.",
+        lambda query: np.exp(_log_axes(query)[2]),
         log=True,
     ),
     "volume": Attribute(
-        label="Volume",
-        unit="cubic world units",
-        what="Of the ellipsoid of one standard deviation.",
-        values=_volume,
-        log=True,
+        "Volume", "cubic world units", "Of the ellipsoid of one standard deviation.", _volume, log=True
     ),
     "anisotropy": Attribute(
-        label="Anisotropy",
-        unit="ratio",
-        what="Longest to shortest axis: high for discs and needles.",
-        values=_anisotropy,
-        log=True,
+        "Anisotropy", "ratio", "Longest to shortest axis: high for discs and needles.", _anisotropy, log=True
     ),
     "elongation": Attribute(
-        label="Elongation",
-        unit="ratio",
-        what="Longest to middle axis: high for needles, 1 for round discs.",
-        values=_elongation,
+        "Elongation",
+        "ratio",
+        "Longest to middle axis: high for needles, 1 for round discs.",
+        _elongation,
         log=True,
     ),
     "opacity": Attribute(
-        label="Opacity",
-        unit="0 to 1",
-        what="At the centre.",
-        values=lambda query: opacities(query.gaussians, query.edits),
+        "Opacity", "0 to 1", "At the centre.", lambda query: opacities(query.gaussians, query.edits)
     ),
-    "red": Attribute(
-        label="Red",
-        unit="0 to 1",
-        what="Of the colour from all sides.",
-        values=lambda query: _colours(query)[:, 0],
-    ),
+    "red": Attribute("Red", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 0]),
     "green": Attribute(
-        label="Green",
-        unit="0 to 1",
-        what="Of the colour from all sides.",
-        values=lambda query: _colours(query)[:, 1],
+        "Green", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 1]
     ),
-    "blue": Attribute(
-        label="Blue",
-        unit="0 to 1",
-        what="Of the colour from all sides.",
-        values=lambda query: _colours(query)[:, 2],
-    ),
+    "blue": Attribute("Blue", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 2]),
     "luminance": Attribute(
-        label="Luminance",
-        unit="0 to 1",
-        what="How bright it looks.",
-        values=lambda query: _colours(query) @ LUMINANCE,
+        "Luminance", "0 to 1", "How bright it looks.", lambda query: _colours(query) @ LUMINANCE
     ),
-    "hue": Attribute(label="Hue", unit="degrees", what="0 red, 120 green, 240 blue; greys 0.", values=_hue),
-    "saturation": Attribute(
-        label="Saturation", unit="0 to 1", what="0 for greys, 1 for pure colours.", values=_saturation
-    ),
+    "hue": Attribute("Hue", "degrees", "0 red, 120 green, 240 blue; greys 0.", _hue),
+    "saturation": Attribute("Saturation", "0 to 1", "0 for greys, 1 for pure colours.", _saturation),
     "sh energy": Attribute(
-        label="SH energy",
-        unit="colour",
-        what="How much the colour depends on where one looks from.",
-        values=lambda query: sh_energies(query.gaussians, query.edits),
+        "SH energy",
+        "colour",
+        "How much the colour depends on where one looks from.",
+        lambda query: sh_energies(query.gaussians, query.edits),
     ),
     "contribution": Attribute(
-        label="Contribution",
-        unit="px",
-        what="How much of the views it makes: alpha times the light that reaches it, summed over pixels.",
-        values=_contribution,
+        "Contribution",
+        "px",
+        "How much of the views it makes: alpha times the light that reaches it, summed over pixels.",
+        _contribution,
         log=True,
         renders=True,
     ),
