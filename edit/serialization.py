@@ -1,4 +1,5 @@
-"""Dataclasses to JSON and back, strictly: what comes back equals what went, and nothing else passes."""
+"""Dataclasses to JSON and back, strictly: the way back gives an equal object, and no other input is
+accepted."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ transmittance in front of splat i, and the scalar
 one has dL/dalpha_i = T_i·(g·c_i) - S_i / (1 - alpha_i). Both are known behind the last splat, as forward
 keeps each pixel's final transmittance and last contributor, and from there T_i = T_(i+1) / (1 - alpha_i) and
 S_(i-1) = S_i + alpha_i·T_i·(g·c_i): no list of past transmittances is kept. Walked front to back, S would be
-what is left of the whole pixel after all splats in front have been taken off, with the rounding errors of
+the whole pixel less all splats in front, with the rounding errors of
 the brightest of them: gradients that cancel, as those by the camera's pose, had lost 3 digits by that.
 
 Each pair's sums over the pixels of its tile go to a row of their own, and `gather_pairs` adds them up

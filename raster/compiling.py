@@ -174,7 +174,7 @@ def run(
                 results[index] = kernel(*tasks[index], *common)
             except BaseException:
                 with lock:
-                    for _ in pending:  # nobody begins another task
+                    for _ in pending:  # no other task begins
                         pass
                 raise
 

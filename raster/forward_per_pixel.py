@@ -63,7 +63,7 @@ def depth_slopes(
             ],
             axis=1,
         )
-    # What a determinant without digits says is not used: such a splat keeps the depth of its mean.
+    # A splat with a determinant without digits keeps the depth of its mean.
     good = np.isfinite(found).all(axis=1) & (det > 1e-9 * xx * yy)
     slopes[visible[good]] = found[good]
     return slopes

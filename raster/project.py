@@ -187,9 +187,10 @@ def sh_sum(sh, splat, basis, count):
     return red, green, blue
 
 
-# A group of LANES splats is worked on in columns of LANES float64 numbers each: first what is loaded, ...
+# A group of LANES splats is worked on in columns of LANES float64 numbers each: first the loaded parameters,
+# ...
 OFFSET, QUAT, LOG_SCALE, LOGIT = 0, 3, 7, 10
-# ... then what `project_group` makes of it: the order of a record, the direction, the depth, and 1 or 0 for
+# ... then the results of `project_group`: the order of a record, the direction, the depth, and 1 or 0 for
 # whether the splat is drawn, its colour apart.
 FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 25, 28, 29
 SURFEL_ROW = 30  # and a row of `surfels`, if any
@@ -363,7 +364,7 @@ def project(
     own_degrees,
 ):
     """Projects splats [start, stop) and returns how many are visible; their indices, ascending, go to
-    `visible` from `start` on. Or -1, if one's mark names what is not in the palette of the edits.
+    `visible` from `start` on. Or -1, if a mark names an entry that is not in the palette of the edits.
 
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written for

@@ -280,8 +280,8 @@ def project_backward(
                 d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
             for component in range(4):
                 # By a quaternion of length 1e-30 the derivative can be more than float32 holds.
-                steep = lanes[(D_QUAT + component) * LANES + lane]
-                d_quats[i, component] = min(max(steep, -FLOAT32_MAX), FLOAT32_MAX)
+                gradient = lanes[(D_QUAT + component) * LANES + lane]
+                d_quats[i, component] = min(max(gradient, -FLOAT32_MAX), FLOAT32_MAX)
             d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
             for axis in range(2):
                 d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]

@@ -158,7 +158,7 @@ def place_lists(counts, offsets):
 def write_pairs(start, stop, positions, order, spans_of, spans, first_tile, end_tile, base, lists):
     """Writes the splats order[start:stop] into the lists of tiles [first_tile, end_tile): lists (pairs,)
     int32, of which place `base` is the first. positions (tiles,) int64 says where each list goes on, and
-    ends up behind what was written."""
+    ends up behind the last entry."""
     for k in range(start, stop):
         ask_ahead(k, stop, order, spans_of, spans)
         splat = order[k]

@@ -123,7 +123,7 @@ TWO_THIRDS_OF_ONE = 709921077
 bits of its cube root."""
 
 SMALLEST = np.float32(1e-30)
-"""Stands for 0, whose cube root Halley's formula cannot find; its own is invisible."""
+"""Replacement for 0, whose cube root Halley's formula cannot find; its own is invisible."""
 
 
 @inline

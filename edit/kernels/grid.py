@@ -15,7 +15,8 @@ from splatview.edit.kernels.compiling import inline, kernel
 from splatview.edit.progress import UNWATCHED, Watch
 
 SHRUNK = 0.999999
-"""A cell's diagonal is a little less than the distance: rounding never joins what is further apart."""
+"""A cell's diagonal relative to the distance: a little less, so that rounding never joins points further
+apart."""
 
 NEAR_CELLS = 2
 """Cells along an axis to the furthest neighbours: ceil(sqrt 3)."""

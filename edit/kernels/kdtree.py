@@ -52,7 +52,7 @@ def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.nd
 
 @inline
 def select(points, order, start, stop, middle, axis):
-    """Partly sorts order[start:stop] along an axis: what is before `middle` is not greater (Hoare)."""
+    """Partly sorts order[start:stop] along an axis: points before `middle` are not greater (Hoare)."""
     low, high = start, stop - 1
     while low < high:
         pivot = points[order[(low + high) // 2], axis]

@@ -198,7 +198,7 @@ def cropped_in(
             u = row[0] * x + row[1] * y + row[2] * z + row[3]
             v = row[4] * x + row[5] * y + row[6] * z + row[7]
             w = row[8] * x + row[9] * y + row[10] * z + row[11]
-            # Without shortcuts, whose branches nobody could foresee.
+            # Without short circuits, whose branches are unpredictable.
             in_box = (abs(u) <= 1) & (abs(v) <= 1) & (abs(w) <= 1)
             in_ball = u * u + v * v + w * w <= 1
             contains = in_ball if row[12] == 1 else in_box

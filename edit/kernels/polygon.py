@@ -157,7 +157,7 @@ def in_polygon(points, bounds, polygon, inside):
 
 @kernel
 def in_rectangle(points, bounds, inside):
-    """As `in_polygon`; the border belongs to it."""
+    """Whether points are within the bounds, as `in_polygon`; the border belongs to it."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         inside[i] = (bounds[0] <= x) & (x <= bounds[2]) & (bounds[1] <= y) & (y <= bounds[3])
@@ -243,7 +243,7 @@ def _list_segments(stroke, cursors, segments, write):
 
 @kernel
 def in_stroke(points, stroke, inside):
-    """As `in_polygon`; what is exactly a radius away belongs to it."""
+    """Whether points are within a stroke, as `in_polygon`; its border belongs to it."""
     for i in range(len(points)):
         inside[i] = False
         x, y = points[i, 0], points[i, 1]

@@ -16,41 +16,6 @@ from splatview.edit.operations.transform import Ground, Orient, Transform
 from splatview.edit.serialization import quoted
 from splatview.scene import InputError
 
-__all__ = [
-    "OPERATIONS",
-    "AddCrop",
-    "ChangeCrop",
-    "ColourGrade",
-    "Decimate",
-    "Delete",
-    "DeleteCropped",
-    "Duplicate",
-    "EnableCrop",
-    "Ground",
-    "Grow",
-    "Hide",
-    "Isolate",
-    "Lock",
-    "Merge",
-    "Opacity",
-    "Operation",
-    "Orient",
-    "Prune",
-    "RemoveCrop",
-    "Repair",
-    "Select",
-    "SelectAll",
-    "SelectInverse",
-    "SelectNone",
-    "Show",
-    "Shrink",
-    "Size",
-    "Split",
-    "Transform",
-    "Unlock",
-    "operation_from_json",
-]
-
 OPERATIONS: dict[str, type[Operation]] = {
     cls.op: cls
     for cls in (

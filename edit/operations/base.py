@@ -60,7 +60,7 @@ def splats_of(state: State, scope: Scope) -> SplatSet:
 
 
 def adjusting(state: State, scope: Scope, adjustment: Adjustment, verb: str) -> Change:
-    """The change that puts `adjustment` on the splats; where the whole scene moves, crops move too."""
+    """The change that applies `adjustment` to the splats, and to the crops where the whole scene moves."""
     splats = splats_of(state, scope)
     parts: list[Part] = []
     if len(splats) and adjustment != Adjustment():

@@ -23,7 +23,8 @@ from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, sh_r
 
 @dataclass(frozen=True, kw_only=True)
 class Prune(Operation):
-    """In JSON `by` is an object whose ``kind`` is a name in DETECTORS, its other keys that one's fields."""
+    """In JSON `by` is an object whose ``kind`` is a name in DETECTORS, its other keys the fields of that
+    detector."""
 
     op: ClassVar[str] = "prune"
     summary: ClassVar[str] = "Delete floaters, needles, giants, faint or unseen splats above a threshold"

@@ -33,7 +33,8 @@ VERBS = {"set": "Select", "add": "Add", "remove": "Deselect", "intersect": "Keep
 
 @dataclass(frozen=True, kw_only=True)
 class Select(Operation):
-    """In JSON `by` is an object whose ``kind`` is a name in SELECTORS, its other keys that one's fields."""
+    """In JSON `by` is an object whose ``kind`` is a name in SELECTORS, its other keys the fields of that
+    selector."""
 
     op: ClassVar[str] = "select"
     summary: ClassVar[str] = "Select splats by a shape, by colour, by a range of an attribute, ..."

@@ -79,7 +79,7 @@ def sh_energies(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
             flat = higher.reshape(len(higher), -1)
             return np.sqrt(np.einsum("nk,nk->n", flat, flat))
         maps, entries = _colour_maps(edits)[:, :, :3], _entries(edits)
-        # The squared length of A·c is c·(AᵀA)·c: 3x3 numbers a splat, whatever the degree.
+        # The squared length of A·c is c·(AᵀA)·c: 3x3 numbers per splat, whatever the degree.
         moments = np.einsum("nki,nkj->nij", higher, higher)
         gram = np.einsum("pci,pcj->pij", maps, maps)
         return np.sqrt(np.maximum(np.einsum("nij,nij->n", moments, gram[entries]), 0))
@@ -132,26 +132,34 @@ def _places(query: Query) -> Places:
     return places_of(query.gaussians, query.edits)
 
 
-def _log_axes(query: Query, *, edited: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Log-scales of the longest, middle and shortest axis, (N,) float32 each."""
-    x, y, z = (log_scales(query.gaussians, query.edits) if edited else query.gaussians.log_scales).T
-    longest, shortest = np.maximum(np.maximum(x, y), z), np.minimum(np.minimum(x, y), z)
-    return longest, np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z)), shortest
+def _log_scales(query: Query) -> np.ndarray:
+    return log_scales(query.gaussians, query.edits).T
+
+
+def _longest(axes: np.ndarray) -> np.ndarray:
+    x, y, z = axes
+    return np.maximum(np.maximum(x, y), z)
+
+
+def _shortest(axes: np.ndarray) -> np.ndarray:
+    x, y, z = axes
+    return np.minimum(np.minimum(x, y), z)
 
 
 def _volume(query: Query) -> np.ndarray:
-    x, y, z = log_scales(query.gaussians, query.edits).T
+    x, y, z = _log_scales(query)
     return np.float32(4 / 3 * np.pi) * np.exp(x + y + z)
 
 
 def _anisotropy(query: Query) -> np.ndarray:
-    longest, _, shortest = _log_axes(query, edited=False)  # adjustments scale all axes alike
-    return np.exp(longest - shortest)
+    axes = query.gaussians.log_scales.T  # adjustments scale all axes alike
+    return np.exp(_longest(axes) - _shortest(axes))
 
 
 def _elongation(query: Query) -> np.ndarray:
-    longest, middle, _ = _log_axes(query, edited=False)
-    return np.exp(longest - middle)
+    x, y, z = axes = query.gaussians.log_scales.T
+    middle = np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z))
+    return np.exp(_longest(axes) - middle)
 
 
 def _colours(query: Query) -> np.ndarray:
@@ -201,14 +209,14 @@ ATTRIBUTES: dict[str, Attribute] = {
         "Largest scale",
         "world units",
         "Standard deviation along the longest axis.",
-        lambda query: np.exp(_log_axes(query)[0]),
+        lambda query: np.exp(_longest(_log_scales(query))),
         log=True,
     ),
     "smallest scale": Attribute(
         "Smallest scale",
         "world units",
         "Standard deviation along the shortest axis.",
-        lambda query: np.exp(_log_axes(query)[2]),
+        lambda query: np.exp(_shortest(_log_scales(query))),
         log=True,
     ),
     "volume": Attribute(
@@ -246,7 +254,7 @@ ATTRIBUTES: dict[str, Attribute] = {
     "contribution": Attribute(
         "Contribution",
         "px",
-        "How much of the views it makes: alpha times the light that reaches it, summed over pixels.",
+        "Its share of the views: alpha times transmittance, summed over pixels.",
         _contribution,
         log=True,
         renders=True,
@@ -373,7 +381,7 @@ and splits one bright wall."""
 
 @dataclass(frozen=True, kw_only=True)
 class SimilarColour:
-    """Splats whose colour of the constant band, cut to what a display shows, is like `rgb`."""
+    """Splats with a colour of the constant band, clipped to [0, 1], similar to `rgb`."""
 
     rgb: tuple[float, float, float]
     """Display colour, usually 0 to 1."""

@@ -93,11 +93,11 @@ class Flood:
     """From splat `seed` on to whatever is near and like it in colour, and so on from there.
 
     Colours are compared with the seed's, not with the neighbour's, so a gradient does not carry the flood
-    away. Of splats that are hidden, deleted or cropped away it takes no notice.
+    away. Hidden, deleted and cropped splats are ignored.
     """
 
     seed: int
-    """Index of a splat: for a picked pixel, what `picked` finds there."""
+    """Index of a splat: for a pixel, the one that `picked` finds there."""
     tolerance: float = TOLERANCE
     """At least 0: distance in Oklab, black to white being 1; 1 and more: any colour."""
     reach: float | None = None

@@ -18,7 +18,7 @@ from splatview.scene.health import check
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """Splats whose mean is in a ball, its surface included."""
+    """Splats with their mean in a ball, its surface included."""
 
     centre: Vector
     """World units."""
@@ -41,7 +41,7 @@ class Sphere:
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Splats whose mean is in a box that may be turned, its surface included."""
+    """Splats with their mean in a box of any orientation, its surface included."""
 
     centre: Vector
     """World units."""
