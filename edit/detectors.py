@@ -12,14 +12,15 @@ import numpy as np
 from splatview.edit.kernels.grid import linked
 from splatview.edit.kernels.kdtree import nearest
 from splatview.edit.kernels.marks import positions_of, shown_positions
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.edit.selectors.attributes import attribute_values, log_scales, opacities
 from splatview.edit.selectors.base import Query, above_zero, choice, finding_mask, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits, shown
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Detector:
@@ -47,18 +48,18 @@ class Detector:
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
         """(N,) float32: the greater the worse; NaN for splats that are not shown.
 
         `cameras` are the views that count; none: sample views, for detectors that render. Raises Cancelled.
         """
-        watch.step(0.0)
-        query = Query(gaussians=gaussians, edits=edits, tools=tools, cameras=cameras, watch=watch)
+        progress.step(0.0)
+        query = Query(gaussians=gaussians, edits=edits, tools=tools, cameras=cameras, progress=progress)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             scores = self._scores(query).astype(np.float32)
         scores[~shown(gaussians, edits)] = np.nan
-        watch.step(1.0)
+        progress.step(1.0)
         return scores
 
     def _scores(self, query: Query) -> np.ndarray:
@@ -95,7 +96,7 @@ class Neighbourhood:
     @classmethod
     def of(cls, query: Query, k: int) -> Neighbourhood:
         indices, positions = shown_positions(query.gaussians, query.edits)
-        neighbours, distances = nearest(positions, k, query.watch)
+        neighbours, distances = nearest(positions, k, query.progress)
         scales = log_scales(query.gaussians, query.edits)[indices]
         sizes = np.exp(np.sort(scales, axis=1)[:, 1].astype(np.float64))
         furthest = distances[:, -1]
@@ -271,7 +272,9 @@ class UnseenSplats(Detector):
     renders: ClassVar[bool] = True
 
     def _scores(self, query: Query) -> np.ndarray:
-        return 1 / contributions(query.gaussians, query.edits, query.tools, query.cameras, watch=query.watch)
+        return 1 / contributions(
+            query.gaussians, query.edits, query.tools, query.cameras, progress=query.progress
+        )
 
     def meaning(self, threshold: float) -> str:
         return f"makes less than {1 / threshold:.3g} pixels of all views together"
@@ -283,16 +286,16 @@ def contributions(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """(N,) float64: each splat's contributions to all `cameras`, added up view by view; without cameras, to
     sample views. Raises Cancelled."""
     cameras = cameras or sample_cameras(gaussians, edits)
     total = np.zeros(len(gaussians))
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
+        progress.step(i / len(cameras))
         total += tools.contributions(gaussians, [camera], edits)
-    watch.step(1.0)
+    progress.step(1.0)
     return total
 
 

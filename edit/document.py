@@ -11,9 +11,9 @@ import numpy as np
 
 from splatview.edit.changes import Change
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,16 +144,16 @@ class Document(State):
         self.history = History()
         self._preview: Step | None = None
 
-    def plan(self, operation: Operation, *, watch: Watch = UNWATCHED) -> Planned:
+    def plan(self, operation: Operation, *, progress: Progress = NO_PROGRESS) -> Planned:
         """The change that `operation` would make now; for slow ones in another thread, while nothing is
         changed.
 
         Raises:
             InputError: it cannot be done here.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         revision = self.revision
-        return Planned(operation, operation.plan(self, watch), revision)
+        return Planned(operation, operation.plan(self, progress), revision)
 
     def apply(self, operation: Operation | Planned) -> Change:
         """Applies an operation as the next step of the history, unless it alters nothing; cancels a preview.

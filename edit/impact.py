@@ -11,10 +11,11 @@ import numpy as np
 from splatview.edit.changes import Change, SaveOnce
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.state import State
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 NO_LOSS = 100.0
 """PSNR in dB of an error of 1e-5, a hundredth of what an 8-bit picture can show; greater values are cut to
@@ -69,7 +70,7 @@ def measure_impact(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> Impact:
     """The impact of going from `before` to `after`, over the views of `cameras`.
 
@@ -77,11 +78,11 @@ def measure_impact(
     """
     views = []
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
+        progress.step(i / len(cameras))
         first = tools.render(gaussians, camera, before)
-        watch.step((i + 0.5) / len(cameras))
+        progress.step((i + 0.5) / len(cameras))
         views.append(compare(camera, first, tools.render(gaussians, camera, after)))
-    watch.step(1.0)
+    progress.step(1.0)
     return Impact.of((gaussians, before), (gaussians, after), views)
 
 
@@ -119,7 +120,7 @@ def operation_impacts(
     operations: Mapping[str, Operation],
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> dict[str, Impact]:
     """The impact of each of `operations` by itself, by its key, over the views of `cameras`.
 
@@ -128,7 +129,7 @@ def operation_impacts(
 
     Raises:
         InputError: an operation cannot be done here, or there is no renderer.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     before = document.gaussians, frozen(document.edits)
     afters = {
@@ -138,14 +139,14 @@ def operation_impacts(
     work = max(len(cameras) * (1 + len(afters)), 1)
     done = 0
     for camera in cameras:
-        watch.step(done / work)
+        progress.step(done / work)
         first = document.tools.render(before[0], camera, before[1])
         done += 1
         for name, (gaussians, edits) in afters.items():
-            watch.step(done / work)
+            progress.step(done / work)
             views[name].append(compare(camera, first, document.tools.render(gaussians, camera, edits)))
             done += 1
-    watch.step(1.0)
+    progress.step(1.0)
     return {name: Impact.of(before, afters[name], views[name]) for name in operations}
 
 

@@ -16,11 +16,11 @@ import numpy as np
 from splatview.edit.changes import Change
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation, Select, operation_from_json
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import IndexRuns
 from splatview.edit.serialization import quoted
 from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write, read_json
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 FORMAT = "splatview_recipe"
 VERSION = 1
@@ -140,13 +140,13 @@ def replay(
     document: Document,
     *,
     on_step: Callable[[int, Operation, Change], None] | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> None:
     """Applies all steps; if one cannot be applied, those before it are undone.
 
     Raises:
         InputError: with the step's number and operation.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     position = document.history.position
     try:
@@ -154,10 +154,10 @@ def replay(
         # limit.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for number, operation in enumerate(recipe.steps, start=1):
-                part = watch.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
+                part = progress.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
                 part.step(0.0)
                 try:
-                    change = document.apply(document.plan(operation, watch=part))
+                    change = document.apply(document.plan(operation, progress=part))
                 except InputError as error:
                     raise InputError(f"{step_name(number, operation)}: {error}") from None
                 if on_step is not None:

@@ -15,8 +15,8 @@ import numpy as np
 from splatview.edit.detectors import Detector, contributions
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.kernels.compiling import in_pieces
-from splatview.edit.progress import UNWATCHED, NoTools, Tools, Watch
 from splatview.edit.serialization import to_json
+from splatview.edit.tools import NoTools, Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import (
     DELETED,
@@ -31,6 +31,7 @@ from splatview.scene.edits import (
     crop_rows,
 )
 from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 MAX_SPLATS = 2**31 - 1
 """Largest scene that can be edited: runs are counted in 32 bits."""
@@ -255,26 +256,28 @@ class State:
         return Path(self.folder or os.curdir, text)
 
     def scores(
-        self, detector: Detector, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED
+        self, detector: Detector, cameras: tuple[Camera, ...] = (), *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         """The detector's scores of the scene as it is now, (N,) float32; kept until the next edit, so that an
         operation need not repeat its preview.
 
         Raises:
             InputError: it needs a renderer where there is none.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         return self._measured(
             (type(detector), json.dumps(to_json([detector, *cameras]))),
-            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, watch=watch),
+            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, progress=progress),
         )
 
-    def contributions(self, cameras: tuple[Camera, ...] = (), *, watch: Watch = UNWATCHED) -> np.ndarray:
+    def contributions(
+        self, cameras: tuple[Camera, ...] = (), *, progress: Progress = NO_PROGRESS
+    ) -> np.ndarray:
         """(N,) float64: each splat's contributions to the views, or to sample views if there are none. Kept
         and raises as `scores`."""
         return self._measured(
             (contributions, json.dumps(to_json(cameras))),
-            lambda: contributions(self.gaussians, self.edits, self.tools, cameras, watch=watch),
+            lambda: contributions(self.gaussians, self.edits, self.tools, cameras, progress=progress),
         )
 
     def _measured(self, what: Hashable, measure: Callable[[], np.ndarray]) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import Any
 import numba
 from numba.core import config as _numba_config
 
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 _config: Any = _numba_config
 
@@ -83,7 +83,7 @@ def _executor() -> ThreadPoolExecutor:
 
 
 def in_pieces(
-    count: int, work: Callable[[int, int], object], *, watch: Watch = UNWATCHED, piece: int = PIECE
+    count: int, work: Callable[[int, int], object], *, progress: Progress = NO_PROGRESS, piece: int = PIECE
 ) -> None:
     """Calls `work(start, stop)` for runs that make up [0, count), several at once.
 
@@ -93,15 +93,15 @@ def in_pieces(
     starts = range(0, count, piece)
     if len(starts) <= 1 or _cores() == 1:
         for start in starts:
-            watch.step(start / count)
+            progress.step(start / count)
             work(start, min(start + piece, count))
-        watch.step(1.0)
+        progress.step(1.0)
         return
     running: set[Future[object]] = set()
     ended = 0
     try:
         for start in starts:
-            watch.step(ended / len(starts))
+            progress.step(ended / len(starts))
             if len(running) > _cores():
                 done, running = wait(running, return_when=FIRST_COMPLETED)
                 ended += len(done)
@@ -112,4 +112,4 @@ def in_pieces(
             future.result()
     finally:
         wait(running)
-    watch.step(1.0)
+    progress.step(1.0)

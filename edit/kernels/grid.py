@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splatview.edit.kernels.compiling import inline, kernel
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 SHRUNK = 0.999999
 """A cell's diagonal relative to the distance: a little less, so that rounding never joins points further
@@ -81,7 +81,7 @@ def _sorted(corners: np.ndarray) -> np.ndarray:
     return np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
 
 
-def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
+def components(points: np.ndarray, distance: float, progress: Progress = NO_PROGRESS) -> np.ndarray:
     """Cluster labels of `points` (M, 3) float64: (M,) int32, 0 upwards.
 
     Two points are in one cluster where steps of at most `distance` > 0 lead from one to the other.
@@ -90,9 +90,9 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     cells = make_cells(points, distance)
     parents = np.arange(len(cells.corners), dtype=np.int64)
     for start in range(0, len(parents), CELLS_AT_ONCE):
-        watch.step(start / len(parents))
+        progress.step(start / len(parents))
         _join(start, min(start + CELLS_AT_ONCE, len(parents)), cells, distance * distance, parents)
-    watch.step(1.0)
+    progress.step(1.0)
     roots = _roots(parents)
     _, of_cell = np.unique(roots, return_inverse=True)
     labels = np.full(len(points), -1, np.int32)
@@ -102,17 +102,19 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     return labels
 
 
-def within(points: np.ndarray, sources: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
+def within(
+    points: np.ndarray, sources: np.ndarray, distance: float, progress: Progress = NO_PROGRESS
+) -> np.ndarray:
     """Whether each of `points` (M, 3) float64 is at most `distance` from one of those in `sources` (M,) bool,
     these included: (M,) bool. Raises Cancelled."""
     cells = make_cells(points, distance)
     is_source = np.ascontiguousarray(sources[cells.order])
     near = is_source.copy()
     for start in range(0, len(cells.corners), CELLS_AT_ONCE):
-        watch.step(start / len(cells.corners))
+        progress.step(start / len(cells.corners))
         stop = min(start + CELLS_AT_ONCE, len(cells.corners))
         _spread(start, stop, cells, distance * distance, is_source, near)
-    watch.step(1.0)
+    progress.step(1.0)
     result = sources.copy()
     result[cells.order] |= near
     return result

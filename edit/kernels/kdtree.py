@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces, inline, kernel
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 LEAF = 8
 """Most points of a leaf, compared one by one."""
@@ -25,7 +25,7 @@ BUILD_SHARE = 0.25
 """Share of the time that building the tree takes."""
 
 
-def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.ndarray, np.ndarray]:
+def nearest(points: np.ndarray, k: int, progress: Progress = NO_PROGRESS) -> tuple[np.ndarray, np.ndarray]:
     """Indices (M, k) int32 and distances (M, k) float64, ascending, of the k nearest others of `points`.
 
     `points` (M, 3) float64, all finite. Where there are fewer others, the last indices are -1 and their
@@ -39,14 +39,14 @@ def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.nd
         return indices, distances
     order = np.arange(count, dtype=np.int32)
     axes = np.zeros(count, np.int8)
-    watch.step(0.0)
+    progress.step(0.0)
     _build(points, order, axes)
     sorted_points = np.ascontiguousarray(points[order])
 
     def search(start: int, stop: int) -> None:
         _search(start, stop, sorted_points, order, axes, indices, distances)
 
-    in_pieces(count, search, watch=watch.part(BUILD_SHARE, 1.0), piece=SEARCHES)
+    in_pieces(count, search, progress=progress.part(BUILD_SHARE, 1.0), piece=SEARCHES)
     return indices, distances
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from splatview.edit.changes import Change, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import SplatSet, State
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, Four
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Luminance of red, green and blue (ITU-R BT.709)."""
@@ -113,7 +113,7 @@ class Opacity(Operation):
         if not 0 <= self.value <= high:
             raise ValueError(f"value must be in 0 to {high} to {self.how} opacities, got {self.value:g}")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         value = float(self.value)
         opacity = (0.0, value, 0.0, 1.0) if self.how == "set" else (value, 0.0, 0.0, 1.0)
         verb = f"Opacity {value:g}:" if self.how == "set" else f"Opacity x {value:g}:"
@@ -139,7 +139,7 @@ class Size(Operation):
         if not 1e-9 <= self.value <= 1e9:
             raise ValueError(f"value must be in 1e-9 to 1e9, got {self.value:g}")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         if self.how == "scale":
             adjustment = Adjustment(size=float(self.value))
             return adjusting(state, self.scope, adjustment, f"Size x {self.value:g}:")
@@ -177,7 +177,7 @@ class ColourGrade(Operation):
     def __post_init__(self) -> None:
         check_scope(self.scope)
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         first, second, third = (_four(row) for row in self.grade.matrix)
         return adjusting(state, self.scope, Adjustment(colour=(first, second, third)), "Grade colours of")
 

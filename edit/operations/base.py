@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from splatview.edit.changes import Change, Part, Recrop, Toggle, readjust, splats_in_words
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.serialization import from_json, to_json
 from splatview.edit.state import SplatSet, State
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Adjustment, Crop, quat_product
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Operation(ABC):
     """One sentence for the user."""
 
     @abstractmethod
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         """The change that it makes to `state` as it is now; alters nothing itself.
 
         Raises:

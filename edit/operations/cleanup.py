@@ -12,13 +12,13 @@ from splatview.edit import detectors as detecting
 from splatview.edit.changes import Change, Part, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
 from splatview.edit.operations.select import kind_of, one_of
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors.base import finding_mask
 from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet, State
 from splatview.scene import Camera, InputError
 from splatview.scene.edits import DELETED, LARGEST_LOGIT, LOCKED
 from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, sh_reach
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,8 @@ class Prune(Operation):
     cameras: tuple[Camera, ...] = ()
     """Views, for detectors that render; none: views from around the scene."""
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        scores = state.scores(self.by, self.cameras, watch=watch)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        scores = state.scores(self.by, self.cameras, progress=progress)
         to_delete = self.by.mask(scores, self.threshold) & state.editable
         title = f"Prune {splats_in_words(int(np.count_nonzero(to_delete)))} by {kind_of(self.by)}"
         return deleting(state, to_delete, title)
@@ -65,15 +65,15 @@ class Decimate(Operation):
         if not self.keep >= 1:
             raise ValueError(f"keep must be at least 1, got {self.keep}")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        return deleting(state, self.to_delete(state, watch), f"Decimate to {splats_in_words(self.keep)}")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return deleting(state, self.to_delete(state, progress), f"Decimate to {splats_in_words(self.keep)}")
 
-    def to_delete(self, state: State, watch: Watch = UNWATCHED) -> np.ndarray:
+    def to_delete(self, state: State, progress: Progress = NO_PROGRESS) -> np.ndarray:
         """Splats to be deleted, (N,) bool: of equal contributions the later ones.
 
         Raises:
             InputError: too many cannot be deleted, or there is no renderer.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         at = np.flatnonzero(state.editable)[::-1]
         excess = state.counts.kept - self.keep
@@ -84,7 +84,7 @@ class Decimate(Operation):
             )
         to_delete = np.zeros(len(state.marks), bool)
         if excess > 0:
-            worth = state.contributions(self.cameras, watch=watch)[at]
+            worth = state.contributions(self.cameras, progress=progress)[at]
             to_delete[at[np.argsort(worth, kind="stable")[:excess]]] = True
         return to_delete
 
@@ -124,8 +124,8 @@ class Repair(Operation):
         if self.finding not in REPAIRS:
             raise ValueError(f"finding must be one of {', '.join(REPAIRS)}, got {self.finding!r}")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        watch.step(0.0)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        progress.step(0.0)
         invalid = self._invalid(state) & ((state.marks & (DELETED | LOCKED)) == 0)
         title = f"Repair {self.finding}: {splats_in_words(int(np.count_nonzero(invalid)))}"
         if REPAIRS[self.finding].endswith("deleted"):

@@ -9,10 +9,10 @@ import numpy as np
 
 from splatview.edit.changes import Change, Part, Recrop, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Crop, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 MOST_CROPS = 64
 """Most crops: renderers evaluate all of them for each splat."""
@@ -25,7 +25,7 @@ class AddCrop(Operation):
 
     crop: Crop
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         if len(state.crops) >= MOST_CROPS:
             raise InputError(f"there are {MOST_CROPS} crops already; remove one first")
         return _recropped(state, (*state.crops, self.crop), f"Add {self.crop.shape} {self.crop.name}")
@@ -56,7 +56,7 @@ class ChangeCrop(_OneCrop):
 
     crop: Crop
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         self._crop(state)
         return _recropped(state, self._replaced(state, self.crop), f"Change {self.crop.name}")
 
@@ -66,7 +66,7 @@ class RemoveCrop(_OneCrop):
     op: ClassVar[str] = "remove_crop"
     summary: ClassVar[str] = "Remove a crop; what it cut away is back"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         title = f"Remove {self._crop(state).name}"
         return _recropped(state, self._replaced(state), title)
 
@@ -78,7 +78,7 @@ class EnableCrop(_OneCrop):
 
     enabled: bool
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         crop = replace(self._crop(state), enabled=self.enabled)
         title = f"Switch {crop.name} {'on' if self.enabled else 'off'}"
         return _recropped(state, self._replaced(state, crop), title)
@@ -89,7 +89,7 @@ class DeleteCropped(Operation):
     op: ClassVar[str] = "delete_cropped"
     summary: ClassVar[str] = "Delete what the crops cut away, and remove those crops"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         if not any(crop.enabled for crop in state.crops):
             raise InputError("no crop is in force that could be made permanent")
         # By the exporter's own arithmetic: a splat on the very surface must not change sides.

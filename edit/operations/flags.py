@@ -6,9 +6,9 @@ from typing import ClassVar
 
 from splatview.edit.changes import Change, splats_in_words, toggling
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import State
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class _SetFlag(Operation):
@@ -16,7 +16,7 @@ class _SetFlag(Operation):
 
     flag: ClassVar[int]
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         splats = state.selected
         return toggling(
             splats, SELECTED | self.flag, f"{self.op.capitalize()} {splats_in_words(len(splats))}"
@@ -28,7 +28,7 @@ class _ClearFlag(Operation):
 
     flag: ClassVar[int]
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         splats = state.splats(self.flag | DELETED, self.flag)
         return toggling(splats, self.flag, f"{self.op.capitalize()} {splats_in_words(len(splats))}")
 
@@ -67,7 +67,7 @@ class Isolate(Operation):
     op = "isolate"
     summary = "Hide all but the selected splats"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         # Locked splats too: hiding changes no splat.
         others = state.splats(SELECTED | HIDDEN | DELETED, 0)
         return toggling(others, HIDDEN, f"Isolate {splats_in_words(state.counts.selected)}")

@@ -9,10 +9,10 @@ import numpy as np
 
 from splatview.edit.changes import Append, Change, Part, SaveOnce, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 
@@ -28,7 +28,7 @@ class Merge(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         other = state.load(state.path(self.path))
         marks = np.full(len(other), SELECTED, np.uint32)
         title = f"Merge {splats_in_words(len(other))} of {state.path(self.path).name}"
@@ -40,7 +40,7 @@ class Duplicate(Operation):
     op: ClassVar[str] = "duplicate"
     summary: ClassVar[str] = "Make a copy of the selected splats, in the same place; the copy is selected"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         at = state.selected.indices
         title = f"Duplicate {splats_in_words(len(at))}"
         return _appended(state, state.gaussians.take(at), state.marks[at], title)
@@ -57,7 +57,7 @@ class Split(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         splats = state.selected
         if not len(splats):
             return Change(title="Split nothing", count=0)

@@ -13,13 +13,13 @@ from splatview.edit import selectors as selecting
 from splatview.edit.changes import Change, splats_in_words, toggling
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import grow, shrink
 from splatview.edit.selectors.base import above_zero
 from splatview.edit.serialization import from_json, quoted, to_json
 from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError
 from splatview.scene.edits import SELECTED
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 Mode = Literal["set", "add", "remove", "intersect"]
 
@@ -47,8 +47,8 @@ class Select(Operation):
         if self.mode not in MODES:
             raise ValueError(f"mode must be one of {', '.join(MODES)}, got {self.mode!r}")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        hits = self.by.mask(state.gaussians, state.edits, state.tools, watch=watch)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        hits = self.by.mask(state.gaussians, state.edits, state.tools, progress=progress)
         return selection(state, hits, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
 
     def to_json(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class SelectAll(Operation):
     op: ClassVar[str] = "select_all"
     summary: ClassVar[str] = "Select everything that is shown and not locked"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         return selection(state, np.ones(len(state.marks), bool), MODES["set"], "Select all")
 
 
@@ -102,7 +102,7 @@ class SelectNone(Operation):
     op: ClassVar[str] = "select_none"
     summary: ClassVar[str] = "Select nothing"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         return toggling(state.selected, SELECTED, "Select none")
 
 
@@ -111,7 +111,7 @@ class SelectInverse(Operation):
     op: ClassVar[str] = "select_inverse"
     summary: ClassVar[str] = "Swap what is selected with what is not"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         return selection(state, np.ones(len(state.marks), bool), INVERT, "Invert the selection")
 
 
@@ -140,9 +140,9 @@ class _ByNearness(Operation):
         if self.neighbours is not None and not 1 <= self.neighbours <= 64:
             raise ValueError(f"neighbours must be in 1 to 64, got {self.neighbours}")
 
-    def _plan(self, grown: Callable[..., np.ndarray], state: State, mode: str, watch: Watch) -> Change:
+    def _plan(self, grown: Callable[..., np.ndarray], state: State, mode: str, progress: Progress) -> Change:
         mask = (state.marks & SELECTED) != 0
-        options = {"distance": self.distance, "neighbours": self.neighbours, "watch": watch}
+        options = {"distance": self.distance, "neighbours": self.neighbours, "watch": progress}
         hits = grown(mask, state.gaussians, state.edits, **options)
         by = f"{self.neighbours} neighbours" if self.distance is None else f"{self.distance:g}"
         return selection(state, hits, MODES[mode], f"{self.op.capitalize()} by {by}")
@@ -152,13 +152,13 @@ class Grow(_ByNearness):
     op = "grow"
     summary = "Select also what is near the selection"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        return self._plan(grow, state, "add", watch)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return self._plan(grow, state, "add", progress)
 
 
 class Shrink(_ByNearness):
     op = "shrink"
     summary = "Deselect what is near to splats that are not selected"
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
-        return self._plan(shrink, state, "intersect", watch)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return self._plan(shrink, state, "intersect", progress)

@@ -11,11 +11,11 @@ import numpy as np
 from splatview.edit.changes import Change
 from splatview.edit.kernels.marks import positions_of
 from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.state import State
 from splatview.scene import InputError
 from splatview.scene.edits import IDENTITY_ROTATION, Adjustment, Four, Vector
 from splatview.scene.framing import WORLD_UP
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
 
 SAMPLE = 200_000
@@ -55,7 +55,7 @@ class Transform(Operation):
             unit_quat(np.array(self.rotation)), np.array(self.translation), self.scale, np.array(self.pivot)
         )
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         return adjusting(state, self.scope, self.adjustment, "Transform")
 
 
@@ -73,7 +73,7 @@ class Orient(Operation):
         if not any(self.up):
             raise ValueError("up must not be 0, 0, 0: that is no direction")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         rotation = turn_between(np.array(self.up), np.array(WORLD_UP))
         adjustment = similarity(rotation, np.zeros(3), 1.0, np.array(self.pivot))
         return adjusting(state, "scene", adjustment, "Set up axis of")
@@ -97,7 +97,7 @@ class Ground(Operation):
         if not area > 1e-6 * max(float(side @ side) for side in sides):
             raise ValueError("points must not lie on one line")
 
-    def plan(self, state: State, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         first, second, third = np.array(self.points, np.float64)
         normal = np.cross(second - first, third - first)
         normal /= np.linalg.norm(normal)

@@ -21,10 +21,11 @@ from splatview.edit.kernels.attributes import (
 )
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import Places, places_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.base import Query, at_least, choice, finite, store, vector
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import IDENTITY_COLOUR, PALETTE_SHIFT, SceneEdits, adjustment_rows
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 def _entries(edits: SceneEdits) -> np.ndarray:
@@ -290,14 +291,14 @@ class AttributeRange:
         store(self, cameras=tuple(self.cameras))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         values = attribute_values(
             self.attribute, gaussians, edits, tools, cameras=self.cameras, point=self.point
         )
         mask = self.of(values)
-        watch.step(1.0)
+        progress.step(1.0)
         return mask
 
     def of(self, values: np.ndarray) -> np.ndarray:
@@ -392,13 +393,13 @@ class SimilarColour:
         store(self, rgb=vector("rgb", self.rgb), tolerance=at_least("tolerance", self.tolerance, 0))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return similar(base_colours(gaussians, edits), self.rgb, self.tolerance, watch)
+        return similar(base_colours(gaussians, edits), self.rgb, self.tolerance, progress)
 
 
 def similar(
-    colours: np.ndarray, rgb: tuple[float, float, float], tolerance: float, watch: Watch = UNWATCHED
+    colours: np.ndarray, rgb: tuple[float, float, float], tolerance: float, progress: Progress = NO_PROGRESS
 ) -> np.ndarray:
     """Whether each of `colours` (N, 3) float32 is within `tolerance` of `rgb`: (N,) bool; NaN is not."""
     seed = np.empty((1, 3), np.float32)
@@ -410,5 +411,5 @@ def similar(
         oklab(start, stop, colours, LINEAR, lab)
         within_colour(start, stop, lab, seed[0], np.float32(tolerance), mask)
 
-    in_pieces(len(colours), work, watch=watch)
+    in_pieces(len(colours), work, progress=progress)
     return mask

@@ -9,10 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from splatview.edit.progress import UNWATCHED, Tools, Watch
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits
 from splatview.scene.health import Finding, check
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Selector(Protocol):
@@ -23,13 +24,13 @@ class Selector(Protocol):
     """
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         """Splats hit: (N,) bool, of all, whether shown, hidden or deleted.
 
         Raises:
             InputError: the selector does not fit the scene, or needs a renderer where there is none.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
         ...
 
@@ -45,7 +46,7 @@ class Query:
     """Views for contributions; none: sample views."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of distances, world units."""
-    watch: Watch = UNWATCHED
+    progress: Progress = NO_PROGRESS
 
 
 def finding_mask(gaussians: Gaussians, matches: Callable[[Finding], bool]) -> np.ndarray:

@@ -13,11 +13,12 @@ import numpy as np
 from splatview.edit.kernels.grid import components, within
 from splatview.edit.kernels.kdtree import nearest
 from splatview.edit.kernels.marks import positions_of, shown_positions
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.attributes import TOLERANCE, base_colours, similar
 from splatview.edit.selectors.base import above_zero, at_least, store, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 def grow(
@@ -27,7 +28,7 @@ def grow(
     *,
     distance: float | None = None,
     neighbours: int | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """`mask` (N,) bool and the splats near it: (N,) bool.
 
@@ -36,16 +37,16 @@ def grow(
 
     Raises:
         ValueError: both are given or none, or the one given makes no sense.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     if (distance is None) == (neighbours is None):
         raise ValueError("give either distance or neighbours")
     indices, positions = shown_positions(gaussians, edits)
     sources, result = mask[indices], mask.copy()
     if distance is not None:
-        grown = within(positions, sources, above_zero("distance", distance), watch)
+        grown = within(positions, sources, above_zero("distance", distance), progress)
     else:
-        near, _ = nearest(positions, whole("neighbours", neighbours, 1), watch)
+        near, _ = nearest(positions, whole("neighbours", neighbours, 1), progress)
         exists = near >= 0
         grown = sources | (sources[near] & exists).any(axis=1)
         grown[near[sources][exists[sources]]] = True
@@ -60,10 +61,10 @@ def shrink(
     *,
     distance: float | None = None,
     neighbours: int | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
     """`mask` (N,) bool without splats near one that is shown and not in it. See `grow`."""
-    grown = grow(~mask, gaussians, edits, distance=distance, neighbours=neighbours, watch=watch)
+    grown = grow(~mask, gaussians, edits, distance=distance, neighbours=neighbours, progress=progress)
     return mask & ~grown
 
 
@@ -71,7 +72,7 @@ SAMPLE = 100_000
 """Splats that the typical spacing is measured on: those of a slab through the middle of the scene."""
 
 
-def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, watch: Watch = UNWATCHED) -> float:
+def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, progress: Progress = NO_PROGRESS) -> float:
     """Median distance from shown splats to their nearest others, world units; above 0. Raises Cancelled."""
     _, positions = shown_positions(gaussians, edits)
     if len(positions) > SAMPLE:
@@ -79,7 +80,7 @@ def typical_spacing(gaussians: Gaussians, edits: SceneEdits, *, watch: Watch = U
         along = positions[:, int(np.argmax(spread))]
         middle = np.argpartition(np.abs(along - np.median(along)), SAMPLE)[:SAMPLE]
         positions = positions[middle]
-    _, distances = nearest(positions, 1, watch)
+    _, distances = nearest(positions, 1, progress)
     usable = distances[(distances > 0) & np.isfinite(distances)]
     return float(np.median(usable)) if len(usable) else 1.0
 
@@ -113,7 +114,7 @@ class Flood:
                 store(self, **{name: above_zero(name, getattr(self, name))})
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         count = len(gaussians)
         if not self.seed < count:
@@ -134,9 +135,9 @@ class Flood:
             return mask
         reach = self.reach
         if reach is None:
-            reach = REACH * typical_spacing(gaussians, edits, watch=watch.part(0.0, 0.3))
+            reach = REACH * typical_spacing(gaussians, edits, progress=progress.part(0.0, 0.3))
         indices = np.flatnonzero(candidates)
-        labels = components(positions[indices], reach, watch.part(0.3, 1.0))
+        labels = components(positions[indices], reach, progress.part(0.3, 1.0))
         mask[indices[labels == labels[np.searchsorted(indices, self.seed)]]] = True
         return mask
 

@@ -11,11 +11,12 @@ import numpy as np
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import image_points, places_of
 from splatview.edit.kernels.polygon import in_polygon, in_rectangle, in_stroke, make_polygon, make_stroke
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.base import above_zero, choice, finite, pixels, store
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits
 from splatview.scene.image_model import NEAR
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 DEPTHS = ("through", "front")
 
@@ -48,7 +49,7 @@ class ScreenRegion:
         raise TypeError(f"{type(self).__name__} is no region")
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         bounds, inside = self.region()
         if self.depth == "front":
@@ -59,7 +60,7 @@ class ScreenRegion:
         def work(start: int, stop: int) -> None:
             inside(image_points(start, stop, places, self.camera, NEAR), mask[start:stop])
 
-        in_pieces(len(mask), work, watch=watch)
+        in_pieces(len(mask), work, progress=progress)
         return mask
 
     def _front(

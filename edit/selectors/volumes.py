@@ -9,11 +9,12 @@ import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import in_volume, places_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.base import above_zero, choice, finding_mask, numbers, store, vector, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import IDENTITY_ROTATION, Crop, Four, SceneEdits, Vector
 from splatview.scene.health import check
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +35,9 @@ class Sphere:
         return Crop(shape="sphere", centre=self.centre, half_extents=(self.radius, self.radius, self.radius))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return _inside(self.shape, gaussians, edits, watch)
+        return _inside(self.shape, gaussians, edits, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +66,12 @@ class Box:
         return Crop(shape="box", centre=self.centre, half_extents=self.half_extents, rotation=self.rotation)
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return _inside(self.shape, gaussians, edits, watch)
+        return _inside(self.shape, gaussians, edits, progress)
 
 
-def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, watch: Watch) -> np.ndarray:
+def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, progress: Progress) -> np.ndarray:
     mask = np.empty(len(gaussians), bool)
     places, unit = places_of(gaussians, edits), np.ascontiguousarray(shape.unit_from_world)
     ellipsoid = shape.shape == "sphere"
@@ -78,7 +79,7 @@ def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, watch: Watch) 
     def work(start: int, stop: int) -> None:
         in_volume(start, stop, places, unit, ellipsoid, mask)
 
-    in_pieces(len(mask), work, watch=watch)
+    in_pieces(len(mask), work, progress=progress)
     return mask
 
 
@@ -108,7 +109,7 @@ class IndexRuns:
         )
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         mask = np.zeros(len(gaussians), bool)
         for i, (start, count) in enumerate(self.runs):
@@ -144,9 +145,9 @@ class InvalidSplats:
         choice("finding", self.finding, health_findings())
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         return finding_mask(gaussians, lambda finding: finding.name == self.finding)
 
 
@@ -155,6 +156,6 @@ class Everything:
     """All splats."""
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         return np.ones(len(gaussians), bool)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from splatview.edit.impact import NO_LOSS, Impact, compare, frozen, measure_impact, with_deleted
-from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.sample_views import sample_cameras
 from splatview.measure.metrics import psnr
 from splatview.scene import look_at
 from splatview.scene.edits import DELETED, HIDDEN, shown
 from splatview.scene.framing import robust_bounds
+from splatview.scene.progress import Cancelled, Progress
 
 CAMERAS = [
     look_at((0, 0, -3), (0, 0, 0), width=24, height=18),
@@ -63,12 +63,14 @@ def test_it_tells_how_far_it_is_and_can_be_stopped(edit_helpers, edited, referen
     scene, before = edit_helpers.make_scene(30), edited.none(30)
     after = with_deleted(before, np.arange(30) < 10)
     shares: list[float] = []
-    measure_impact(scene, before, after, reference_tools, CAMERAS, watch=Watch(progress=shares.append))
+    measure_impact(scene, before, after, reference_tools, CAMERAS, progress=Progress(report=shares.append))
     assert len(shares) > len(CAMERAS)
     assert shares == sorted(shares)
     assert shares[-1] == 1
     with pytest.raises(Cancelled):
-        measure_impact(scene, before, after, reference_tools, CAMERAS, watch=Watch(cancelled=lambda: True))
+        measure_impact(
+            scene, before, after, reference_tools, CAMERAS, progress=Progress(cancelled=lambda: True)
+        )
 
 
 def test_trial_edits_share_nothing_that_changes(edited):

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import Cancelled, NoTools, Watch
 from splatview.edit.selectors import Flood, SimilarColour, picked
 from splatview.edit.selectors.attributes import base_colours
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means, shown
+from splatview.scene.progress import Cancelled, Progress
 
 
 def search(points: np.ndarray, candidates: np.ndarray, seed: int, reach: float) -> np.ndarray:
@@ -96,7 +97,10 @@ def test_a_seed_of_another_scene(edit_helpers, edited):
 def test_it_can_be_stopped(edit_helpers, edited):
     with pytest.raises(Cancelled):
         Flood(seed=0).mask(
-            edit_helpers.make_scene(500), edited.none(500), NoTools(), watch=Watch(cancelled=lambda: True)
+            edit_helpers.make_scene(500),
+            edited.none(500),
+            NoTools(),
+            progress=Progress(cancelled=lambda: True),
         )
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, Lens, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means
 from splatview.scene.image_model import NEAR

@@ -7,11 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from splatview.edit.progress import NoTools, Watch
 from splatview.edit.selectors import SELECTORS, IndexRuns, InvalidSplats, health_findings
 from splatview.edit.serialization import from_json, to_json
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.health import check
+from splatview.scene.progress import Progress
 
 CAMERA = look_at((0.4, -0.3, -3), (0, 0, 0), up=(0, -1, 0), width=32, height=24)
 TRIANGLE = ((3.0, 2.0), (28.5, 4.0), (16.0, 22.25))
@@ -50,7 +51,7 @@ def test_through_json_it_selects_the_same(edit_helpers, edited, reference_tools,
     text = json.dumps(to_json(selector), allow_nan=False)
     again = from_json(SELECTORS[kind], json.loads(text))
     assert json.dumps(to_json(again)) == text
-    assert (again.mask(scene, edits, reference_tools, watch=Watch()) == mask).all()
+    assert (again.mask(scene, edits, reference_tools, progress=Progress()) == mask).all()
     if kind != "health":
         assert mask.any()
 
