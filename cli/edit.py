@@ -12,7 +12,7 @@ from splatview.cli.arguments import Parser
 from splatview.edit.changes import Change
 from splatview.edit.document import Document
 from splatview.edit.export import exported
-from splatview.edit.impact import StepPrices, in_words
+from splatview.edit.impact import StepImpacts, in_words
 from splatview.edit.operations import OPERATIONS, Operation
 from splatview.edit.recipe import check_scene, load_recipe, replay
 from splatview.edit.sample_views import sample_cameras
@@ -77,7 +77,7 @@ def run(arguments: list[str]) -> int:
     steps: list[dict[str, object]] = []
     prices = None
     if args.prices:
-        prices = StepPrices(document, sample_cameras(gaussians, document.edits, VIEWS))
+        prices = StepImpacts(document, sample_cameras(gaussians, document.edits, VIEWS))
 
     def report(number: int, operation: Operation, change: Change) -> None:
         steps.append({"op": operation.op, "title": change.title, "count": change.count})

@@ -116,7 +116,7 @@ def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
     # Imported when needed: they compile.
     from splatview.edit.document import Document
-    from splatview.edit.impact import price_operations
+    from splatview.edit.impact import operation_impacts
     from splatview.edit.operations.cleanup import REPAIRS, Repair
     from splatview.edit.sample_views import sample_cameras
     from splatview.renderers.cpu import CpuRenderer
@@ -124,18 +124,18 @@ def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
-    prices = price_operations(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
+    prices = operation_impacts(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
     for entry in found:
         entry["repair"], entry["price"] = REPAIRS[entry["name"]], asdict(prices[entry["name"]])
 
 
 def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
     """A line for each of those findings; none where `add_repairs` was not called."""
-    from splatview.edit.impact import Price, in_words
+    from splatview.edit.impact import Impact, in_words
 
     found = [entry for entry in receipt["health"] if "price" in entry]
     return ["repairs"] * bool(found) + [
-        f"  {entry['name']}: {entry['repair']}; {in_words(Price(**entry['price']))}" for entry in found
+        f"  {entry['name']}: {entry['repair']}; {in_words(Impact(**entry['price']))}" for entry in found
     ]
 
 

@@ -14,7 +14,7 @@ from splatview.scene.edits import SceneEdits
 class Tools(Protocol):
     """All see the scene as `edits` make it; indices are those of `gaussians`."""
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         """(H, W) int32: the splat that makes the visible surface at each pixel, -1 where there is none."""
         ...
 
@@ -34,7 +34,7 @@ class NoTools:
         InputError: always.
     """
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         raise InputError("selecting the front surface needs a renderer")
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:

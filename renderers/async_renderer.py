@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatview import raster
-from splatview.raster.frame import kind_of
+from splatview.raster.frame import specialisation_key
 from splatview.renderers import make_renderer
 from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
@@ -94,7 +94,9 @@ def with_edits_of(snapshot: EditSnapshot | None, request: FrameRequest) -> Frame
 def kind_in(request: FrameRequest) -> str:
     """Key of the kernels that the picture needs."""
     assert request.gaussians is not None
-    return kind_of(request.gaussians, request.camera, request.settings, edited=request.edits is not None)
+    return specialisation_key(
+        request.gaussians, request.camera, request.settings, edited=request.edits is not None
+    )
 
 
 def title_of(request: FrameRequest) -> str:

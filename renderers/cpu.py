@@ -63,6 +63,7 @@ class CpuRenderer(Renderer):
             request.view,
             request.settings,
             self._workspace,
+            depth_order=self._depth_order,
             edits=self.edits_of(request),
             nonzero=raster.nonzero_bands(gaussians),
             threads=self.threads,
@@ -105,6 +106,12 @@ class CpuRenderer(Renderer):
             self._own.workspace = raster.Workspace()
         return self._own.workspace
 
+    @property
+    def _depth_order(self) -> raster.ReusableOrder:
+        if not hasattr(self._own, "depth_order"):
+            self._own.depth_order = raster.ReusableOrder()
+        return self._own.depth_order
+
     def stats(self, *, wait: bool = False) -> FrameStats:
         return getattr(self._own, "stats", FrameStats())
 
@@ -113,17 +120,16 @@ class CpuRenderer(Renderer):
         return self._workspace.nbytes + (0 if image is None else image.nbytes)
 
     def forget_order(self) -> None:
-        if self._workspace.kept_order is not None:
-            self._workspace.kept_order.resort_policy.forget()
+        self._depth_order.resort_policy.forget()
 
     def close(self) -> None:
         self._gaussians = self._tinted = None
         self._own = threading.local()
 
-    # ---- edit.progress.Tools
+    # ---- edit.tools.Tools
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        return raster.front(gaussians, camera, settings_for(gaussians), edits=edits)
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+        return raster.dominant_splats(gaussians, camera, settings_for(gaussians), edits=edits)
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
         return raster.contributions(gaussians, cameras, settings_for(gaussians), edits=edits)

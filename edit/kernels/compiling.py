@@ -1,4 +1,4 @@
-"""How the loops of this package are compiled: without the GIL, and cached on disk.
+"""Kernels of this package: compiled without the GIL, cached on disk, and run in pieces on all cores.
 
 numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
 into. So all sources of this package are part of the cache's path, and no kernel can be stale.
@@ -23,8 +23,8 @@ _config: Any = _numba_config
 
 
 def _cache_folder() -> Path | None:
-    """Where kernels of exactly these sources lie, beside those of the rasteriser, which removes what is
-    long unused; None where the disk may not be written."""
+    """Cache folder for exactly these sources, beside those of the rasteriser, which removes long unused ones;
+    None where the disk may not be written."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         root = Path(os.environ["NUMBA_CACHE_DIR"]) / "splatview"
     elif os.name == "nt" and os.environ.get("LOCALAPPDATA"):
@@ -65,12 +65,8 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
-# ---- Work over many splats cut into pieces, done on all cores, watched between the pieces.
-
-
 PIECE = 1 << 16
-"""Splats at a time: what is computed of them stays in the second-level cache, and one asks often enough
-whether to stop."""
+"""Splats per piece: their results stay in the second-level cache, and cancelling takes effect soon."""
 
 
 @cache

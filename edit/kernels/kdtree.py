@@ -13,16 +13,16 @@ from splatview.edit.kernels.compiling import in_pieces, inline, kernel
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 LEAF = 8
-"""Points that are compared one by one rather than split further."""
+"""Most points of a leaf, compared one by one."""
 
 DEPTH = 64
-"""Nodes that wait at once: two a level, and halving 2³¹ points takes 31 levels."""
+"""Most nodes waiting: two per level, and halving 2³¹ points takes 31 levels."""
 
 SEARCHES = 1 << 13
-"""Points searched for between two reports of progress."""
+"""Points per piece of a search."""
 
 BUILD_SHARE = 0.25
-"""Of the time of a search among all points, what building the tree takes."""
+"""Share of the time that building the tree takes."""
 
 
 def nearest(points: np.ndarray, k: int, progress: Progress = NO_PROGRESS) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def nearest(points: np.ndarray, k: int, progress: Progress = NO_PROGRESS) -> tup
 
 @inline
 def select(points, order, start, stop, middle, axis):
-    """Partly sorts order[start:stop] along an axis: what is before `middle` is not greater (Hoare)."""
+    """Partly sorts order[start:stop] along an axis: points before `middle` are not greater (Hoare)."""
     low, high = start, stop - 1
     while low < high:
         pivot = points[order[(low + high) // 2], axis]

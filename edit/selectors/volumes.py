@@ -1,4 +1,4 @@
-"""Regions of space: spheres and oriented boxes."""
+"""Selectors by position in space, by index or health finding, and of all splats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import in_volume, places_of
-from splatview.edit.selectors.base import above_zero, choice, numbers, store, vector, whole
+from splatview.edit.selectors.base import above_zero, choice, finding_mask, numbers, store, vector, whole
 from splatview.edit.tools import Tools
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import IDENTITY_ROTATION, Crop, Four, SceneEdits, Vector
@@ -19,7 +19,7 @@ from splatview.scene.progress import NO_PROGRESS, Progress
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """Splats whose mean is in a ball, its surface included."""
+    """Splats with their mean in a ball, its surface included."""
 
     centre: Vector
     """World units."""
@@ -31,7 +31,7 @@ class Sphere:
 
     @property
     def shape(self) -> Crop:
-        """The same as a crop, for drawing it and for cropping by it."""
+        """The same region as a crop."""
         return Crop(shape="sphere", centre=self.centre, half_extents=(self.radius, self.radius, self.radius))
 
     def mask(
@@ -42,7 +42,7 @@ class Sphere:
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Splats whose mean is in a box that may be turned, its surface included."""
+    """Splats with their mean in a box of any orientation, its surface included."""
 
     centre: Vector
     """World units."""
@@ -62,7 +62,7 @@ class Box:
 
     @property
     def shape(self) -> Crop:
-        """The same as a crop, for drawing it and for cropping by it."""
+        """The same region as a crop."""
         return Crop(shape="box", centre=self.centre, half_extents=self.half_extents, rotation=self.rotation)
 
     def mask(
@@ -81,9 +81,6 @@ def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, progress: Prog
 
     in_pieces(len(mask), work, progress=progress)
     return mask
-
-
-# ---- Splats named one by one, by their health, or all of them.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +124,7 @@ class IndexRuns:
 
 @cache
 def health_findings() -> tuple[str, ...]:
-    """The names that `IllSplats` knows."""
+    """Names of the findings of `scene.health`."""
     none = Gaussians(
         means=np.zeros((0, 3), np.float32),
         quats=np.zeros((0, 4), np.float32),
@@ -139,7 +136,7 @@ def health_findings() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IllSplats:
+class InvalidSplats:
     """Splats that a finding of `scene.health` concerns, by what the file holds, whatever was edited."""
 
     finding: str
@@ -150,12 +147,8 @@ class IllSplats:
     def mask(
         self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        mask = np.zeros(len(gaussians), bool)
         progress.step(0.0)
-        for finding in check(gaussians):
-            if finding.name == self.finding:
-                mask[finding.indices] = True
-        return mask
+        return finding_mask(gaussians, lambda finding: finding.name == self.finding)
 
 
 @dataclass(frozen=True, kw_only=True)

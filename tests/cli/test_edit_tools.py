@@ -37,7 +37,7 @@ def do(document: Document, *steps: dict) -> None:
 
 
 def centre(document: Document) -> int:
-    front = document.tools.front(document.gaussians, CAMERA, document.edits)
+    front = document.tools.dominant_splats(document.gaussians, CAMERA, document.edits)
     assert front.shape == (48, 64)
     assert front.dtype == np.int32
     assert front[0, 0] == -1

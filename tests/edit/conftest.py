@@ -95,7 +95,7 @@ class ReferenceTools:
         before = np.cumprod(np.vstack([np.ones((1, x.size)), 1 - alpha]), axis=0)[:-1]
         return kept[footprints.indices], alpha * before
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         indices, weights = self._weights(gaussians, camera, edits)
         front = np.full(camera.width * camera.height, -1, np.int32)
         if len(indices):

@@ -136,7 +136,7 @@ OPERATION_STEPS = {
 class MadeUpTools:
     """Contributions that depend on no renderer."""
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
         return np.arange(camera.width * camera.height, dtype=np.int32).reshape(camera.height, -1) % len(
             gaussians
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import psnr
-from splatview.raster import contributions, front, render
+from splatview.raster import contributions, dominant_splats, render
 from splatview.raster.camera_models import atan_lanes
 from splatview.raster.compiling import kernel
 from splatview.raster.simd import LANES, load, store
@@ -43,15 +43,16 @@ def test_angles_are_right_to_the_last_places():
 
 
 @pytest.mark.parametrize("kind", ["OPENCV", "parallel"])
-def test_per_pixel_order_weights_and_fronts(random_gaussians, kind):
-    """What else takes a camera: a single splat is the same in any order, and the front is what covers."""
+def test_per_pixel_order_contributions_and_ids(random_gaussians, kind):
+    """What else takes a camera: a single splat is the same in any order, and the dominant one is what
+    covers."""
     one = random_gaussians(1, seed=3)
     one.opacity_logits[:] = 4.0
     one.means[:] = (0.1, 0.1, 0.2)
     image = render(one, CAMERAS[kind], RenderSettings(order="per-pixel"))
     truth = reference.render(one, CAMERAS[kind])
     assert np.abs(image - truth).max() < 2e-3
-    np.testing.assert_array_equal(front(one, CAMERAS[kind]) == 0, truth[..., 3] >= 0.5)
+    np.testing.assert_array_equal(dominant_splats(one, CAMERAS[kind]) == 0, truth[..., 3] >= 0.5)
     assert contributions(one, [CAMERAS[kind]])[0] == pytest.approx(truth[..., 3].sum(), rel=1e-4)
 
 

@@ -31,7 +31,7 @@ from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 
 FLOPS_PER_PIXEL_SPLAT = 31
 """Floating-point operations of `forward.blend_chunk`'s inner loop a pixel, a fused multiply-add being two:
-4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, light and three colours."""
+4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, transmittance and three colours."""
 
 STAGES = ("project", "sort", "bin", "forward", "backward", "gather", "project_backward")
 COUNTS = (1_000, 20_000, 100_000, 500_000, 2_000_000)
@@ -119,10 +119,10 @@ def forward_rate(frame: Frame) -> float:
         0,
         frame.lists,
         frame.records,
-        frame.discs,
+        frame.surfels,
         frame.view,
         frame.background,
-        frame.retirement,
+        frame.termination,
         image,
         np.empty_like(frame.transmittance),
         np.empty_like(frame.n_contrib),

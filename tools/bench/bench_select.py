@@ -23,7 +23,7 @@ from splatview.edit.selectors import (
     Box,
     Brush,
     Flood,
-    IllSplats,
+    InvalidSplats,
     Lasso,
     Rectangle,
     SimilarColour,
@@ -93,7 +93,7 @@ def ways_of(scene: Gaussians, edits: SceneEdits, camera: Camera) -> dict[str, Ca
         "colour": SimilarColour(rgb=(0.5, 0.5, 0.5)),
         "attribute range": band,
         "flood": Flood(seed=1, tolerance=1.0),
-        "health": IllSplats(finding="needles"),
+        "health": InvalidSplats(finding="needles"),
     }
     ways: dict[str, Callable[[], Any]] = {
         name: (lambda selector=selector: selector.mask(scene, edits, tools))

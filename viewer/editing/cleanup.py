@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatview.edit.detectors import DETECTORS
-from splatview.edit.impact import Price, price, price_operations, unchanging, with_deleted
-from splatview.edit.operations.cleanup import Decimate, Prune, Repair, editable
+from splatview.edit.impact import Impact, frozen, measure_impact, operation_impacts, with_deleted
+from splatview.edit.operations.cleanup import Decimate, Prune, Repair
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
 from splatview.scene.progress import Progress
@@ -78,7 +78,7 @@ def set_threshold(session: EditSession, value: float) -> None:
     if form.scores is None:
         return
     form.threshold, form.price = value, None
-    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & editable(session.document)
+    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & session.document.editable
     form.count = int(np.count_nonzero(form.mask))
     session.preview_mask = form.mask
 
@@ -88,13 +88,13 @@ def measure_price(app: AppState) -> None:
     if session is None:
         return
     form, document = session.forms.clean, session.document
-    mask, before = form.mask, unchanging(document.edits)
+    mask, before = form.mask, frozen(document.edits)
     if mask is None:
         return
     after, cameras = with_deleted(before, mask), views(app, session)
 
     def work(progress: Progress) -> Any:
-        return price(document.gaussians, before, after, document.tools, cameras, progress=progress)
+        return measure_impact(document.gaussians, before, after, document.tools, cameras, progress=progress)
 
     def done(cost: Any) -> None:
         if form.mask is mask:
@@ -125,13 +125,13 @@ def price_decimation(app: AppState) -> None:
     if session is None:
         return
     form, document = session.forms.clean, session.document
-    key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(app, session)
+    key, before, cameras = (form.keep, document.versions), frozen(document.edits), views(app, session)
 
     def work(progress: Progress) -> Any:
         part = progress.part(0.0, 0.4)
-        mask = Decimate(keep=key[0], cameras=cameras).doomed(document, part)
+        mask = Decimate(keep=key[0], cameras=cameras).to_delete(document, part)
         after = with_deleted(before, mask)
-        return price(
+        return measure_impact(
             document.gaussians, before, after, document.tools, cameras, progress=progress.part(0.4, 1.0)
         )
 
@@ -153,7 +153,7 @@ def keep_best(app: AppState) -> None:
 __all__ = ["VIEWS", "measure", "prices"]
 
 
-def prices(app: AppState) -> dict[str, Price]:
+def prices(app: AppState) -> dict[str, Impact]:
     """By finding; none where they were not measured, or the scene was edited since."""
     if app.session is None:
         return {}
@@ -170,10 +170,10 @@ def measure(app: AppState, names: Sequence[str]) -> None:
     repairs = {name: Repair(finding=name) for name in names}
     of, cameras = document.versions, views(app, session)
 
-    def work(progress: Progress) -> dict[str, Price]:
-        return price_operations(document, repairs, cameras, progress=progress)
+    def work(progress: Progress) -> dict[str, Impact]:
+        return operation_impacts(document, repairs, cameras, progress=progress)
 
-    def done(found: dict[str, Price]) -> None:
+    def done(found: dict[str, Impact]) -> None:
         form.prices, form.of = found, of
 
     session.start("Measuring what repairs cost", work, done)

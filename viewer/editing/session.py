@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatview.edit.document import Document, Planned
-from splatview.edit.impact import Price, unchanging
+from splatview.edit.impact import Impact, frozen
 from splatview.edit.journal import Journal
 from splatview.edit.operations.appearance import Grade, How
 from splatview.edit.operations.base import Operation, Scope
@@ -97,11 +97,11 @@ class CleanForm:
     mask: np.ndarray | None = None
     """(N,) bool: what would go."""
     count: int = 0
-    price: Price | None = None
+    price: Impact | None = None
     """Of deleting `mask`; None: not measured."""
     keep: int = 0
     """Splats that decimation leaves; 0: not filled in yet."""
-    kept_price: tuple[object, Price] | None = None
+    kept_price: tuple[object, Impact] | None = None
     """What it is of, and the price of decimation."""
 
 
@@ -109,7 +109,7 @@ class CleanForm:
 class HealthForm:
     """Of the health report."""
 
-    prices: dict[str, Price] = field(default_factory=dict)
+    prices: dict[str, Impact] = field(default_factory=dict)
     """Of the repair of each finding, by its name, and..."""
     of: object = None
     """... the document's versions that they are of."""
@@ -361,7 +361,7 @@ class EditSession:
         if self._busy():
             return
         if edits:
-            self._held = unchanging(self.edits)
+            self._held = frozen(self.edits)
         self.job = Job(title, work, done, gives_way=gives_way)
 
     def advance(self) -> None:

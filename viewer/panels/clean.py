@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from imgui_bundle import ImVec4, imgui
 
 from splatview.edit.detectors import DETECTORS
-from splatview.edit.impact import NO_LOSS, Price
+from splatview.edit.impact import NO_LOSS, Impact
 from splatview.edit.operations.cleanup import Decimate
 from splatview.viewer import theme
 from splatview.viewer.editing import cleanup as cleaning
@@ -85,7 +85,7 @@ def show_price(cost: Any) -> None:
     )
 
 
-def quality(cost: Price) -> ImVec4:
+def quality(cost: Impact) -> ImVec4:
     """A colour that says whether anybody would see the difference."""
     if cost.worst >= GOOD:
         return ImVec4(0.45, 0.8, 0.5, 1)

@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 from splatview.edit.impact import NO_LOSS, in_words
 from splatview.edit.operations import Select
 from splatview.edit.operations.cleanup import REPAIRS, Repair
-from splatview.edit.selectors import IllSplats
+from splatview.edit.selectors import InvalidSplats
 from splatview.scene.health import Finding
 from splatview.viewer import theme
 from splatview.viewer.editing import cleanup as repairing
@@ -37,7 +37,7 @@ def show_health(app: AppState, findings: Sequence[Finding]) -> None:
         clicked, _ = imgui.selectable(finding.name, False)
         widgets.tooltip(f"{finding.what} Click to select them.")
         if clicked:
-            app.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
+            app.post(partial(apply, operation=Select(by=InvalidSplats(finding=finding.name))))
         if finding.name not in REPAIRS:
             continue
         # On a line of its own, which a narrow panel holds too.

@@ -26,6 +26,7 @@ from splatview.renderers.headless import ANY_CAMERA
 from splatview.renderers.quality import with_rest_hidden
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians
+from splatview.scene.camera import orbited
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, used_sh_degree
 from splatview.scene.progress import Cancelled

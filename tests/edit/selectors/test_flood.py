@@ -107,7 +107,7 @@ def test_it_can_be_stopped(edit_helpers, edited):
 def test_picking_takes_what_the_picture_shows(edit_helpers, edited, reference_tools):
     scene, edits = edit_helpers.make_scene(60), edited.none(60)
     camera = look_at((0, 0, -3), (0, 0, 0), width=40, height=30)
-    picture = reference_tools.front(scene, camera, edits)
+    picture = reference_tools.dominant_splats(scene, camera, edits)
     assert picked(scene, edits, reference_tools, camera, 20.9, 15.2) == picture[15, 20] >= 0
     assert picked(scene, edits, reference_tools, camera, 40.0, 15) is None
     assert picked(scene, edits, reference_tools, camera, -0.1, 15) is None

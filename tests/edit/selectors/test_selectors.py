@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from splatview.edit.selectors import SELECTORS, IllSplats, IndexRuns, health_findings
+from splatview.edit.selectors import SELECTORS, IndexRuns, InvalidSplats, health_findings
 from splatview.edit.serialization import from_json, to_json
 from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
@@ -132,6 +132,6 @@ def test_every_finding_can_be_selected(edit_helpers, edited, finding):
     scene.means[4] = np.nan
     scene.log_scales[5] = (-9, 2, -9)
     scene.opacity_logits[6] = -99
-    mask = IllSplats(finding=finding).mask(scene, edited.none(40), NoTools())
+    mask = InvalidSplats(finding=finding).mask(scene, edited.none(40), NoTools())
     expected = next(found for found in check(scene) if found.name == finding)
     assert np.flatnonzero(mask).tolist() == expected.indices.tolist()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.raster.frame import kind_of
+from splatview.raster.frame import specialisation_key
 from splatview.renderers import make_renderer
 from splatview.renderers.async_renderer import KernelPrecompiler
 from splatview.renderers.cpu import CpuRenderer
@@ -217,7 +217,7 @@ def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaus
     assert baked.gaussians is not None
     assert kernels.what_to_draw(edited).gaussians is baked.gaussians, "baked once"
     meanwhile = raster.render(baked.gaussians, CAMERA, SETTINGS)
-    stage.finish(kind_of(scene, CAMERA, SETTINGS, edited=True))
+    stage.finish(specialisation_key(scene, CAMERA, SETTINGS, edited=True))
     assert kernels.what_to_draw(edited) is edited
     np.testing.assert_allclose(CpuRenderer().render(edited), meanwhile, atol=1e-4)
     (job,) = stage.performed
@@ -233,8 +233,8 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     raster.render(scene, CAMERA, SETTINGS)
     kind = kernels.must_wait(discs)
     assert kind is not None
-    assert kind == kind_of(scene, CAMERA, discs.settings)
-    assert kind != kind_of(scene, CAMERA, SETTINGS)
+    assert kind == specialisation_key(scene, CAMERA, discs.settings)
+    assert kind != specialisation_key(scene, CAMERA, SETTINGS)
     stage.finish()
     assert kernels.wait(kind)
     assert kernels.must_wait(discs) is None

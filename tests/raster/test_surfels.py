@@ -74,22 +74,22 @@ def test_in_per_pixel_order_planes_cross():
         assert (both[13:20, 2] > both[13:20, 0]).all() and (both[25:32, 0] > both[25:32, 2]).all()
 
 
-def test_weights_front_and_counts_know_discs():
+def test_contributions_ids_and_counts_of_discs():
     scene = of_all_kinds(6)
     model = replace(DISCS.model, alpha_cut=1 / 255)
     chosen = RenderSettings(model=model, background=(0.0, 0.0, 0.0))
     total = raster.contributions(scene, [CAMERA], chosen)
     picture = reference.render(scene, CAMERA, chosen)
     assert total.sum() == pytest.approx(picture[..., 3].sum(), rel=1e-4)
-    # Weights times colours are the picture's sums.
+    # Contributions times colours are the picture's sums.
     rgb = np.maximum(0.5 + 0.28209479177387814 * scene.sh[:, 0].astype(np.float64), 0)
     np.testing.assert_allclose(total @ rgb, picture[..., :3].sum(axis=(0, 1)), rtol=1e-4)
-    front = raster.front(scene, CAMERA, chosen)
-    assert (front >= 0).any() and not np.array_equal(front, raster.front(scene, CAMERA))
+    ids = raster.dominant_splats(scene, CAMERA, chosen)
+    assert (ids >= 0).any() and not np.array_equal(ids, raster.dominant_splats(scene, CAMERA))
     counted = count_work(parameters_of(scene), CAMERA, chosen, Workspace())
     ellipsoids = count_work(parameters_of(scene), CAMERA, RenderSettings(), Workspace())
-    seen = counted.evaluations > 0
-    assert np.array_equal(seen, picture[..., 3] > 0)
+    evaluated = counted.evaluations > 0
+    assert np.array_equal(evaluated, picture[..., 3] > 0)
     assert not np.array_equal(counted.evaluations, ellipsoids.evaluations)
 
 
@@ -105,7 +105,7 @@ def test_ellipsoids_have_no_rows_of_discs():
     scene, workspace = of_all_kinds(2), Workspace()
     frame = draw_frame(parameters_of(scene), CAMERA, RenderSettings(), workspace)
     before = workspace.nbytes
-    assert frame.discs is None
+    assert frame.surfels is None
     frame = draw_frame(parameters_of(scene), CAMERA, DISCS, workspace)
-    assert frame.discs is not None and frame.discs.rows.nbytes == 32 * len(scene)
-    assert workspace.nbytes >= before + frame.discs.rows.nbytes
+    assert frame.surfels is not None and frame.surfels.rows.nbytes == 32 * len(scene)
+    assert workspace.nbytes >= before + frame.surfels.rows.nbytes
