@@ -28,6 +28,7 @@ from splatview.viewer import commands as keys
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout, loading
 from splatview.viewer.app import run_window
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
 
@@ -51,7 +52,7 @@ class Hand:
         """Until nothing is on its way any more."""
         self.frames(2)
         self.wait(
-            lambda: not self.app.waiting and self.app.transition is None and self.app.scene is not None,
+            lambda: not self.app.waiting and self.app.transition is None and self.app.is_open,
             "the window to settle",
         )
         self.frames(2)
@@ -101,9 +102,9 @@ class Hand:
 
     def picture_of_edits(self) -> np.ndarray:
         """The same with the edits in force."""
-        app = self.app
-        assert app.picture is not None and app.session is not None
-        picture, document = app.picture, app.session.document
+        app, session = self.app, session_of(self.app)
+        assert app.picture is not None and session is not None
+        picture, document = app.picture, session.document
         return self.on_gl_thread(
             lambda: picture.read(app.camera, app.settings, app.mode, edits=document.edits)
         )
@@ -140,7 +141,7 @@ def tour(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     hand.settle()
     found["first"] = app.scene.name if app.scene else None
     hand.drop(options["drop"])
-    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["drop"]).name, "the drop")
+    hand.wait(lambda: app.is_open and app.scene.name == Path(options["drop"]).name, "the drop")
     hand.settle()
     found["title"] = app.scene.name if app.scene else None
     app.prefer(smooth=False)
@@ -225,7 +226,7 @@ def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.key_chars_replace_enter(options["typed"])
-    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["typed"]).name, "the scene")
+    hand.wait(lambda: app.is_open and app.scene.name == Path(options["typed"]).name, "the scene")
     hand.settle()
     found["opened"] = app.scene.name if app.scene else None
     ctx.menu_click("File/Open...")

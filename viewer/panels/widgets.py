@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from splatview.viewer import theme
-from splatview.viewer.commands import ACTIONS, keys_of, text_of
+from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.state import AppState
 
 Choice = TypeVar("Choice", bound=str)
@@ -117,12 +117,12 @@ def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
     imgui.pop_text_wrap_pos()
 
 
-def action_button(app: AppState, name: str, action: str, *, width: float = 0) -> None:
-    """A button for an action of the shortcut table; its tooltip names the key."""
+def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> None:
+    """A button that runs a command; its tooltip names the key."""
     if imgui.button(name, (width, 0)):
-        app.post(ACTIONS[action])
-    key = keys_of(action)
-    tooltip(f"{text_of(action)} ({key})" if key else text_of(action))
+        app.post(COMMANDS[id].run)
+    key = keys_of(id)
+    tooltip(f"{COMMANDS[id].title} ({key})" if key else COMMANDS[id].title)
 
 
 def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0) -> None:

@@ -93,18 +93,19 @@ class Comparing:
         waiting = self._wish is not None and not self._wish.same_as(self._tried)
         return self.right != "off" and (waiting or self._thread is not None)
 
-    def want(self, app: AppState, wake: Callable[[], object]) -> Compared | None:
-        """Called every frame while it is on: the comparison of what is seen now, if there is one."""
+    def want(self, app: AppState, chosen: Plan, wake: Callable[[], object]) -> Compared | None:
+        """Called every frame while it is on: the comparison of what is seen now with the
+        picture by the plan `chosen`, if there is one."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
-        if app.scene is None or app.picture is None or app.mode != "splats":
+        if not app.is_open or app.picture is None or app.mode != "splats":
             return None
         wish = Wish(
             gaussians=app.scene.gaussians,
             edits=app.edits,
             camera=app.camera,
             exact=Plan(settings=app.settings),
-            chosen=app.accuracy.plan(app),
+            chosen=chosen,
             gain=self.gain,
         )
         now = app.now()

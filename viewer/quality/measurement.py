@@ -45,7 +45,7 @@ class Painter:
     """Draws the open scene by plans, with the edits that were in force when it was made. An `Artist`."""
 
     def __init__(self, app: AppState, cancelled: threading.Event, wake: Callable[[], object]):
-        if app.picture is None or app.scene is None:
+        if app.picture is None or not app.is_open:
             raise ValueError("nothing is open")
         self.name = renderer_name(app.picture)
         self.gaussians: Gaussians = app.scene.gaussians
@@ -114,7 +114,7 @@ class Painter:
     def _overtaken(self) -> bool:
         """Whether another scene has been loaded since this was made, or is about to be."""
         scene, loading = self._app.scene, self._app.loading
-        same = scene is not None and scene.gaussians is self.gaussians
+        same = scene.gaussians is self.gaussians
         return not same or (loading is not None and loading.done)
 
     def _edits_by(self, plan: Plan) -> SceneEdits | None:

@@ -15,6 +15,8 @@ from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import SceneEdits
+from splatview.viewer.editing.session import session_of
+from splatview.viewer.feature import Feature
 from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
 from splatview.viewer.quality.comparison import Comparing
 from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_name
@@ -67,8 +69,8 @@ class Storing:
 
 
 @dataclass(eq=False, kw_only=True)
-class Accuracy:
-    """Part of the window's `AppState`; for the GL thread."""
+class Accuracy(Feature):
+    """Shortcuts taken, their prices in the open scene, and the frame budget; for the GL thread."""
 
     wake: Callable[[], object] = lambda: None
     """Makes an idle window draw its next frame. May be called from any thread."""
@@ -110,10 +112,10 @@ class Accuracy:
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
             app.complain("Take attributes back first: prices are measured on the scene as it is")
-        elif self.measurement is None and app.scene is not None and app.picture is not None:
+        elif self.measurement is None and app.is_open and app.picture is not None:
             self.measurement = Measurement(app, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
-    def cancel(self) -> None:
+    def cancel_measuring(self) -> None:
         if self.measurement is not None:
             self.measurement.cancel()
 
@@ -167,10 +169,10 @@ class Accuracy:
         self._kept = plan.kept if app.mode == "splats" else 1.0
         return scaled_camera(camera, app.preferences.resolution_scale * plan.resolution), plan.settings
 
-    def edits(self, app: AppState) -> SceneEdits | None:
+    def shown_edits(self, app: AppState) -> SceneEdits | None:
         """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
         edits = app.edits
-        if self._kept >= 1 or app.scene is None:
+        if self._kept >= 1 or not app.is_open:
             self._hidden = None
             return edits
         if not is_ranked(app.scene.gaussians):
@@ -204,9 +206,7 @@ class Accuracy:
             and app.mode == "splats"
         )
 
-    @property
-    def waiting(self) -> bool:
-        """Whether the next frames will show something else, though nobody touches the window."""
+    def busy(self, app: AppState) -> bool:
         governed = self.budget_ms is not None and not self.watch.resting
         loading = self.measurement is not None or self.storing is not None
         ranking = self._ranking is not None and self._ranking.is_alive()
@@ -214,9 +214,9 @@ class Accuracy:
 
     # ---- between two frames
 
-    def advance(self, app: AppState) -> None:
+    def before_frame(self, app: AppState) -> None:
         """Takes over what was measured, and learns from the latest frame."""
-        gaussians = app.scene.gaussians if app.scene else None
+        gaussians = app.scene.gaussians
         if self.measurement is not None and self.measurement.gaussians is not gaussians:
             self.measurement.cancel()
         if self._gaussians is not gaussians:
@@ -225,9 +225,8 @@ class Accuracy:
             self.stored = "float32"  # as scenes are loaded
             self._full_ms = 0.0
             self.watch.governor.follow(())
-        name = app.scene.name if app.scene else ""
-        if self._name != name:
-            self._name = name
+        if self._name != app.scene.name:
+            self._name = app.scene.name
             self.choices.clear()
         if self.measurement is not None and self.measurement.done:
             self._collect(app, self.measurement)
@@ -236,9 +235,10 @@ class Accuracy:
 
     def _store(self, app: AppState) -> None:
         """Loads the scene in the form that was chosen, where it is in another."""
-        if app.scene is None or app.picture is None or app.loading is not None:
+        if not app.is_open or app.picture is None or app.loading is not None:
             return
-        if app.session is not None and app.session.loading is not None:
+        session = session_of(app)
+        if session is not None and session.loading is not None:
             return
         wanted: Any = self.choices.get("attributes", "float32")
         gaussians, made = app.scene.gaussians, self.storing
@@ -263,7 +263,7 @@ class Accuracy:
         self.measurement = None
         if made.problem is not None:
             app.complain(made.problem)
-        elif made.ladder is not None and app.scene is not None and made.gaussians is app.scene.gaussians:
+        elif made.ladder is not None and made.gaussians is app.scene.gaussians:
             self.ladder, self.bill = made.ladder, made.bill
             self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
             app.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
@@ -283,8 +283,7 @@ class Accuracy:
         else:
             self.watch.governor.follow(unpriced(milliseconds))
 
-    def end(self) -> None:
-        """The window closes."""
+    def close(self, app: AppState) -> None:
         if self.measurement is not None:
             self.measurement.cancel()
             self.measurement.join()
@@ -305,36 +304,9 @@ def price_of(one: Measured, ladder: Ladder) -> str:
     return f"{time}, {one.psnr:.1f} dB, largest error {one.max_error:.2g}"
 
 
-# ---- What the Accuracy panel asks for, run between two frames.
-
-
-def measure(app: AppState) -> None:
-    """Begins to measure the view that is seen."""
-    app.accuracy.measure(app)
-
-
-def cancel(app: AppState) -> None:
-    app.accuracy.cancel()
-
-
 def choose(app: AppState, knob: str, value: str) -> None:
     """Draws by a shortcut from now on."""
     try:
-        app.accuracy.choose(app, knob, value)
+        app.feature(Accuracy).choose(app, knob, value)
     except InputError as error:
         app.complain(str(error))
-
-
-def leave(app: AppState, knob: str) -> None:
-    """Takes one shortcut back."""
-    app.accuracy.choices.pop(knob, None)
-
-
-def exact(app: AppState) -> None:
-    """Takes all shortcuts back."""
-    app.accuracy.exact()
-
-
-def hold(app: AppState, budget_ms: float | None) -> None:
-    """Holds a frame budget, in ms; None: no longer."""
-    app.accuracy.hold(app, budget_ms)
