@@ -163,7 +163,7 @@ class Window:
         look_for_abandoned(self.app)
 
     def _picture(self, ctx: moderngl.Context) -> Picture:
-        """What draws; says so where that is not what one would expect."""
+        """The renderer of the window; says so where it is not the one to be expected."""
         try:
             picture = choose_picture(
                 ctx, self._renderer, on_ready=glfw.post_empty_event, precompiler=self._precompiler

@@ -227,7 +227,7 @@ def open_camera_list(app: AppState, path: Path) -> None:
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """What is up in most pictures, which people take upright: (3,) float64 unit; None if they differ."""
+    """Mean up axis of the cameras, as people hold them upright: (3,) float64 unit; None where they differ."""
     mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     return mean / length if len(cameras) >= LEAST_CAMERAS_FOR_UP and length > 0.5 else None

@@ -31,7 +31,8 @@ REST_SECONDS = 0.2
 """For so long nothing must have changed before the lens opens."""
 
 USUAL_APERTURE = 0.05
-"""Of the distance in focus: what is twice as far is blurred by a fortieth of the focal length."""
+"""Usual diameter of the lens, in distances in focus: what is twice as far is blurred by a fortieth of the
+focal length."""
 
 
 @dataclass(eq=False)
@@ -62,7 +63,7 @@ class DepthOfField(Feature):
         return Aperture(diameter=self.share * app.view.distance, focus=self.focus or app.view.distance)
 
     def next_camera(self, app: AppState, camera: Camera, settings: RenderSettings) -> Camera:
-        """By what the frame that comes is drawn instead of by `camera`."""
+        """Camera of the next frame, in the place of `camera`."""
         aperture = self.aperture(app)
         if aperture is None or app.picture is None or not is_pinhole(camera):
             self.close(app)

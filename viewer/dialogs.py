@@ -172,7 +172,7 @@ FILTERS: dict[Kind, list[str]] = {
 }
 
 LINUX_PROGRAMS = ("zenity", "kdialog", "qarma", "matedialog")
-"""What portable-file-dialogs can start there; without one its dialogs never appear."""
+"""Programs that portable-file-dialogs can start on Linux; without one its dialogs never appear."""
 
 
 def has_native_dialogs() -> bool:

@@ -1,4 +1,4 @@
-"""What is where: docks, menu bar, status bar, and what floats above."""
+"""The layout: docks and their panels, menu bar, status bar, dialogs above them."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from splatview.viewer.picture import EMPTY
 from splatview.viewer.tasks import Task
 
 Stamp = tuple[int, int, int]
-"""What tells that a file is still the one that was read."""
+"""Inode, size and time of a file, which tell whether it is still the one that was read."""
 
 
 def stamp_of(path: Path) -> Stamp | None:
@@ -33,7 +33,7 @@ def stamp_of(path: Path) -> Stamp | None:
 
 
 def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
-    """By the files that links lead to."""
+    """Stamps of `paths`, by the files that links lead to."""
     found = {path.resolve(): stamp_of(path) for path in paths}
     return {path: stamp for path, stamp in found.items() if stamp is not None}
 
@@ -51,7 +51,7 @@ class LoadedScene:
     radius: float
     """World units, > 0: outliers left out."""
     settings: RenderSettings
-    """What the scene itself calls for; the background apart."""
+    """Settings that the scene itself calls for, the background apart."""
 
     @cached_property
     def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -64,7 +64,7 @@ class LoadedScene:
     seconds: float
     """How long loading took."""
     stamps: Mapping[Path, Stamp] = field(default_factory=dict)
-    """Of its files, just before they were read."""
+    """Stamps of its files, just before they were read."""
 
 
 EMPTY_SCENE = LoadedScene(

@@ -22,7 +22,7 @@ CAMERA_SUFFIXES = {".json", ".bin", ".txt"}
 """A dropped file with one of these is a camera list."""
 
 UPLOAD_SECONDS = 0.012
-"""Of each frame's time; the rest keeps the window alive."""
+"""Seconds of each frame for uploading; the rest keeps the window alive."""
 
 
 def open_paths(app: AppState, paths: Sequence[Path]) -> None:

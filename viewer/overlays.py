@@ -1,4 +1,4 @@
-"""What lies over the picture, and the status bar under it."""
+"""Overlays of the picture (axis cross, cameras, mode chooser, badges) and the status bar under it."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def note_below(text: str) -> None:
 
 
 def badge(note: str, at: ImVec2) -> None:
-    """What the picture leaves out while it moves, over its lower left corner `at`."""
+    """The reduction of a moving picture, over its lower left corner `at`."""
     text = f"moving: {note}"
     size, edge = imgui.calc_text_size(text), imgui.get_font_size() * 0.3
     draw = imgui.get_window_draw_list()
@@ -297,7 +297,7 @@ def badge(note: str, at: ImVec2) -> None:
 
 
 def mode_chooser(app: AppState) -> None:
-    """What is shown, as one small list; bright where it is not the picture itself."""
+    """A small list of the visual modes; bright where it is not the picture itself."""
     usual = app.mode == "splats"
     fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
     imgui.push_style_color(imgui.Col_.frame_bg, fill)

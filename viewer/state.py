@@ -58,7 +58,7 @@ class Palette:
 
 @dataclass(eq=False, kw_only=True)
 class AppState:
-    """What all parts of the window share; the rest is kept by features. Fields are plain: panels set the
+    """State that all parts of the window share; features keep their own. Fields are plain: panels set the
     simple ones, commands the rest."""
 
     preferences: Preferences

@@ -139,11 +139,11 @@ def camera_json(app: AppState) -> dict[str, Any]:
 def tour(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Open by drop, orbit, pan, zoom, focus, fly, every mode, help, a picture."""
     hand.settle()
-    found["first"] = app.scene.name if app.scene else None
+    found["first"] = app.scene.name if app.is_open else None
     hand.drop(options["drop"])
     hand.wait(lambda: app.is_open and app.scene.name == Path(options["drop"]).name, "the drop")
     hand.settle()
-    found["title"] = app.scene.name if app.scene else None
+    found["title"] = app.scene.name if app.is_open else None
     app.prefer(smooth=False)
 
     found["start"] = pose(app)
@@ -228,7 +228,7 @@ def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.key_chars_replace_enter(options["typed"])
     hand.wait(lambda: app.is_open and app.scene.name == Path(options["typed"]).name, "the scene")
     hand.settle()
-    found["opened"] = app.scene.name if app.scene else None
+    found["opened"] = app.scene.name if app.is_open else None
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.item_click("//Open a scene/Cancel")

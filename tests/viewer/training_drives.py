@@ -60,12 +60,12 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     ctx, training = hand.ctx, training_of(app)
     hand.wait(lambda: app.is_open, "the first snapshot")
-    found["scene"] = app.scene.name if app.scene else None
+    found["scene"] = app.scene.name if app.is_open else None
     found["first_eye"] = pose(app)["eye"]
     found["shown"] = [seen(hand), seen(hand, training.status.iteration)]
     found["splats_shown"] = app.stats.splats if app.stats else None
 
-    ctx.item_click("//LiveTraining/###pause")
+    ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.state == "paused", "the pause")
     at = training.status.iteration
     hand.wait(lambda: training.shown is not None and training.shown.iteration == at, "the last snapshot")
@@ -83,13 +83,13 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["attended"] = pacing.time_active_after_last_event
 
     before = training.status.settings
-    ctx.item_input_value("//LiveTraining/##Most splats", 1234)
+    ctx.item_input_value("//Training/##Most splats", 1234)
     hand.frames(3)
-    ctx.item_click("//LiveTraining/##Most splats/+")
+    ctx.item_click("//Training/##Most splats/+")
     hand.wait(lambda: training.status.settings.max_splats == 2234, "the setting")
     found["max_splats"] = [before.max_splats, training.status.settings.max_splats]
 
-    ctx.item_click("//LiveTraining/###step")
+    ctx.item_click("//Training/###step")
     hand.wait(lambda: training.status.iteration == at + 1, "one step")
     hand.frames(5)
     found["stepped_to"] = training.status.iteration
@@ -126,7 +126,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["scores"] = training.scores
     hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
     found["unattended_fps"] = pacing.fps_idle
-    ctx.mouse_move("//LiveTraining/###pause")
+    ctx.mouse_move("//Training/###pause")
     hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
 
     shown = seen(hand)
@@ -142,12 +142,12 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.press("F12")
     hand.wait(lambda: any("Picture saved" in line for line in hand.said), "the screenshot")
 
-    ctx.item_click("//LiveTraining/###export")
+    ctx.item_click("//Training/###export")
     hand.frames(4)
     ctx.key_chars_replace_enter(str(Path.cwd() / "exported.ply"))
     hand.wait(lambda: Path("exported.ply").exists(), "the export")
     hand.wait(lambda: any("exported.ply" in line for line in hand.said), "word of it")
-    ctx.item_click("//LiveTraining/###stop")
+    ctx.item_click("//Training/###stop")
     hand.wait(lambda: training.status.saved_at is not None, "scene and checkpoint")
     found["saved"] = [training.status.saved_at, training.status.iteration, training.status.state]
     found["files"] = sorted(path.name for path in Path().iterdir())
@@ -173,7 +173,7 @@ def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.frames(3)
     del vars(trainer)["step"]
     at = training.status.iteration
-    hand.ctx.item_click("//LiveTraining/###pause")
+    hand.ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.iteration > at + 3, "steps after the failure")
     found["went_on"] = training.status.state
 
@@ -197,11 +197,11 @@ def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(lambda: app.is_open and app.scene.name == "other.ply", "the other scene")
     steps(hand, 10)
     hand.frames(10)
-    found["other_stays"] = app.scene.name if app.scene else None
+    found["other_stays"] = app.scene.name if app.is_open else None
     hand.frames(2)
-    hand.ctx.item_click("//LiveTraining/Show the training")
+    hand.ctx.item_click("//Training/Show the training")
     hand.wait(lambda: training.followed_by(app), "the training's scene")
-    found["back"] = [seen(hand), app.scene.name if app.scene else None]
+    found["back"] = [seen(hand), app.scene.name if app.is_open else None]
 
     index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
     found["clicked"] = click_frustum(app, hand, index)

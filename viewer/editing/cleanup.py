@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 VIEWS = 8
-"""That a price is measured in."""
+"""Number of views in which a price is measured."""
 
 MOST_LOADED = 16
-"""Of loaded cameras, spread evenly."""
+"""Largest number of loaded cameras used for a price, spread evenly."""
 
 
 def choose_detector(session: EditSession, name: str) -> None:

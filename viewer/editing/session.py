@@ -44,7 +44,7 @@ Euler = tuple[float, float, float]
 
 @dataclass(kw_only=True)
 class MoveForm:
-    """Of the transform section; neutral values change nothing."""
+    """Values of the Move section; the neutral ones change nothing."""
 
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """World units."""
@@ -58,24 +58,24 @@ class MoveForm:
 
 @dataclass(kw_only=True)
 class LookForm:
-    """Of the looks section."""
+    """Values of the Look section."""
 
     opacity: float = 1.0
-    """Factor, or the value."""
+    """Factor on the opacities, or the opacity that all get."""
     size: float = 1.0
-    """Likewise."""
+    """Factor on the sizes, or the size that all get, world units."""
     grade: Grade = field(default_factory=Grade)
 
 
 @dataclass(kw_only=True)
 class RangeForm:
-    """Of selecting by a range of an attribute."""
+    """Values of the selection by a range of an attribute."""
 
     attribute: str = "opacity"
     values: np.ndarray | None = None
-    """(N,) float32 of the attribute, and..."""
+    """(N,) float32: the attribute of every splat."""
     of: object = None
-    """... the attribute and the document's versions that they are of."""
+    """Attribute and versions of the document that `values` are of."""
     histogram: Histogram | None = None
     low: float = 0.0
     high: float = 1.0
@@ -83,38 +83,38 @@ class RangeForm:
 
 @dataclass(kw_only=True)
 class CleanForm:
-    """Of the clean-up section."""
+    """Values of the Clean up section."""
 
     detector: str = "clusters"
     scores: np.ndarray | None = None
-    """(N,) float32, and..."""
+    """(N,) float32: score of every splat."""
     of: object = None
-    """... the detector and the document's versions that they are of."""
+    """Detector and versions of the document that `scores` are of."""
     threshold: float = 0.0
     mask: np.ndarray | None = None
-    """(N,) bool: what would go."""
+    """(N,) bool: splats above the threshold that may be deleted."""
     count: int = 0
     price: Price | None = None
-    """Of deleting `mask`; None: not measured."""
+    """Price of deleting `mask`; None: not measured."""
     keep: int = 0
-    """Splats that decimation leaves; 0: not filled in yet."""
+    """Number of splats that decimation leaves; 0: not filled in yet."""
     kept_price: tuple[object, Price] | None = None
-    """What it is of, and the price of decimation."""
+    """Price of decimation, after the number of splats and the versions that it is of."""
 
 
 @dataclass(kw_only=True)
 class HealthForm:
-    """Of the health report."""
+    """Values of the health report."""
 
     prices: dict[str, Price] = field(default_factory=dict)
-    """Of the repair of each finding, by its name, and..."""
+    """Price of the repair of each finding, by its name."""
     of: object = None
-    """... the document's versions that they are of."""
+    """Versions of the document that `prices` are of."""
 
 
 @dataclass(kw_only=True)
 class Forms:
-    """All of them."""
+    """Values that are filled in on the editing panels until they are applied."""
 
     scope: Scope = "selection"
     move: MoveForm = field(default_factory=MoveForm)
@@ -125,11 +125,11 @@ class Forms:
     clean: CleanForm = field(default_factory=CleanForm)
     health: HealthForm = field(default_factory=HealthForm)
     crop: int = -1
-    """Which crop has the handles; -1: none."""
+    """Index of the crop with the handles; -1: none."""
     crop_handles: int = 0
-    """What they do, an index of `panels.crops.KINDS`, and..."""
+    """Kind of the handles: an index of `panels.crops.KINDS`."""
     crop_dragged: bool = False
-    """... whether they are being dragged."""
+    """Whether the handles are being dragged."""
     open_section: str = ""
     """Title of the section that the Edit panel is to open, once."""
     previewing: str = ""
@@ -175,36 +175,35 @@ class EditSession:
     """How much colours may differ, for the magic wand and the eyedropper; Oklab, black to white being 1."""
     forms: Forms = field(default_factory=Forms)
     preview_mask: np.ndarray | None = None
-    """(N,) bool: splats that a tool would take, lit up on the picture until the next edit; never written
-    to."""
+    """(N,) bool: splats that a tool would take, highlighted until the next edit; never written to."""
     target: EditTarget = field(default_factory=SceneTarget)
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
-    """Of the files that are open, as they were read or as they were exported over since."""
+    """Stamps of the open files, as they were read or last exported over."""
     pivot: tuple[object, Place] | None = None
-    """What it is of, and the middle that transforms turn about."""
+    """Centre of transforms, after the scope and versions that it is of."""
     seen_position: int = -1
-    """Of the history, when its panel was drawn last."""
+    """Position in the history when its panel was drawn last."""
     loading: tuple[Gaussians, Generator[float]] | None = None
-    """A changed scene on its way to the picture."""
+    """Changed scene on its way to the picture, and the steps left."""
     loaded: Gaussians | None = None
-    """What the picture holds; None: the document's own scene."""
+    """Splats that the picture holds; None before the first frame."""
     stroke: Stroke | None = None
-    """What is being drawn on the picture."""
+    """Stroke being drawn on the picture."""
     picked: list[Place] = field(default_factory=list)
     """Points picked so far, for the tape measure or the ground."""
     measured: Measured | None = None
-    """What the tape measure said last."""
+    """Last distance of the tape measure."""
     job: Job | None = None
     problem: str | None = None
-    """A line for the user, taken by the window."""
+    """Error for the user, in one line, taken by the window."""
     _shown: tuple[object, SceneEdits] | None = None
     _latest: SceneEdits | None = None
     _held: SceneEdits | None = None
     _previewed: np.ndarray | None = None
     _previewed_at: object = None
     news: str | None = None
-    """Likewise, of less weight."""
+    """Message for the user, in one line, taken by the window."""
 
     @property
     def gaussians(self) -> Gaussians:

@@ -52,7 +52,7 @@ class Hit(NamedTuple):
 
 
 def hit(session: EditSession, camera: Camera, x: float, y: float) -> Hit | None:
-    """What is at pixel (x, y) of what `camera` sees; None: the background. Raises InputError."""
+    """The splat at pixel (x, y) of the view of `camera`; None: the background. Raises InputError."""
     document = session.document
     splat = picked(document.gaussians, document.edits, document.tools, camera, x, y)
     return None if splat is None else Hit(splat, place_of(document.gaussians, document.edits, splat))
@@ -112,7 +112,7 @@ COLOURS: dict[Mode, tuple[float, float, float]] = {
     "remove": (0.9, 0.4, 0.35),
     "intersect": (0.85, 0.7, 0.3),
 }
-"""Of the outline, by what the selection will do."""
+"""Colours of the outline by mode of selection."""
 
 
 def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:

@@ -15,7 +15,7 @@ from splatview.viewer.quality.effects import Effects
 from splatview.viewer.state import AppState
 
 EDIT_EFFECTS = ("hidden splats", "crop", "adjusted splats", "colour grade")
-"""Of the census: those whose price is that of the edits together."""
+"""Effects whose price is that of the edits together."""
 
 
 def show(app: AppState) -> None:

@@ -71,7 +71,7 @@ TITLES = ("Photo", "Scene", "Difference")
 GAINS = (1.0, 20.0)
 
 LENS_SHARE = 1 / 6
-"""Of a picture's width, that the magnifying tooltip shows."""
+"""Share of a picture's width that the magnifying tooltip shows."""
 
 
 def show_comparison(app: AppState, training: LiveTraining) -> None:

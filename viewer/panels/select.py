@@ -56,7 +56,7 @@ def show(app: AppState, session: EditSession) -> None:
 
 
 def options(session: EditSession) -> None:
-    """Of the screen tools."""
+    """Options of the screen tools."""
     front = widgets.checkbox(
         "Front only",
         session.depth == "front",
@@ -83,7 +83,7 @@ def options(session: EditSession) -> None:
 
 
 def by_range(app: AppState, session: EditSession) -> None:
-    """A histogram of one attribute; the shaded range lights up on the picture as it is dragged."""
+    """A histogram of one attribute; the shaded range is highlighted on the picture as it is dragged."""
     form = session.forms.range
     names = tuple(ATTRIBUTES)
     chosen = widgets.combo(
@@ -172,12 +172,12 @@ def plot(session: EditSession) -> None:
         if changed:
             setattr(form, end, float(value))
             form.low, form.high = min(form.low, form.high), max(form.low, form.high)
-            light_up(session)
+            highlight_range(session)
     implot.end_plot()
 
 
-def light_up(session: EditSession) -> None:
-    """Shows on the picture what the range holds."""
+def highlight_range(session: EditSession) -> None:
+    """Highlights the splats in the range on the picture."""
     form = session.forms.range
     if form.values is not None:
         mask = AttributeRange(attribute=form.attribute, low=form.low, high=form.high).of(form.values)
@@ -192,7 +192,7 @@ def selecting(app: AppState, session: EditSession) -> None:
         changed, value = imgui.input_double(f"##{end}", getattr(form, end), 0.0, 0.0, "%.6g")
         if changed and np.isfinite(value):
             setattr(form, end, float(value))
-            light_up(session)
+            highlight_range(session)
     if session.preview_mask is not None:
         widgets.note(f"{int(np.count_nonzero(session.preview_mask)):,} splats are in this range.")
     io = imgui.get_io()

@@ -10,7 +10,7 @@ from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 REACH = 0.5
-"""Of a line of text: so near to the line the mouse takes hold of it."""
+"""Distance in font heights within which the mouse takes hold of the line."""
 
 LEFT_NAME = "exact"
 RIGHT_NAMES = {"chosen": "chosen", "signed": "signed difference", "perceptual": "what an eye notices"}
@@ -84,7 +84,7 @@ def caption(text: str, low: ImVec2, colour: ImVec4 | None = None) -> None:
 
 
 def badges(app: AppState, at: ImVec2) -> None:
-    """What the picture leaves out by the user's choice or the budget's, upwards from `at`."""
+    """Badges of the shortcuts in force, chosen or by the budget, upwards from `at`."""
     accuracy = app.feature(Accuracy)
     lines = []
     if accuracy.note:
@@ -98,7 +98,7 @@ def badges(app: AppState, at: ImVec2) -> None:
 
 
 def present_error(app: AppState) -> str:
-    """Of the shortcut taken, where there is one and it was measured; of several no sum would be true."""
+    """Error of the shortcut taken, where it is the only one and was measured."""
     accuracy = app.feature(Accuracy)
     if accuracy.ladder is None or len(accuracy.choices) != 1:
         return ""

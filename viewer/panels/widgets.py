@@ -18,10 +18,10 @@ Choice = TypeVar("Choice", bound=str)
 Triple = tuple[float, float, float]
 
 LABEL_SHARE = 0.38
-"""Of a panel's width that labels take."""
+"""Share of a panel's width for labels."""
 
 VECTOR_LABEL_SHARE = 0.25
-"""The same beside three numbers, which need the room."""
+"""Share of a panel's width for labels beside three numbers."""
 
 
 def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
@@ -36,7 +36,7 @@ def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
 
 
 def tooltip(tip: str) -> None:
-    """Of the last item, after a short rest on it."""
+    """Tooltip of the last item, after a short rest on it."""
     if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
         imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
         imgui.text_unformatted(tip)

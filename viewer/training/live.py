@@ -29,14 +29,14 @@ from splatview.viewer.training.live_edits import TrainingEdits
 
 @dataclass(frozen=True)
 class UpdateRate:
-    """What new pictures of the scene may cost."""
+    """Cost that new pictures of the scene may have."""
 
     seconds: float
-    """Between snapshots at least."""
+    """Least seconds between snapshots."""
     share: float
-    """Of all cores, that drawing them may take where the processor draws."""
+    """Share of all cores that drawing them may take where the processor draws."""
     fps: float
-    """Frames of the window itself a second, while nobody touches it."""
+    """Frames per second of the window itself while nobody touches it."""
 
 
 RATES: dict[TrainingUpdates, UpdateRate] = {
@@ -60,7 +60,7 @@ STARVED_SECONDS = 1.0
 MINIMISED_FPS = 0.5
 
 LEAST_FOR_VIEWER = 0.1
-"""Of the cores, even where training has been given all: a view that can be turned, if slowly."""
+"""Share of the cores even where training has been given all: a view that can be turned, if slowly."""
 
 MOST_FOR_BOUNDS = 20_000
 """Splats that tell where the scene is: enough for that, and done within a millisecond or two."""
@@ -90,21 +90,21 @@ class LiveTraining(Feature):
 
     thread: BackgroundTraining
     name: str
-    """Of the capture."""
+    """Name of the capture."""
     photos: list[WatchedPhoto]
-    """By name."""
+    """All photos, sorted by name."""
     settings: RenderSettings
-    """What the scene is trained for."""
+    """Settings that the scene is trained for."""
     minimised: bool = False
-    """Nobody sees the window: nothing is shown."""
+    """Whether the window is minimised, so that nothing is shown."""
     photo_index: int = 0
-    """Of `photos`, the one that is compared."""
+    """Index of the compared one of `photos`."""
     gain: float = 4.0
-    """By how much differences are brightened."""
+    """Factor by which differences are brightened."""
     by_seconds: bool = False
     """Whether curves are over seconds rather than steps."""
     shown: Snapshot | None = None
-    """What the view shows."""
+    """Snapshot that the view shows."""
     app: AppState | None = None
     """State of the window, once there is one."""
     cameras: list[Camera] = field(init=False)
@@ -296,7 +296,7 @@ def advanced(steps: Generator[float], seconds: float) -> bool:
 
 
 def viewer_threads(share: float, cores: int) -> int:
-    """What training leaves of the cores, at least one."""
+    """Number of cores that training leaves, at least one."""
     return max(cores - pace_of(share, cores).threads, 1)
 
 
@@ -314,7 +314,7 @@ def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[Watc
 
 
 def redraw_seconds(app: AppState) -> float:
-    """AppState-seconds that the processor spends on a new picture of the scene, the window's frames for it
+    """Core-seconds that the processor spends on a new picture of the scene, the window's frames for it
     included; 0 where a GPU does it."""
     if app.stats is None or app.picture is None or app.picture.name != "cpu":
         return 0.0
