@@ -12,7 +12,8 @@ import numpy as np
 
 from splatview.cli.arguments import Parser
 from splatview.cli.window import no_window
-from splatview.renderers.headless import automatic_choice, make_headless
+from splatview.renderers import FrameRequest, automatic_choice
+from splatview.renderers.headless import make_headless
 from splatview.scene import Gaussians, InputError, RenderSettings, look_at, reference
 
 LIBRARIES = (
@@ -113,7 +114,7 @@ def tried(name: str) -> dict[str, Any]:
     scene, settings = sample_scene(), RenderSettings()
     camera = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=96, height=64)
     try:
-        image = make_headless(name).draw(scene, camera, settings)
+        image = make_headless(name).render(FrameRequest(scene, camera, settings))
     except Exception as error:  # a broken driver or library may raise anything; that is the finding
         return {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
     error = float(np.abs(image - reference.render(scene, camera, settings)).max())

@@ -17,7 +17,7 @@ from splatview.edit.operations import OPERATIONS, Operation
 from splatview.edit.progress import Watch
 from splatview.edit.recipe import check_scene, load_recipe, replay
 from splatview.edit.sample_views import sample_cameras
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import check_saving, load_scene, save_scene
 
@@ -71,7 +71,7 @@ def run(arguments: list[str]) -> int:
         gaussians,
         name=Path(args.scene).name,
         folder=recipe.folder,
-        tools=RasterTools(),
+        tools=CpuRenderer(),
         save=lambda scene, path: parts.append((scene, path)),
     )
     steps: list[dict[str, object]] = []

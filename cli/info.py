@@ -14,14 +14,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
-from splatview.cli.ladder import FRAME_TURN, MEASURED, on_interrupt
+from splatview.cli.ladder import FRAME_TURN, on_interrupt
 from splatview.edit.document import Document
 from splatview.edit.impact import Price, in_words, price_operations
 from splatview.edit.operations.cleanup import REPAIRS, Repair
 from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
-from splatview.renderers.headless import RasterTools, SceneArtist, make_headless
+from splatview.renderers import choices
+from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.effects import Effect, scene_effects, settings_for, used_sh_degree, view_effects
 from splatview.scene.formats import load_scene
@@ -43,7 +45,9 @@ def add_measure_options(parser: Parser) -> None:
         action="store_true",
         help="also draw with each effect on and off, and tell the difference in time",
     )
-    group.add_argument("--renderer", choices=("auto", *MEASURED), help="which one draws (default: auto)")
+    group.add_argument(
+        "--renderer", choices=("auto", *choices("ladder")), help="which one draws (default: auto)"
+    )
     group.add_argument("--seconds", type=positive, metavar="S", help=f"for how long (default: {SECONDS:g})")
     add_camera_options(parser)
 
@@ -66,7 +70,7 @@ def measured_prices(
     Raises KeyboardInterrupt where the user ends it early: half of the prices are not said.
     """
     orbit = chosen_orbit(args, gaussians)
-    artist = SceneArtist(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
+    scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
     camera = orbit.turned(0.0)
     stopped = threading.Event()
 
@@ -79,7 +83,7 @@ def measured_prices(
         task = progress.add_task("", total=1.0)
         with on_interrupt(stopped.set):
             prices = price_effects(
-                artist,
+                scene,
                 Plan(settings=settings_for(gaussians)),
                 gaussians,
                 effects,
@@ -91,7 +95,7 @@ def measured_prices(
             )
     if prices is None:
         raise KeyboardInterrupt
-    return prices, {"renderer": artist.name, "size": [camera.width, camera.height]}
+    return prices, {"renderer": scene.name, "size": [camera.width, camera.height]}
 
 
 def price_as_json(price: EffectPrice) -> dict[str, Any]:
@@ -114,7 +118,7 @@ VIEWS = 8
 
 def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
-    document = Document(gaussians, tools=RasterTools())
+    document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
     prices = price_operations(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))

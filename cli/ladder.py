@@ -30,7 +30,7 @@ from splatview.cli.arguments import (
 from splatview.cli.render import check_output
 from splatview.cli.train_setup import ready_kernels
 from splatview.measure.knobs import KNOBS, Plan, knob
-from splatview.measure.ladder import AGREEMENT, Artist, Ladder, climb, disagreement, rungs_for
+from splatview.measure.ladder import AGREEMENT, Ladder, disagreement, run_ladder, rungs_for
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text
 from splatview.measure.machine import describe_machine
@@ -43,8 +43,9 @@ from splatview.measure.training_ladder import (
     training_as_json,
     training_cells,
 )
+from splatview.renderers import automatic_choice, choices
 from splatview.renderers.demo_cache import cached_demo_capture
-from splatview.renderers.headless import SceneArtist, automatic_choice, make_headless
+from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.captures import Capture, load_capture
 from splatview.scene.effects import settings_for, used_sh_degree
@@ -301,7 +302,7 @@ def run(arguments: list[str]) -> int:
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
     console = Console(stderr=True)
-    artists: list[Artist] = [SceneArtist(make_headless(name), gaussians, orbit.turned_from) for name in names]
+    scenes = [HeadlessScene(make_headless(name), gaussians, orbit.turned_from) for name in names]
     views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
     with console.status("Drawing the truth in float64"):
         truths, apart = draw_truths(gaussians, views, plan.settings)
@@ -311,8 +312,8 @@ def run(arguments: list[str]) -> int:
             "without a truth there is nothing to measure against"
         )
     seconds = THOROUGH_SECONDS if args.thorough else args.seconds or SECONDS
-    rungs = rungs_for(artists, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
-    ladder = climb_with_progress(
+    rungs = rungs_for(scenes, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
+    ladder = run_with_progress(
         console,
         rungs,
         views,
@@ -340,14 +341,15 @@ def run(arguments: list[str]) -> int:
 
 def chosen_renderers(given: str | None) -> list[str]:
     """Names of the renderers to measure, the baseline's first."""
+    measured = choices("ladder")
     if given is not None:
         names = list(dict.fromkeys(given.split(",")))
         for name in names:
-            if name not in MEASURED:
-                raise InputError(f"--renderers {name}: choose from {', '.join(MEASURED)}")
+            if name not in measured:
+                raise InputError(f"--renderers {name}: choose from {', '.join(measured)}")
         return names
     first, why = automatic_choice()
-    others = [name for name in MEASURED if name != first]
+    others = [name for name in measured if name != first]
     if first == "cpu":
         from splatview.renderers.gl.context import create_headless_context
 
@@ -357,9 +359,6 @@ def chosen_renderers(given: str | None) -> list[str]:
             print(f"splatview: only cpu is measured: {error} ({why})", file=sys.stderr)
             return [first]
     return [first, *others]
-
-
-MEASURED = ("quads", "tiles", "cpu")
 
 
 def draw_truths(
@@ -379,7 +378,7 @@ def draw_truths(
     return truths, disagreement(truths[0], gaussians, views[0], exact)
 
 
-def climb_with_progress(
+def run_with_progress(
     console: Console, rungs, views, truths, *, orbit: Orbit, seconds: float, rounds: int | None
 ) -> Ladder:
     """Measures with a progress bar. Ctrl-C ends it early: what was measured by then is the result."""
@@ -397,7 +396,7 @@ def climb_with_progress(
             progress.update(task, completed=share, description=text)
 
         with on_interrupt(stopped.set):
-            return climb(
+            return run_ladder(
                 rungs,
                 views,
                 truths,
@@ -428,7 +427,7 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         table.add_column(column, justify="right", no_wrap=True)
     last = None
     for one in ladder.rungs:
-        renderer = one.rung.artist.name
+        renderer = one.rung.renderer.name
         if last not in (None, renderer):
             table.add_section()
         last = renderer
@@ -436,7 +435,7 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         star = "* " if one.pareto else "  "
         table.add_row(star + name, *rest, style="bold" if one.pareto else None)
     console.print(table)
-    base = ladder.baseline.rung.artist.name
+    base = ladder.baseline.rung.renderer.name
     console.print(
         f"ms: of a frame; time: of {base} with its defaults, drawn in turn with it; same: not to be told"
         f" from chance. Noise floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs;"

@@ -77,9 +77,9 @@ def price_views(
     """
     for i, camera in enumerate(cameras):
         watch.step(i / len(cameras))
-        first = tools.render(gaussians, camera, before)
+        first = tools.picture(gaussians, camera, before)
         watch.step((i + 0.5) / len(cameras))
-        yield compare(camera, first, tools.render(gaussians, camera, after))
+        yield compare(camera, first, tools.picture(gaussians, camera, after))
     watch.step(1.0)
 
 
@@ -191,11 +191,11 @@ def price_operations(
     done = 0
     for camera in cameras:
         watch.step(done / work)
-        first = document.tools.render(before[0], camera, before[1])
+        first = document.tools.picture(before[0], camera, before[1])
         done += 1
         for name, (gaussians, edits) in afters.items():
             watch.step(done / work)
-            views[name].append(compare(camera, first, document.tools.render(gaussians, camera, edits)))
+            views[name].append(compare(camera, first, document.tools.picture(gaussians, camera, edits)))
             done += 1
     watch.step(1.0)
     return {name: price_of(_shown_less(before, afters[name]), views[name]) for name in operations}
@@ -244,7 +244,7 @@ class StepPrices:
 
     def _draw(self, scene: tuple[Gaussians, SceneEdits]) -> list[np.ndarray]:
         gaussians, edits = scene
-        return [self._document.tools.render(gaussians, camera, edits) for camera in self._cameras]
+        return [self._document.tools.picture(gaussians, camera, edits) for camera in self._cameras]
 
 
 def _shown_less(before: tuple[Gaussians, SceneEdits], after: tuple[Gaussians, SceneEdits]) -> int:

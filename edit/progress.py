@@ -59,7 +59,7 @@ class Tools(Protocol):
         """(N,) float64: the sum over all pixels of all `cameras` of alpha times the light that reaches it."""
         ...
 
-    def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         """(H, W, 4) float32: RGB over black, and alpha."""
         ...
 
@@ -77,5 +77,5 @@ class NoTools:
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
         raise InputError("measuring contributions needs a renderer")
 
-    def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         raise InputError("measuring pictures needs a renderer")

@@ -32,7 +32,7 @@ def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "machine": describe_machine(),
         **about,
-        "baseline": {"renderer": base.artist.name, "options": list(base.options), "ms": ladder.baseline.ms},
+        "baseline": {"renderer": base.renderer.name, "options": list(base.options), "ms": ladder.baseline.ms},
         "noise": ladder.noise if math.isfinite(ladder.noise) else None,
         "views": ladder.views,
         "rounds": ladder.rounds,
@@ -56,7 +56,7 @@ def _rung_json(one: Measured) -> dict[str, Any]:
     return {
         "knob": one.rung.knob,
         "value": one.rung.value,
-        "renderer": one.rung.artist.name,
+        "renderer": one.rung.renderer.name,
         "options": list(one.rung.options),
         **{name: _finite(value) for name, value in numbers.items()},
         "pairs": len(one.times),
@@ -94,7 +94,7 @@ def left_out_text(ladder: Ladder) -> str:
     """What there was no time for, and how to get it."""
     by_renderer: dict[str, dict[str, list[str]]] = {}
     for rung in ladder.left_out:
-        knobs = by_renderer.setdefault(rung.artist.name, {})
+        knobs = by_renderer.setdefault(rung.renderer.name, {})
         knobs.setdefault("defaults" if rung.knob == "renderer" else rung.knob, []).append(rung.value)
     parts = []
     for renderer, knobs in by_renderer.items():
@@ -134,8 +134,8 @@ def rung_name(one: Measured) -> str:
 def full_name(one: Measured, ladder: Ladder) -> str:
     """`rung_name`, with the renderer's where it is not the baseline's."""
     name = rung_name(one)
-    own = one.rung.artist.name
-    return name if own in (ladder.baseline.rung.artist.name, name) else f"{own} {name}"
+    own = one.rung.renderer.name
+    return name if own in (ladder.baseline.rung.renderer.name, name) else f"{own} {name}"
 
 
 def cells(one: Measured, ladder: Ladder) -> list[str]:

@@ -30,7 +30,7 @@ from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.session import Editing
 from splatview.viewer.feature import Feature
-from splatview.viewer.picture import GpuPicture, Picture, choose_picture
+from splatview.viewer.picture import Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
@@ -176,7 +176,7 @@ class Window:
                 f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
             )
             return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, precompiler=self._precompiler)
-        if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
+        if not picture.draws_anywhere and not describe(ctx).has_compute:
             self.app.tell(
                 "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
                 " order a moment late while the view moves"
@@ -264,7 +264,7 @@ class Window:
             app.attempt(feature.close, app)
         app.attempt(self.end_precompiler)
         if app.picture is not None:
-            app.attempt(app.picture.release)
+            app.attempt(app.picture.close)
             app.picture = None
 
     def end_precompiler(self) -> None:

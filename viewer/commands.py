@@ -15,7 +15,7 @@ from imgui_bundle import imgui
 
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
-from splatview.renderers import VisualMode
+from splatview.renderers import MODES, VisualMode
 from splatview.viewer import background, camera, depth_of_field
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
@@ -30,7 +30,6 @@ from splatview.viewer.training import live as training
 from splatview.viewer.training.live import LiveTraining
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
-VISUAL_MODES: tuple[VisualMode, ...] = get_args(VisualMode)
 
 AXIS_KEYS = ("X", "Shift+X", "Y", "Shift+Y", "Z", "Shift+Z")
 """Key of the view along each of AXIS_NAMES."""
@@ -48,9 +47,6 @@ def next_navigation(app: AppState) -> None:
 
 
 def set_mode(app: AppState, mode: VisualMode) -> None:
-    if app.picture is not None and mode not in app.picture.modes:
-        app.tell(f"{app.picture.name} cannot show {mode}")
-        return
     app.mode = mode
 
 
@@ -181,16 +177,6 @@ def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
     )
 
 
-def _visual_mode(mode: VisualMode, keys: str, title: str) -> Command:
-    return _picture(
-        f"mode_{mode}",
-        keys,
-        f"{mode.capitalize()}: {title}",
-        partial(set_mode, mode=mode),
-        checked=lambda app: app.mode == mode,
-    )
-
-
 # fmt: off
 COMMANDS: dict[str, Command] = {
     command.id: command
@@ -257,11 +243,11 @@ COMMANDS: dict[str, Command] = {
         _navigation_mode("fly", "F3", "look around and move freely"),
         _navigation_mode("trackball", "F4", "turn the scene like a ball"),
         _navigation("next_navigation", "V", "Next of orbit, fly and trackball", next_navigation),
-        _visual_mode("splats", "1", "the picture itself"),
-        _visual_mode("points", "2", "a dot for each splat's centre"),
-        _visual_mode("ellipsoids", "3", "the splats as solid bodies"),
-        _visual_mode("depth", "4", "near is bright"),
-        _visual_mode("overdraw", "5", "how many splats each pixel costs"),
+        *(
+            _picture(f"mode_{mode.name}", mode.key, f"{mode.label}: {mode.tip}",
+                partial(set_mode, mode=mode.name), checked=lambda app, name=mode.name: app.mode == name)
+            for mode in MODES.values()
+        ),
         _picture("open_background", "", "Background: open an equirectangular picture",
             background.ask_for_picture),
         _edit("duplicate", "Ctrl+D", "Make a copy of the selected splats",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import Highlight
 from splatview.scene.edits import SceneEdits
 
 if TYPE_CHECKING:

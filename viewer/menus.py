@@ -7,10 +7,11 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from splatview.renderers import MODES
 from splatview.viewer import open as opening
 from splatview.viewer import theme
 from splatview.viewer.camera import UP_NAMES, set_up, up_name
-from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, VISUAL_MODES, Command
+from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.state import AppState
@@ -120,7 +121,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         "add_bookmark", "next_bookmark", "previous_camera", "next_camera", None,
         "copy_camera", "paste_camera",
     ),
-    "Picture": tuple(f"mode_{mode}" for mode in VISUAL_MODES),
+    "Picture": tuple(f"mode_{mode}" for mode in MODES),
     "Training": (
         pause_or_resume, "step_training", "stop_training", None,
         "export_training", "save_checkpoint", None, "evaluate_training", "show_training",

@@ -8,18 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from splatview.renderers import MODES
 from splatview.scene import Camera
 from splatview.scene.image_model import NEAR
 from splatview.viewer import theme
 from splatview.viewer.camera import go_to_camera
-from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, VISUAL_MODES, keys_of, set_mode
+from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, keys_of, set_mode
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.navigation.controllers import axis
 from splatview.viewer.panels import recipe, split_view, widgets
 from splatview.viewer.panels.camera import NAVIGATION_NAMES
-from splatview.viewer.panels.rendering import MODE_NAMES, MODE_TIP
+from splatview.viewer.panels.rendering import MODE_TIP
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -303,12 +304,12 @@ def mode_chooser(app: AppState) -> None:
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     imgui.set_next_item_width(imgui.get_font_size() * 7)
-    names = [MODE_NAMES[mode] for mode in VISUAL_MODES]
-    changed, index = imgui.combo("##mode", VISUAL_MODES.index(app.mode), names)
+    modes = list(MODES.values())
+    changed, index = imgui.combo("##mode", list(MODES).index(app.mode), [mode.label for mode in modes])
     imgui.pop_style_color(2)
     widgets.tooltip(MODE_TIP)
     if changed:
-        app.post(set_mode, VISUAL_MODES[index])
+        app.post(set_mode, modes[index].name)
 
 
 def status_bar(app: AppState) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, InputError
 from splatview.scene.depth_of_field import mean_picture
 from splatview.scene.formats import save_camera
@@ -36,7 +37,7 @@ def save_picture(app: AppState, camera: Camera, path: Path) -> None:
         picture, aperture = app.picture, app.feature(DepthOfField).aperture(app)
 
         def read(camera: Camera) -> np.ndarray:
-            return picture.read(camera, app.settings, app.mode, edits=edits)
+            return picture.read(FrameRequest(None, camera, app.settings, mode=app.mode, edits=edits))
 
         if aperture is None or not is_pinhole(camera):
             image = read(camera)

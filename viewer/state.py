@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from splatview.renderers import FrameStats, VisualMode
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -66,21 +67,23 @@ class Task(Generic[Result]):
 
 class LatestTask(Generic[Request, Result]):
     """Work on the latest of many requests, one at a time: of requests that come meanwhile only the last
-    is worked on. Requests are compared by `==`. For the GL thread."""
+    is worked on. For the GL thread."""
 
     def __init__(
         self,
         work: Callable[[Request, Task[Result]], Result],
         *,
         name: str = "splatview-latest",
+        same: Callable[[Request, Request], bool] = operator.eq,
         on_done: Callable[[], object] = lambda: None,
     ):
-        """`on_done` is called in the thread after each run."""
+        """`same` tells whether two requests have one result; `on_done` is called in the thread after each
+        run. A run that cancels its own task leaves result and problem as they were."""
         self.latest: Result | None = None
         """Result of the last run that succeeded."""
         self.problem: str | None = None
         """Error of the last run, in one line."""
-        self._work, self._name, self._on_done = work, name, on_done
+        self._work, self._name, self._same, self._on_done = work, name, same, on_done
         self._task: Task[Result] | None = None
         self._tried: Request | None = None
 
@@ -89,8 +92,8 @@ class LatestTask(Generic[Request, Result]):
         return self._task is not None
 
     def has_tried(self, request: Request) -> bool:
-        """Whether `request` is the one of the last run."""
-        return request == self._tried
+        """Whether the last run was for `request`."""
+        return self._tried is not None and self._same(request, self._tried)
 
     def request(self, request: Request) -> None:
         """Starts work on `request` unless something is under way or it was worked on last; may be called in
@@ -106,9 +109,11 @@ class LatestTask(Generic[Request, Result]):
         if task is None or not task.done:
             return
         self._task = None
+        if task.cancelled:
+            return
         if task.error is not None:
             self.problem = f"{type(task.error).__name__}: {task.error}"
-        elif not task.cancelled:
+        else:
             self.latest = task.result
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -91,10 +92,10 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
         return
     accuracy, lens = app.feature(Accuracy), app.feature(DepthOfField)
     app.feature(WindowBackground).follow(app)
-    camera, settings = accuracy.next_frame(app)
+    request = accuracy.next_frame(app)
     try:
-        drawn = lens.next_camera(app, camera, settings)
-        picture.draw(drawn, settings, app.mode, edits=accuracy.shown_edits(app), highlight=app.highlight)
+        camera = lens.next_camera(app, request.camera, request.settings)
+        picture.draw(replace(request, camera=camera))
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if app.undrawn != str(error):

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import moderngl
 import numpy as np
 
-from splatview.renderers.types import VisualMode
+from splatview.renderers.modes import MODES, VisualMode
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.surfels import check_discs
 
@@ -74,8 +74,8 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
 
 def check_rays(camera: Camera, mode: VisualMode) -> None:
     """Raises InputError where the camera's rays cannot be drawn in `mode`."""
-    if mode == "ellipsoids" and camera.lens is not None:
-        raise InputError("ellipsoids cannot be drawn through a lens; take the lens off, or show splats")
+    if MODES[mode].surfaces and camera.lens is not None:
+        raise InputError(f"{mode} cannot be drawn through a lens; take the lens off, or show splats")
 
 
 def ray_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:

@@ -110,7 +110,7 @@ class ReferenceTools:
             total[indices] += weights.sum(axis=1)
         return total
 
-    def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         return reference.render(bake(gaussians, edits), camera).astype(np.float32)
 
 

@@ -38,7 +38,7 @@ def test_the_price_is_that_of_the_pictures(edit_helpers, edited, reference_tools
     found = price(scene, before, after, reference_tools, CAMERAS)
     expected, worst = [], 0.0
     for camera in CAMERAS:
-        pictures = [reference_tools.render(scene, camera, edits) for edits in (before, after)]
+        pictures = [reference_tools.picture(scene, camera, edits) for edits in (before, after)]
         expected.append(min(NO_LOSS, psnr(pictures[1], pictures[0])))
         clipped = [np.clip(picture[..., :3], 0, 1) for picture in pictures]
         worst = max(worst, float(np.abs(clipped[0] - clipped[1]).max()))
@@ -72,9 +72,9 @@ def test_it_comes_view_by_view_and_can_be_stopped(edit_helpers, edited, referenc
     drawn = []
 
     class Counting:
-        def render(self, *arguments):
+        def picture(self, *arguments):
             drawn.append(1)
-            return reference_tools.render(*arguments)
+            return reference_tools.picture(*arguments)
 
     shares: list[float] = []
     views = price_views(scene, before, after, Counting(), CAMERAS, watch=Watch(progress=shares.append))  # type: ignore[arg-type]

@@ -61,10 +61,10 @@ def test_each_price_is_that_of_the_pictures_of_the_step_done(ill, reference_tool
     before = edit_helpers.everything(document)
     prices = price_operations(document, OPERATIONS, CAMERAS)
     assert edit_helpers.everything(document) == before
-    first = [reference_tools.render(document.gaussians, camera, document.edits) for camera in CAMERAS]
+    first = [reference_tools.picture(document.gaussians, camera, document.edits) for camera in CAMERAS]
     for name, operation in OPERATIONS.items():
         document.apply(operation)
-        done = [reference_tools.render(document.gaussians, camera, document.edits) for camera in CAMERAS]
+        done = [reference_tools.picture(document.gaussians, camera, document.edits) for camera in CAMERAS]
         expected = [min(NO_LOSS, psnr(b, a)) for a, b in zip(first, done, strict=True)]
         assert prices[name].mean == pytest.approx(np.mean(expected), abs=1e-4), name
         assert prices[name].worst == pytest.approx(min(expected), abs=1e-4), name

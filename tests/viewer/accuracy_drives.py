@@ -13,7 +13,8 @@ from imgui_bundle import ImVec2, imgui
 
 from splatview import raster
 from splatview.measure.knobs import Plan
-from splatview.renderers.headless import reduced as fewer
+from splatview.renderers import quality
+from splatview.renderers.request import FrameRequest
 from splatview.viewer.navigation import orbit
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
@@ -56,7 +57,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     plan = accuracy.plan(app)
     picture = app.picture
     assert picture is not None
-    coarse = hand.on_gl_thread(lambda: picture.read(app.camera, plan.settings, app.mode))
+    coarse = hand.on_gl_thread(lambda: picture.read(FrameRequest(None, app.camera, plan.settings)))
     shown = seen(hand, app)
     found["shown_is_coarse"] = float(np.abs(shown - coarse).max())
     found["differs"] = float(np.abs(coarse - exact).max())
@@ -104,7 +105,9 @@ def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray)
         hand.settle()
         shown = seen(hand, app)
         plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
-        wanted = raster.render(fewer(app.scene.gaussians, plan), app.camera, app.settings)
+        request = quality.reduced(FrameRequest.by_plan(app.scene.gaussians, app.camera, plan))
+        assert request.gaussians is not None
+        wanted = raster.render(request.gaussians, app.camera, app.settings)
         found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)

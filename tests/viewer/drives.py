@@ -23,6 +23,7 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
+from splatview.renderers.request import FrameRequest
 from splatview.viewer import app as dropping
 from splatview.viewer import commands as keys
 from splatview.viewer import dialogs as file_dialogs
@@ -98,7 +99,9 @@ class Hand:
         app = self.app
         assert app.picture is not None
         picture = app.picture
-        return self.on_gl_thread(lambda: picture.read(app.camera, app.settings, app.mode))
+        return self.on_gl_thread(
+            lambda: picture.read(FrameRequest(None, app.camera, app.settings, mode=app.mode))
+        )
 
     def picture_of_edits(self) -> np.ndarray:
         """The same with the edits in force."""
@@ -106,7 +109,9 @@ class Hand:
         assert app.picture is not None and session is not None
         picture, document = app.picture, session.document
         return self.on_gl_thread(
-            lambda: picture.read(app.camera, app.settings, app.mode, edits=document.edits)
+            lambda: picture.read(
+                FrameRequest(None, app.camera, app.settings, mode=app.mode, edits=document.edits)
+            )
         )
 
     def shoot(self, path: str | None) -> None:

@@ -10,6 +10,7 @@ import drives
 import numpy as np
 from drives import Hand
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene.background import Gradient, Panorama
 from splatview.scene.depth_of_field import mean_picture
 from splatview.viewer import depth_of_field
@@ -116,7 +117,7 @@ def through(hand: Hand, app: AppState) -> np.ndarray:
     assert picture is not None and aperture is not None
     return hand.on_gl_thread(
         lambda: mean_picture(
-            lambda camera: picture.read(camera, app.settings, app.mode),
+            lambda camera: picture.read(FrameRequest(None, camera, app.settings, mode=app.mode)),
             app.camera,
             aperture,
             depth_of_field.SAMPLES,

@@ -99,9 +99,9 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
     """How many splats are hidden of how many, when it is known which."""
     limit = time.monotonic() + 60
     while True:
-        edits = app.feature(Accuracy).shown_edits(app)
+        edits = app.feature(Accuracy).next_frame(app).edits
         assert edits is not None
-        if not app.feature(Accuracy).busy(app) and edits is app.feature(Accuracy).shown_edits(app):
+        if not app.feature(Accuracy).busy(app) and edits is app.feature(Accuracy).next_frame(app).edits:
             return [int(np.count_nonzero(edits.marks & HIDDEN)), len(edits.marks)]
         assert time.monotonic() < limit, "it is never known"
         time.sleep(0.001)
@@ -110,14 +110,16 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
 def test_a_shortcut_hides_its_share_of_the_changed_scene(app, open_scene, random_gaussians) -> None:
     """What failed: marks of 80 splats hidden by the ranking of 40."""
     session = open_scene(random_gaussians(40))
-    app.feature(Accuracy)._kept = 0.5
-    app.feature(Accuracy).shown_edits(app)
+    app.feature(Accuracy).choices["keep"] = "50"
+    app.feature(Accuracy).next_frame(app)
     assert hidden_by_a_shortcut(app) == [20, 40]
     session.apply(Select(by=Everything()))
     session.apply(OPERATIONS["duplicate"]())
     assert hidden_by_a_shortcut(app) == [20, 40]
     settle(app)
-    assert len(app.feature(Accuracy).shown_edits(app).marks) == 80, "nothing is hidden yet, and nobody waits"
+    assert len(app.feature(Accuracy).next_frame(app).edits.marks) == 80, (
+        "nothing is hidden yet, and nobody waits"
+    )
     assert hidden_by_a_shortcut(app) == [40, 80]
     session.undo()
     settle(app)

@@ -22,6 +22,7 @@ from splatview import raster
 from splatview.measure.machine import FOLDER, write_results
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.context import create_headless_context, describe
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera, robust_bounds
@@ -43,14 +44,14 @@ def compare(ctx, name: str, gaussians: Gaussians, size: tuple[int, int], frames:
     settings = RenderSettings(blend="float32")
     camera = frame_camera(gaussians, *size)
     centre, _ = robust_bounds(gaussians.means)
-    quads = make_renderer(ctx)
+    quads = make_renderer("quads", ctx)
     quads.load(gaussians)
     times: dict[str, list[float]] = {"quads": [], "cpu": []}
     difference = 0.0
     for frame in range(frames + 1):
         view = turned(camera, centre, TURN * frame)
         begun = time.perf_counter()
-        quads.draw(view, settings)
+        quads.draw(FrameRequest(None, view, settings))
         ctx.finish()
         drawn = time.perf_counter()
         picture = raster.render(gaussians, view, settings)
@@ -60,7 +61,7 @@ def compare(ctx, name: str, gaussians: Gaussians, size: tuple[int, int], frames:
             continue
         times["quads"].append(1000 * (drawn - begun))
         times["cpu"].append(1000 * (done - drawn))
-    quads.release()
+    quads.close()
     medians = {renderer: float(np.median(values)) for renderer, values in times.items()}
     spread = {renderer: [min(values), max(values)] for renderer, values in times.items()}
     return {

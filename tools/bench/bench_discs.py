@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from splatview.measure.machine import FOLDER, write_results
+from splatview.renderers import FrameRequest
 from splatview.renderers.headless import make_headless
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at_matrix
 from splatview.scene.demo import demo_scene
@@ -60,7 +61,7 @@ def measure(name: str, scene: Gaussians, camera: Camera, frames: int) -> dict[st
             renderer.load(scene, "float32")
             begun = time.perf_counter()
             settings = RenderSettings(model=models[footprint])
-            renderer.draw(scene, moved(camera, target, frame), settings, "splats")
+            renderer.render(FrameRequest(scene, moved(camera, target, frame), settings))
             if frame >= 2:  # the first ones compile
                 drawn[footprint].append(1000 * (time.perf_counter() - begun))
     for footprint, renderer in renderers.items():

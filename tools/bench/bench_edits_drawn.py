@@ -23,7 +23,7 @@ from splatview.renderers import make_renderer
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.scene_buffers import placement_of
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import DELETED, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.scene.formats import load_scene
@@ -95,7 +95,7 @@ def frame_ratios(
     ctx: moderngl.Context, gaussians: Gaussians, size: tuple[int, int], frames: int
 ) -> dict[str, dict[str, float]]:
     """By kind of edits: median time of stages, relative to that without."""
-    renderer = make_renderer(ctx)
+    renderer = make_renderer("quads", ctx)
     renderer.load(gaussians)
     kinds = kinds_of(gaussians)
     times: dict[str, dict[str, list[float]]] = {kind: {"project": [], "draw": []} for kind in kinds}
@@ -108,12 +108,12 @@ def frame_ratios(
         names = list(kinds)
         for kind in names[frame % len(names) :] + names[: frame % len(names)]:
             edits, highlight = kinds[kind]
-            renderer.draw(view, RenderSettings(), edits=edits, highlight=highlight)
-            stages = renderer.finished_stats().ms
+            renderer.draw(FrameRequest(None, view, RenderSettings(), edits=edits, highlight=highlight))
+            stages = renderer.stats(wait=True).ms
             if frame:  # the first compiles
                 for stage, values in times[kind].items():
                     values.append(stages[stage])
-    renderer.release()
+    renderer.close()
     base = {stage: float(np.median(values)) for stage, values in times["none"].items()}
     return {
         kind: {stage: float(np.median(values)) / base[stage] for stage, values in stages.items()}

@@ -34,7 +34,7 @@ from splatview.renderers.gl.context import create_headless_context, describe, he
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import IDENTITY, SELECTED, Adjustment, SceneEdits
 from splatview.scene.effects import settings_for
@@ -90,14 +90,20 @@ def on_gpu(
         marks = np.full(len(gaussians), SELECTED, np.uint32)
         with chosen():
             renderer.draw(
-                camera, settings, edits=SceneEdits(marks=marks, flags=SELECTED), highlight=Highlight()
+                FrameRequest(
+                    None,
+                    camera,
+                    settings,
+                    edits=SceneEdits(marks=marks, flags=SELECTED),
+                    highlight=Highlight(),
+                )
             )
 
     def draw(camera: Camera) -> dict[str, float]:
         with chosen():
-            renderer.draw(camera, settings)
+            renderer.draw(FrameRequest(None, camera, settings))
             ctx.finish()
-        return dict(renderer.finished_stats().ms)
+        return dict(renderer.stats(wait=True).ms)
 
     def memory() -> int:
         sorted_only = general and isinstance(renderer, QuadsRenderer)

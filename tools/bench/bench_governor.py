@@ -47,20 +47,25 @@ def fly(app: AppState, number: int) -> None:
 
 def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
-    from splatview.renderers.cpu_async import CpuTexture
+    from splatview.renderers.async_renderer import AsyncRenderer
     from splatview.viewer import app as app_module
     from splatview.viewer import viewport
 
-    real_render = CpuTexture._render
+    real_render = AsyncRenderer._render
     app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
     real_draw, started, found = viewport.draw_picture, [], {}
     frames: list[tuple[int, float, tuple[int, int], str]] = []
 
-    def render(self: Any, wish: Any, shortcut: Any, workspace: Any) -> None:
-        real_render(self, wish, shortcut, workspace)
+    def render(self: Any, request: Any, shortcut: Any) -> None:
+        real_render(self, request, shortcut)
         reduced = "" if shortcut is None or shortcut.exact else shortcut.note
         frames.append(
-            (len(frames), sum(self._stats.ms.values()), (wish.camera.width, wish.camera.height), reduced)
+            (
+                len(frames),
+                sum(self._stats.ms.values()),
+                (request.camera.width, request.camera.height),
+                reduced,
+            )
         )
 
     def note(app: AppState) -> None:
@@ -149,7 +154,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             app.quitting = True
 
     viewport.draw_picture = draw
-    CpuTexture._render = render
+    AsyncRenderer._render = render
     app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer=renderer)
 
 

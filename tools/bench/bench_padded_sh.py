@@ -29,6 +29,7 @@ from splatview.renderers.gl.context import create_headless_context, describe, he
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera, robust_bounds
@@ -88,8 +89,8 @@ def on_gpu(ctx, make, scenes: dict[str, Gaussians]) -> dict[str, tuple[Draw, int
         held = held_bytes(renderer)
 
         def draw(view: Camera, renderer=renderer, scene=scene) -> float:
-            renderer.render(scene, view, SETTINGS)
-            return renderer.finished_stats().ms["project"]
+            renderer.render(FrameRequest(scene, view, SETTINGS))
+            return renderer.stats(wait=True).ms["project"]
 
         made[name] = draw, held, renderer.release
     return made

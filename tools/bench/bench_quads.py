@@ -23,6 +23,7 @@ from splatview import raster
 from splatview.measure.machine import FOLDER, write_results
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import load_scene
@@ -83,13 +84,13 @@ def measure(
     for frame in range(WARM_UP + frames):
         for i, (renderer, (blend, _)) in enumerate(zip(renderers, variants, strict=True)):
             begun, cpu_begun = time.perf_counter(), time.process_time()
-            renderer.draw(views(frame), RenderSettings(blend=blend))  # pyright: ignore[reportArgumentType]
+            renderer.draw(FrameRequest(None, views(frame), RenderSettings(blend=blend)))  # pyright: ignore[reportArgumentType]
             ctx.finish()
             elapsed = 1000 * (time.perf_counter() - begun)
             if frame >= WARM_UP:
                 times[i].append(elapsed)
                 cpu[i].append(1000 * (time.process_time() - cpu_begun))
-                stages[i].append(dict(renderer.finished_stats().ms))
+                stages[i].append(dict(renderer.stats(wait=True).ms))
         begun, cpu_begun = time.perf_counter(), time.process_time()
         raster.render(scene, views(frame), RenderSettings())
         if frame >= WARM_UP:
@@ -102,7 +103,7 @@ def measure(
                 "renderer": "quads",
                 "blend": blend,
                 "early_stop": renderers[i].early_stop,
-                "visible": renderers[i].finished_stats().visible,
+                "visible": renderers[i].stats(wait=True).visible,
                 **timing(name, scene, times[i], cpu[i]),
                 "stages_ms": {key: float(np.median([one[key] for one in stages[i]])) for key in stages[i][0]},
             }

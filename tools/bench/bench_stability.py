@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from splatview.cli.stability import as_json, run_with_progress
+from splatview.cli.stability import NAMES, as_json, case_renderers, describe_gl, run_with_progress
 from splatview.measure.hard_cases import CASES
 from splatview.measure.hard_cases.run import CaseResult
 from splatview.measure.machine import write_results
-from splatview.renderers.headless import NAMES, case_renderers, describe_gl
 
 OUT = Path(__file__).parents[2] / "assets" / "benchmarks" / "stability.json"
 

@@ -21,6 +21,7 @@ from splatview.measure.machine import FOLDER, write_results
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera, robust_bounds
@@ -42,16 +43,16 @@ def compare(ctx, name: str, gaussians: Gaussians, size: tuple[int, int], frames:
             if frame == 0:
                 renderer.load(gaussians)
             begun = time.perf_counter()
-            renderer.draw(view, settings)
+            renderer.draw(FrameRequest(None, view, settings))
             ctx.finish()
             milliseconds = 1000 * (time.perf_counter() - begun)
             if frame > 0:  # in the first programs are compiled and buffers made
                 times[each].append(milliseconds)
-                stages[each].append(dict(renderer.finished_stats().ms))
+                stages[each].append(dict(renderer.stats(wait=True).ms))
         pictures = [renderer.read() for renderer in renderers.values()]
         difference = max(difference, float(np.abs(pictures[0] - pictures[1]).max()))
     for renderer in renderers.values():
-        renderer.release()
+        renderer.close()
     medians = {each: float(np.median(values)) for each, values in times.items()}
     return {
         "scene": name,

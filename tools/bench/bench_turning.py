@@ -57,10 +57,10 @@ def drag(display: str, at: tuple[int, int], seconds: float) -> subprocess.Popen[
 
 def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
-    from splatview.renderers import cpu_async as cpu_texture
-    from splatview.renderers import moving_quality as moving
+    from splatview.renderers import async_renderer, quality
     from splatview.viewer import app as app_module
     from splatview.viewer import viewport
+    from splatview.viewer.picture import Picture
 
     started: list[bool] = []
     notes: list[str] = []
@@ -68,12 +68,12 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
     pictures: list[tuple[float, int]] = []
     found: dict[str, Any] = {}
     if way in ("clock", "splats"):
-        cpu_texture.make_levels = lambda gaussians, stop: (moving.Level(gaussians),)
+        async_renderer.make_levels = lambda gaussians, stop: (quality.Level(gaussians),)
     if way == "clock":
-        cpu_texture.CpuTexture.wait = lambda self, seconds: None
+        async_renderer.AsyncRenderer.wait = lambda self, seconds: None
         app_module.MAX_FPS = app_module.SOFTWARE_FPS = CLOCK_FPS
     app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
-    real_upload, real_draw = cpu_texture.CpuTexture._upload, viewport.draw_picture
+    real_upload, real_draw = Picture._upload, viewport.draw_picture
 
     def act(app: AppState) -> None:
         """What a user does, beside the frame loop. ImGui's test engine would shut out the real mouse."""
@@ -108,7 +108,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
         frames.append(time.perf_counter())
         real_draw(app, *arguments)
 
-    cpu_texture.CpuTexture._upload = upload
+    Picture._upload = upload
     viewport.draw_picture = draw
     app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer="cpu")
 

@@ -156,7 +156,7 @@ def switch(app: AppState, name: str) -> None:
     if session is not None:
         session.loaded = scene
     app.picture = new
-    old.release()
+    old.close()
     app.feature(Accuracy).hold(app, app.feature(Accuracy).budget_ms)
 
 

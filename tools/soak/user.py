@@ -11,6 +11,7 @@ import numpy as np
 from checks import Mishap, Pictures, Undone, wait_for_threads
 from drives import Hand
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
 from splatview.viewer.editing.session import Editing, at_rest, session_of
 from splatview.viewer.quality.state import Accuracy
@@ -152,10 +153,12 @@ class User(Hand):
         gaussians = session.document.gaussians if (session := session_of(app)) else scene.gaussians
         edits, camera, settings = app.edits, app.camera, app.settings
         if app.mode == "splats":
-            saved = self.on_gl_thread(lambda: picture.read(camera, settings, "splats", edits=edits))
+            saved = self.on_gl_thread(lambda: picture.read(FrameRequest(None, camera, settings, edits=edits)))
             self.pictures.compare("a saved picture", saved, gaussians, camera, settings, edits)
         else:
-            saved = self.on_gl_thread(lambda: picture.read(camera, settings, app.mode, edits=edits))
+            saved = self.on_gl_thread(
+                lambda: picture.read(FrameRequest(None, camera, settings, mode=app.mode, edits=edits))
+            )
             if not np.isfinite(saved).all():
                 raise Mishap(f"{app.mode}: numbers that are not finite")
         self.calm()

@@ -23,8 +23,8 @@ from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.selectors import Histogram
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
-from splatview.renderers.headless import RasterTools
-from splatview.renderers.types import Highlight
+from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, Crop, SceneEdits
 from splatview.scene.user_dirs import config_folder
@@ -424,7 +424,7 @@ class Editing(Feature):
             self.session.close()
         folder = scene.paths[0].parent if scene.paths else None
         try:
-            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=RasterTools())
+            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=CpuRenderer())
         except InputError as error:
             self.session = None
             app.tell(f"{error}; it can be looked at")

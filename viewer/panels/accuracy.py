@@ -13,7 +13,7 @@ from splatview.viewer import theme
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES
 from splatview.viewer.quality.comparison import RIGHTS
-from splatview.viewer.quality.measurement import applicable, renderer_name, unpriced_knobs
+from splatview.viewer.quality.measurement import applicable, unpriced_knobs
 from splatview.viewer.quality.state import Accuracy, choose, price_of
 from splatview.viewer.state import AppState
 
@@ -93,7 +93,7 @@ def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
                 imgui.text_colored(theme.QUIET, knob(before).title)
                 widgets.tooltip(knob(before).changes)
             row(app, accuracy, ladder, one)
-        for other in unpriced_knobs(renderer_name(picture)) if picture is not None else ():
+        for other in unpriced_knobs(picture.backend) if picture is not None else ():
             unpriced(app, accuracy, other)
         imgui.end_table()
     if ladder.left_out:

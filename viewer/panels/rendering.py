@@ -8,9 +8,10 @@ from typing import get_args
 
 from imgui_bundle import ImVec4, imgui
 
+from splatview.renderers import MODES
 from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
-from splatview.viewer.commands import VISUAL_MODES, set_mode
+from splatview.viewer.commands import set_mode
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES, BackgroundKind
 from splatview.viewer.state import AppState
@@ -81,22 +82,13 @@ def colour(app: AppState, name: str, preference: str, tip: str) -> None:
         app.prefer(**{preference: (r, g, b)})
 
 
-MODE_NAMES = {
-    "splats": "Splats",
-    "points": "Points",
-    "ellipsoids": "Ellipsoids",
-    "depth": "Depth",
-    "overdraw": "Overdraw",
-}
-MODE_TIP = (
-    "What is drawn for each splat. Splats: the picture itself. Points: centres only, to see structure. "
-    "Ellipsoids: solid bodies, to see needles and discs. Depth: near is bright. "
-    "Overdraw: how many splats each pixel costs, to see where time goes."
+MODE_TIP = "What is drawn for each splat. " + " ".join(
+    f"{mode.label}: {mode.explanation}." for mode in MODES.values()
 )
 
 
 def show(app: AppState) -> None:
-    mode = widgets.combo("Show", app.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
+    mode = widgets.combo("Show", app.mode, tuple(MODES), MODE_TIP, [mode.label for mode in MODES.values()])
     if mode is not None:
         app.post(set_mode, mode)
     sh_degree(app)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from splatview.measure.governor import Governor, Shortcut, Watch, priced, unpriced
 from splatview.measure.knobs import Plan, apply_choices
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.renderers.quality import Governor, Watch, is_ranked, priced, rank, unpriced, with_rest_hidden
+from splatview.renderers.request import FrameRequest
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import SceneEdits
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.feature import Feature
-from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
+from splatview.viewer.picture import Picture, scaled_camera
 from splatview.viewer.quality.comparison import Comparing
-from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_name
+from splatview.viewer.quality.measurement import SECONDS, Measurement
+from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.measure.work import Bill
@@ -40,13 +40,8 @@ class Storing:
         self.gaussians = gaussians
         self.attributes: Attributes = attributes
         self._picture = picture
-        self._form: list[Gaussians] = []
         self._steps: Generator[float] | None = None
-        self._thread = threading.Thread(target=self._round, name="splatview-storing", daemon=True)
-        self._thread.start()
-
-    def _round(self) -> None:
-        self._form.append(stored(self.gaussians, self.attributes))
+        self._rounding = Task(lambda _: stored(gaussians, attributes), name="splatview-storing")
 
     def advance(self) -> bool:
         """Some milliseconds of it; whether all is done. For the GL thread.
@@ -54,16 +49,18 @@ class Storing:
         Raises:
             InputError: the picture's renderer cannot have the scene so.
         """
-        if self._thread.is_alive():
+        if not self._rounding.done:
             return False
+        if self._rounding.result is None:
+            raise InputError(f"attributes {self.attributes}: {self._rounding.error}")
         if self._steps is None:
-            self._steps = self._picture.load_steps(self._form[0], self.attributes)
+            self._steps = self._picture.load_steps(self._rounding.result, self.attributes)
         until = time.perf_counter() + UPLOAD_SECONDS
         return all(time.perf_counter() <= until for _ in self._steps)
 
     def end(self) -> None:
         """Gives it up; what was shown stays."""
-        self._thread.join()
+        self._rounding.join()
         if self._steps is not None:
             self._steps.close()
 
@@ -91,13 +88,13 @@ class Accuracy(Feature):
     """Instead, how often each shortcut is drawn."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
-    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    watch: Watch = field(default_factory=lambda: Watch(Governor(1000 / 60)))
     stored: Attributes = "float32"
     """How the renderer has the open scene now, and..."""
     storing: Storing | None = None
     """... how it is getting it."""
     _kept: float = 1.0
-    _ranking: threading.Thread | None = None
+    _ranking: Task[None] | None = None
     """Finds out what a share of the splats would keep."""
     _hidden: tuple[Any, Any, SceneEdits | None] | None = None
     _camera: Camera | None = None
@@ -123,8 +120,8 @@ class Accuracy(Feature):
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
         if app.picture is None:
             return
-        plan = apply_choices(Plan(), {knob: value}, renderer_name(app.picture))
-        problem = app.picture.refusal(plan.settings)
+        plan = apply_choices(Plan(), {knob: value}, app.picture.backend)
+        problem = app.picture.unsupported(FrameRequest(None, app.camera, plan.settings))
         if problem is not None:
             raise InputError(problem)
         self.choices[knob] = value
@@ -141,8 +138,8 @@ class Accuracy(Feature):
             if not self.watch.governor.steps and self._full_ms > 0:
                 # Until prices are known.
                 self.watch.governor.follow(unpriced(self._full_ms))
-        if isinstance(app.picture, CpuPicture):
-            app.picture.hold_budget(budget_ms)
+        if app.picture is not None:
+            app.picture.budget_ms = budget_ms
 
     # ---- what is drawn
 
@@ -150,11 +147,11 @@ class Accuracy(Feature):
         """The settings with the shortcuts taken."""
         plan = Plan(settings=app.settings)
         if self.choices and app.picture is not None:
-            plan = apply_choices(plan, self.choices, renderer_name(app.picture))
+            plan = apply_choices(plan, self.choices, app.picture.backend)
         return plan
 
-    def next_frame(self, app: AppState) -> tuple[Camera, RenderSettings]:
-        """By what the frame that comes is drawn."""
+    def next_frame(self, app: AppState) -> FrameRequest:
+        """What the frame that comes is drawn by: of the loaded scene, on the pixels that are drawn."""
         plan, camera, self.note = self.plan(app), app.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
@@ -162,14 +159,16 @@ class Accuracy(Feature):
             step = self.watch.next(moved=moved)
             if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
-                plan = apply_choices(plan, dict(step.choices), renderer_name(app.picture))
+                plan = apply_choices(plan, dict(step.choices), app.picture.backend)
                 scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
                 plan = replace(plan, resolution=scale, kept=kept)
                 self.note = step.note
         self._kept = plan.kept if app.mode == "splats" else 1.0
-        return scaled_camera(camera, app.preferences.resolution_scale * plan.resolution), plan.settings
+        camera = scaled_camera(camera, app.preferences.resolution_scale * plan.resolution)
+        more = {"mode": app.mode, "edits": self._edits(app), "highlight": app.highlight}
+        return FrameRequest(None, camera, plan.settings, **more)
 
-    def shown_edits(self, app: AppState) -> SceneEdits | None:
+    def _edits(self, app: AppState) -> SceneEdits | None:
         """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
         edits = app.edits
         if self._kept >= 1 or not app.is_open:
@@ -187,29 +186,23 @@ class Accuracy(Feature):
         return held[2]
 
     def _rank(self, gaussians: Gaussians) -> None:
-        if self._ranking is not None and self._ranking.is_alive():
+        if self._ranking is not None and not self._ranking.done:
             return
-
-        def work() -> None:
-            rank(gaussians)
-            self.wake()
-
-        self._ranking = threading.Thread(target=work, name="splatview-rank", daemon=True)
-        self._ranking.start()
+        self._ranking = Task(lambda _: rank(gaussians), name="splatview-rank", on_done=self.wake)
 
     def governs(self, app: AppState) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
         return (
             self.budget_ms is not None
             and app.picture is not None
-            and not isinstance(app.picture, CpuPicture)
+            and not app.picture.draws_anywhere
             and app.mode == "splats"
         )
 
     def busy(self, app: AppState) -> bool:
         governed = self.budget_ms is not None and not self.watch.resting
         loading = self.measurement is not None or self.storing is not None
-        ranking = self._ranking is not None and self._ranking.is_alive()
+        ranking = self._ranking is not None and not self._ranking.done
         return loading or governed or ranking or self.comparing.busy
 
     # ---- between two frames

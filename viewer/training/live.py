@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
-from splatview.renderers.cpu_async import FRAME_SECONDS
+from splatview.renderers.async_renderer import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.background import BackgroundTraining, Snapshot, State, Status, pace_of

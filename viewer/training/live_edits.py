@@ -11,7 +11,7 @@ import numpy as np
 from splatview.edit.document import Document
 from splatview.edit.operations import AddCrop, Hide, Lock, RemoveCrop, Select
 from splatview.edit.selectors import IndexRuns
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
 from splatview.trainer.background import BackgroundTraining, Snapshot
@@ -113,7 +113,7 @@ class TrainingEdits:
         editing.session = new
 
     def _session(self, app: AppState, snapshot: Snapshot) -> EditSession:
-        document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=RasterTools())
+        document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=CpuRenderer())
         return EditSession(document=document, target=TrainingTarget(self._thread, snapshot))
 
     # ---- commands, to be posted

@@ -11,6 +11,7 @@ from splatview import raster
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import RenderSettings, look_at, reference
 from splatview.scene.background import Background, Gradient, Panorama
 from splatview.scene.lens import Lens
@@ -38,10 +39,10 @@ def test_gl_agrees_with_the_reference(ctx, random_gaussians, backgrounds, make):
     for background in (*backgrounds.values(), backgrounds["colour"]):
         settings = RenderSettings(background=background, blend="float32")
         truth = reference.render(scene, CAMERA, settings)
-        image = renderer.render(scene, CAMERA, settings)
+        image = renderer.render(FrameRequest(scene, CAMERA, settings))
         np.testing.assert_allclose(image, truth, atol=TOLERANCE)
         assert (1 - truth[..., 3]).mean() > 0.2  # or nothing of it would be seen
-    renderer.release()
+    renderer.close()
 
 
 def test_the_cpu_agrees_with_the_reference(random_gaussians, backgrounds):
@@ -57,10 +58,10 @@ def test_only_the_background_is_drawn_anew(ctx, random_gaussians, backgrounds):
     renderer.load(random_gaussians(30))
     counts = []
     for background in backgrounds.values():
-        renderer.draw(CAMERA, RenderSettings(background=background))
-        counts.append((renderer.stats.projected, renderer.stats.sorted, renderer.stats.drawn))
+        renderer.draw(FrameRequest(None, CAMERA, RenderSettings(background=background)))
+        counts.append((renderer.stats().projected, renderer.stats().sorted, renderer.stats().drawn))
     assert counts == [(1, 1, 1)] * 3
-    renderer.release()
+    renderer.close()
 
 
 def test_a_lens_bends_the_background_too(ctx, backgrounds, flat_scene):
@@ -68,11 +69,11 @@ def test_a_lens_bends_the_background_too(ctx, backgrounds, flat_scene):
     renderer = QuadsRenderer(ctx)
     for name in ("gradient", "panorama"):
         settings = RenderSettings(background=backgrounds[name], blend="float32")
-        straight = renderer.render(flat_scene, CAMERA, settings)
-        bent = renderer.render(flat_scene, camera, settings)
+        straight = renderer.render(FrameRequest(flat_scene, CAMERA, settings))
+        bent = renderer.render(FrameRequest(flat_scene, camera, settings))
         np.testing.assert_allclose(bent, reference.render(flat_scene, camera, settings), atol=TOLERANCE)
         assert np.abs(bent - straight).max() > 0.01
-    renderer.release()
+    renderer.close()
 
 
 @pytest.fixture

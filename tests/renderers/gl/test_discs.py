@@ -14,6 +14,7 @@ from splatview.renderers.gl.context import held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 
@@ -31,7 +32,7 @@ def renderer(ctx: moderngl.Context, request: pytest.FixtureRequest) -> Iterator[
         pytest.skip("needs OpenGL 4.3")
     made = request.param(ctx)
     yield made
-    made.release()
+    made.close()
 
 
 def of_all_kinds(seed: int, count: int = 60) -> Gaussians:
@@ -57,7 +58,9 @@ def test_pictures_are_the_references(renderer, seed):
     scene = of_all_kinds(seed)
     for view, blur in ((CAMERA, 0.5), (PARALLEL, 0.5), (CAMERA, 0.0)):
         chosen = replace(DISCS, model=replace(DISCS.model, blur=blur))
-        assert_close(renderer.render(scene, view, chosen), reference.render(scene, view, chosen))
+        assert_close(
+            renderer.render(FrameRequest(scene, view, chosen)), reference.render(scene, view, chosen)
+        )
 
 
 def test_edits_are_seen_as_they_are_baked(renderer):
@@ -70,38 +73,38 @@ def test_edits_are_seen_as_they_are_baked(renderer):
     marks = (np.arange(len(scene)) % 3).astype(np.uint32) << PALETTE_SHIFT
     marks[::7] |= HIDDEN
     edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
-    drawn = renderer.render(scene, CAMERA, DISCS, edits=edits)
+    drawn = renderer.render(FrameRequest(scene, CAMERA, DISCS, edits=edits))
     assert_close(drawn, reference.render(bake(scene, edits), CAMERA, DISCS))
 
 
 def test_discs_take_memory_only_once_they_are_drawn(renderer):
     scene = of_all_kinds(1, count=3000)
-    before = renderer.render(scene, CAMERA, EXACT)
+    before = renderer.render(FrameRequest(scene, CAMERA, EXACT))
     bytes_before = held_bytes(renderer)
-    flat = renderer.render(scene, CAMERA, DISCS)
+    flat = renderer.render(FrameRequest(scene, CAMERA, DISCS))
     assert held_bytes(renderer) >= bytes_before + 32 * len(scene)
     assert np.abs(flat - before).max() > 0.05
     # And back, to the bit.
-    assert (renderer.render(scene, CAMERA, EXACT) == before).all()
+    assert (renderer.render(FrameRequest(scene, CAMERA, EXACT)) == before).all()
     other = of_all_kinds(2, count=3000)
-    renderer.render(other, CAMERA, EXACT)
+    renderer.render(FrameRequest(other, CAMERA, EXACT))
     assert held_bytes(renderer) == bytes_before
 
 
 def test_every_mode_shows_discs(renderer):
     scene = of_all_kinds(5)
     shown = [
-        renderer.render(scene, CAMERA, DISCS, mode=mode)
+        renderer.render(FrameRequest(scene, CAMERA, DISCS, mode=mode))
         for mode in ("splats", "points", "ellipsoids", "depth", "overdraw")
     ]
     assert all(np.isfinite(picture).all() and picture[..., :3].std() > 0.01 for picture in shown)
     # Points and bodies are those of any splat.
     for mode in ("points", "ellipsoids"):
-        same = renderer.render(scene, CAMERA, EXACT, mode=mode)
-        assert np.abs(renderer.render(scene, CAMERA, DISCS, mode=mode) - same).mean() < 0.02
+        same = renderer.render(FrameRequest(scene, CAMERA, EXACT, mode=mode))
+        assert np.abs(renderer.render(FrameRequest(scene, CAMERA, DISCS, mode=mode)) - same).mean() < 0.02
 
 
 def test_a_lens_is_refused(renderer):
     bent = replace(CAMERA, lens=Lens(model="SIMPLE_RADIAL", parameters=(0.1,)))
     with pytest.raises(InputError, match="has a lens"):
-        renderer.render(of_all_kinds(1), bent, DISCS)
+        renderer.render(FrameRequest(of_all_kinds(1), bent, DISCS))

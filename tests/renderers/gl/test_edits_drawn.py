@@ -15,7 +15,7 @@ from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.sort_thread import ViewLine, depth_order
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at, reference
 from splatview.scene.edits import (
     DELETED,
@@ -48,7 +48,7 @@ def renderer(ctx: moderngl.Context, request: pytest.FixtureRequest) -> Iterator[
         pytest.skip("needs OpenGL 4.3")
     made = request.param(ctx)
     yield made
-    made.release()
+    made.close()
 
 
 def camera_at(place: np.ndarray = HERE, size: tuple[int, int] = (64, 48)) -> Camera:
@@ -118,7 +118,7 @@ def assert_true(
     least: float = 80.0,
 ) -> np.ndarray:
     """Draws and compares, and makes sure that the edits show."""
-    image = renderer.render(scene, camera, settings, edits=edits)
+    image = renderer.render(FrameRequest(scene, camera, settings, edits=edits))
     truth = reference.render(bake(scene, edits), camera, settings)
     assert np.isfinite(image).all()
     assert psnr(image, truth) >= least
@@ -189,18 +189,18 @@ def test_opacity_zero_and_one(renderer, random_gaussians: Make):
 
 def test_no_edits_cost_nothing(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at()
-    plain = renderer.render(scene, camera, EXACT)
+    plain = renderer.render(FrameRequest(scene, camera, EXACT))
     none = SceneEdits(marks=np.zeros(200, np.uint32))
-    same = renderer.render(scene, camera, EXACT, edits=none, highlight=Highlight())
+    same = renderer.render(FrameRequest(scene, camera, EXACT, edits=none, highlight=Highlight()))
     assert np.array_equal(plain, same)
-    assert renderer.stats.drawn == 1
+    assert renderer.stats().drawn == 1
     assert renderer._edits.marks_uploaded == 0
     with pytest.raises(RuntimeError, match="reserve"):
         _ = renderer._edits._marks.texture
 
 
 def counters(renderer: Renderer) -> tuple[int, int, int]:
-    stats = renderer.stats
+    stats = renderer.stats()
     return stats.projected, stats.sorted, stats.drawn
 
 
@@ -209,27 +209,27 @@ def test_a_selection_is_only_drawn_anew(renderer, random_gaussians: Make):
     marks = np.zeros(200, np.uint32)
     marks[7] = DELETED
     edits = SceneEdits(marks=marks, flags=DELETED | SELECTED)
-    first = renderer.render(scene, camera, EXACT, edits=edits, highlight=highlight)
+    first = renderer.render(FrameRequest(scene, camera, EXACT, edits=edits, highlight=highlight))
     assert counters(renderer) == (1, 1, 1)
 
     marks[10:60] = SELECTED
     edits = replace(edits, marks_version=1, changes=((1, 10, 60),))
-    lit = renderer.render(scene, camera, EXACT, edits=edits, highlight=highlight)
+    lit = renderer.render(FrameRequest(scene, camera, EXACT, edits=edits, highlight=highlight))
     assert counters(renderer) == (1, 1, 2)
     assert np.array_equal(lit[..., 3], first[..., 3])
     assert largest_error(lit, first) > 0.1
     # Without a tint there is nothing to draw it for.
-    plain = renderer.render(scene, camera, EXACT, edits=edits)
+    plain = renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
     assert np.array_equal(plain, first)
     drawn = counters(renderer)
     marks[70:80] = LOCKED
     edits = replace(edits, marks_version=2, changes=((1, 10, 60), (2, 70, 80)))
-    renderer.render(scene, camera, EXACT, edits=edits)
+    renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
     assert counters(renderer) == drawn
 
     marks[20] |= HIDDEN
     edits = replace(edits, marks_version=3, changes=((3, 20, 21),), flags=31)
-    renderer.render(scene, camera, EXACT, edits=edits)
+    renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
     assert counters(renderer)[0] == 2
 
 
@@ -242,12 +242,12 @@ def test_a_change_of_colours_needs_no_new_order_where_the_order_is_a_thread_s(ct
             grade = Adjustment(opacity=(gain, 0.0, 0.0, 1.0))
             edits = SceneEdits(marks=marks, palette=(IDENTITY, grade), crops=some_crops(HERE)[:1])
             assert_true(renderer, scene, edits, camera)
-        assert (renderer.stats.projected, renderer.stats.sorted) == (2, 1)
+        assert (renderer.stats().projected, renderer.stats().sorted) == (2, 1)
         moved = SceneEdits(marks=marks, palette=(IDENTITY, Adjustment(rotation=(0.0, 1.0, 0.0, 0.0))))
         assert_true(renderer, scene, moved, camera)
-        assert renderer.stats.sorted == 2
+        assert renderer.stats().sorted == 2
     finally:
-        renderer.release()
+        renderer.close()
 
 
 def test_only_what_changed_is_uploaded(renderer, random_gaussians: Make):
@@ -260,12 +260,12 @@ def test_only_what_changed_is_uploaded(renderer, random_gaussians: Make):
         marks[start:stop] ^= DELETED
         edits = replace(edits, marks_version=version, changes=changes)
         before = renderer._edits.marks_uploaded
-        image = renderer.render(scene, camera, EXACT, edits=edits)
+        image = renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
         left = scene.take(np.flatnonzero(marks == 0))
         assert largest_error(image, reference.render(left, camera, EXACT)) <= 2e-3
         return renderer._edits.marks_uploaded - before
 
-    renderer.render(scene, camera, EXACT, edits=edits)
+    renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
     assert uploaded(1, ((1, 5, 6),), 5, 6) == 1
     # From the middle of one row of texels over two whole ones into a fourth.
     assert uploaded(2, ((1, 5, 6), (2, 2000, 8500)), 2000, 8500) == 6500
@@ -273,27 +273,27 @@ def test_only_what_changed_is_uploaded(renderer, random_gaussians: Make):
     assert uploaded(9, ((9, 0, 1),), 100, 3000) == 9000  # some changes are not told
     # The same marks in an array of their own need no upload; other marks do.
     edits, before = replace(edits, marks=marks.copy(), marks_version=0), renderer._edits.marks_uploaded
-    renderer.render(scene, camera, EXACT, edits=edits)
+    renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
     assert renderer._edits.marks_uploaded == before
 
 
 def test_undoing_everything_gives_the_first_picture_back(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at()
-    plain = renderer.render(scene, camera, EXACT)
+    plain = renderer.render(FrameRequest(scene, camera, EXACT))
     edits = edits_of("all", 200)
-    edited = renderer.render(scene, camera, EXACT, edits=edits)
-    assert np.array_equal(plain, renderer.render(scene, camera, EXACT))
-    assert np.array_equal(edited, renderer.render(scene, camera, EXACT, edits=edits))
+    edited = renderer.render(FrameRequest(scene, camera, EXACT, edits=edits))
+    assert np.array_equal(plain, renderer.render(FrameRequest(scene, camera, EXACT)))
+    assert np.array_equal(edited, renderer.render(FrameRequest(scene, camera, EXACT, edits=edits)))
     edits.marks[:] = 0
     nothing = SceneEdits(marks=edits.marks, marks_version=1, flags=31)
-    assert np.array_equal(plain, renderer.render(scene, camera, EXACT, edits=nothing))
+    assert np.array_equal(plain, renderer.render(FrameRequest(scene, camera, EXACT, edits=nothing)))
 
 
 def test_edits_of_another_scene_are_refused_and_forgotten_on_load(renderer, random_gaussians: Make):
     scene = random_gaussians(100)
     assert_true(renderer, scene, edits_of("hidden", 100), camera_at())
     with pytest.raises(ValueError, match="100 marks for a scene of 50 splats"):
-        renderer.render(random_gaussians(50), camera_at(), EXACT, edits=edits_of("hidden", 100))
+        renderer.render(FrameRequest(random_gaussians(50), camera_at(), EXACT, edits=edits_of("hidden", 100)))
     assert_true(renderer, random_gaussians(120, seed=5), edits_of("all", 120), camera_at())
 
 
@@ -324,7 +324,9 @@ def test_marked_splats_are_lit_up(renderer, mode, mark, expected):
     edits = SceneEdits(marks=marks, flags=SELECTED | LOCKED | PREVIEW)
     for shown, colour in ((highlight, expected), (None, (0, 1, 0))):
         image = renderer.render(
-            scene, STRAIGHT, RenderSettings(blend="float32"), mode=mode, edits=edits, highlight=shown
+            FrameRequest(
+                scene, STRAIGHT, RenderSettings(blend="float32"), mode=mode, edits=edits, highlight=shown
+            )
         )
         np.testing.assert_allclose(image[24, 32, :3] / image[24, 32, 3], colour, atol=0.02)
 
@@ -333,11 +335,13 @@ def test_depth_and_overdraw_are_not_tinted(renderer, random_gaussians: Make):
     scene = random_gaussians(50)
     edits = SceneEdits(marks=np.full(50, SELECTED, np.uint32), flags=SELECTED)
     for mode in ("depth", "overdraw"):
-        plain = renderer.render(scene, camera_at(), EXACT, mode=mode)
-        drawn = renderer.stats.drawn
-        lit = renderer.render(scene, camera_at(), EXACT, mode=mode, edits=edits, highlight=Highlight())
+        plain = renderer.render(FrameRequest(scene, camera_at(), EXACT, mode=mode))
+        drawn = renderer.stats().drawn
+        lit = renderer.render(
+            FrameRequest(scene, camera_at(), EXACT, mode=mode, edits=edits, highlight=Highlight())
+        )
         assert np.array_equal(plain, lit)
-        assert renderer.stats.drawn == drawn
+        assert renderer.stats().drawn == drawn
 
 
 @pytest.mark.parametrize("mode", ["points", "ellipsoids", "depth", "overdraw"])
@@ -345,10 +349,10 @@ def test_every_mode_shows_edits(renderer, random_gaussians: Make, mode):
     # The colours of depths span all splats, shown or not.
     edits = edits_of("adjusted" if mode == "depth" else "all", 200)
     scene, camera = random_gaussians(200), camera_at()
-    edited = renderer.render(scene, camera, EXACT, mode=mode, edits=edits)
-    baked = renderer.render(bake(scene, edits), camera, EXACT, mode=mode)
+    edited = renderer.render(FrameRequest(scene, camera, EXACT, mode=mode, edits=edits))
+    baked = renderer.render(FrameRequest(bake(scene, edits), camera, EXACT, mode=mode))
     assert psnr(edited, baked) >= 45
-    assert psnr(edited, renderer.render(scene, camera, EXACT, mode=mode)) < 30
+    assert psnr(edited, renderer.render(FrameRequest(scene, camera, EXACT, mode=mode))) < 30
 
 
 def test_the_first_of_several_marks_counts():

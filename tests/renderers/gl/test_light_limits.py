@@ -11,6 +11,7 @@ from splatview import raster
 from splatview.renderers.gl import quads
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, look_at, reference
 from splatview.scene.effects import VISIBLE, settings_for
 from splatview.scene.effects.appearance import LEAST_LIGHT
@@ -49,8 +50,8 @@ def test_a_bright_lamp_behind_what_is_nearly_opaque(ctx, lamp_behind_walls, rend
         if renderer == "cpu":
             return raster.render(scene, CAMERA, settings)
         made = (QuadsRenderer if renderer == "quads" else TilesRenderer)(ctx)
-        image = made.render(scene, CAMERA, settings)
-        made.release()
+        image = made.render(FrameRequest(scene, CAMERA, settings))
+        made.close()
         return image
 
     truth = reference.render(scene, CAMERA)

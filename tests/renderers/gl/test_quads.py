@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import TEXTBOOK, Camera, Gaussians, ImageModel, RenderSettings, look_at
 from splatview.scene.reference import render as render_reference
 
@@ -23,7 +24,7 @@ EXACT = RenderSettings(blend="float32", background=BACKGROUND)
 def renderer(ctx: moderngl.Context) -> Iterator[QuadsRenderer]:
     made = QuadsRenderer(ctx)
     yield made
-    made.release()
+    made.close()
 
 
 def psnr(image: np.ndarray, truth: np.ndarray) -> float:
@@ -40,7 +41,7 @@ def assert_true(
     least: float = 60.0,
     most: float = 4 / 255,
 ) -> np.ndarray:
-    image = renderer.render(scene, camera, settings)
+    image = renderer.render(FrameRequest(scene, camera, settings))
     truth = render_reference(scene, camera, settings)
     assert image.shape == (camera.height, camera.width, 4)
     assert image.dtype == np.float32
@@ -83,7 +84,7 @@ def test_antialiased_opacity(renderer, random_gaussians: Make):
     settings = replace(EXACT, model=ImageModel(antialiased=True))
     scene = random_gaussians(800)
     image = assert_true(renderer, scene, camera_at(0, 0, 9), settings, least=80)
-    assert np.abs(image - renderer.render(scene, camera_at(0, 0, 9), EXACT)).max() > 0.02
+    assert np.abs(image - renderer.render(FrameRequest(scene, camera_at(0, 0, 9), EXACT))).max() > 0.02
 
 
 def test_bare_textbook_model(renderer, random_gaussians: Make):
@@ -98,13 +99,13 @@ def test_splats_about_the_near_plane(renderer, random_gaussians: Make):
     means[:, 2] = np.linspace(-0.02, 0.02, 400, dtype=np.float32)
     camera = look_at((0, 0, 0), (0, 0, 1), width=64, height=48)
     assert_true(renderer, replace(scene, means=means), camera, least=60)
-    assert 0 < renderer.finished_stats().visible < 400
+    assert 0 < renderer.stats(wait=True).visible < 400
 
 
 def test_an_empty_scene_shows_the_background(renderer, random_gaussians: Make):
-    image = renderer.render(random_gaussians(0), camera_at(0, 0, 2), EXACT)
+    image = renderer.render(FrameRequest(random_gaussians(0), camera_at(0, 0, 2), EXACT))
     assert np.allclose(image, (*BACKGROUND, 0.0), atol=1e-6)
-    assert renderer.finished_stats().visible == 0
+    assert renderer.stats(wait=True).visible == 0
 
 
 def test_a_single_splat(renderer, random_gaussians: Make):
@@ -129,8 +130,8 @@ def test_quaternions_of_any_length(renderer, random_gaussians: Make):
     scaled = replace(scene, quats=scene.quats / np.abs(scene.quats).max(1, keepdims=True) * factors[:, None])
     assert_true(renderer, scaled, camera_at(0, 0, 2.5), least=80)
     whole = replace(EXACT, model=ImageModel(alpha_cut=1e-9))
-    renderer.render(scaled, camera_at(0, 0, 20), whole)
-    assert renderer.finished_stats().visible == 120  # all but the zero ones and those below 1e-30
+    renderer.render(FrameRequest(scaled, camera_at(0, 0, 20), whole))
+    assert renderer.stats(wait=True).visible == 120  # all but the zero ones and those below 1e-30
 
 
 @pytest.mark.parametrize(
@@ -149,7 +150,7 @@ def test_scenes_far_from_the_origin(renderer, random_gaussians: Make):
     far = replace(scene, means=scene.means.astype(np.float64) + shift)
     camera = look_at(shift + np.array([0, 0, 2.5]), shift, width=96, height=64)
     image = assert_true(renderer, far, camera, least=75)
-    near = renderer.render(scene, camera_at(0, 0, 2.5), EXACT)
+    near = renderer.render(FrameRequest(scene, camera_at(0, 0, 2.5), EXACT))
     assert np.abs(image - near).max() < 2e-3
 
 
@@ -165,15 +166,15 @@ def test_the_same_picture_twice(ctx: moderngl.Context, random_gaussians: Make):
     pictures = []
     for _ in range(2):
         renderer = QuadsRenderer(ctx)
-        pictures.append(renderer.render(scene, camera, EXACT))
-        renderer.release()
+        pictures.append(renderer.render(FrameRequest(scene, camera, EXACT)))
+        renderer.close()
     assert np.array_equal(*pictures)
 
 
 def test_bright_colours_do_not_overflow(renderer, random_gaussians: Make):
     scene = random_gaussians(300)
     bright = replace(scene, sh=scene.sh * 40)
-    image = renderer.render(bright, camera_at(0, 0, 2.5), replace(EXACT, blend="float16"))
+    image = renderer.render(FrameRequest(bright, camera_at(0, 0, 2.5), replace(EXACT, blend="float16")))
     truth = render_reference(bright, camera_at(0, 0, 2.5), EXACT)
     assert image.max() > 5
     assert np.allclose(image, truth, rtol=5e-3, atol=4 / 255)
@@ -186,7 +187,7 @@ def test_early_stop_costs_at_most_its_transmittance(renderer, random_gaussians: 
     camera = camera_at(0, 0, 1.5)
     truth = render_reference(scene, camera, EXACT)
     renderer.early_stop = stop
-    image = renderer.render(scene, camera, EXACT)
+    image = renderer.render(FrameRequest(scene, camera, EXACT))
     brightest = max(truth[..., :3].max(), 4.0)
     assert np.abs(image - truth).max() <= stop * brightest + 1e-4
     with pytest.raises(ValueError, match="early_stop"):
@@ -196,7 +197,9 @@ def test_early_stop_costs_at_most_its_transmittance(renderer, random_gaussians: 
 def test_a_target_that_blends_float16_itself(renderer, random_gaussians: Make):
     # What a GPU does; llvmpipe truncates where GPUs round, so its bound here is the looser one.
     renderer._targets.truncates = False
-    image = renderer.render(random_gaussians(1500), camera_at(0, 0.4, 3), replace(EXACT, blend="float16"))
+    image = renderer.render(
+        FrameRequest(random_gaussians(1500), camera_at(0, 0.4, 3), replace(EXACT, blend="float16"))
+    )
     truth = render_reference(random_gaussians(1500), camera_at(0, 0.4, 3), EXACT)
     assert psnr(image, truth) >= 40
 
@@ -205,51 +208,51 @@ def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians: 
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
 
     def counters() -> tuple[int, int, int]:
-        stats = renderer.stats
+        stats = renderer.stats()
         return stats.projected, stats.sorted, stats.drawn
 
-    renderer.render(scene, camera, EXACT)
+    renderer.render(FrameRequest(scene, camera, EXACT))
     assert counters() == (1, 1, 1)
     first = renderer.read()
-    renderer.render(scene, camera_at(0, 0, 2.5), replace(EXACT))
+    renderer.render(FrameRequest(scene, camera_at(0, 0, 2.5), replace(EXACT)))
     assert counters() == (1, 1, 1)
     assert np.array_equal(renderer.read(), first)
 
     # The background is blended at the end; precision and mode draw anew but need no new order.
-    image = renderer.render(scene, camera, replace(EXACT, background=(1, 1, 1)))
+    image = renderer.render(FrameRequest(scene, camera, replace(EXACT, background=(1, 1, 1))))
     assert counters() == (1, 1, 1)
     assert np.abs(image - first).max() > 0.3
-    renderer.draw(camera, replace(EXACT, blend="float16"))
-    renderer.draw(camera, EXACT, mode="overdraw")
+    renderer.draw(FrameRequest(None, camera, replace(EXACT, blend="float16")))
+    renderer.draw(FrameRequest(None, camera, EXACT, mode="overdraw"))
     assert counters() == (1, 1, 3)
-    renderer.draw(camera, EXACT)
+    renderer.draw(FrameRequest(None, camera, EXACT))
     assert np.array_equal(renderer.read(), first)
 
-    renderer.draw(camera_at(0, 0, 2.6), EXACT)
+    renderer.draw(FrameRequest(None, camera_at(0, 0, 2.6), EXACT))
     assert counters() == (2, 2, 5)
     renderer.load(random_gaussians(100, seed=1))
-    renderer.draw(camera_at(0, 0, 2.6), EXACT)
+    renderer.draw(FrameRequest(None, camera_at(0, 0, 2.6), EXACT))
     assert counters() == (3, 3, 6)
 
 
 def test_stats_tell_visible_splats_and_stages(renderer, random_gaussians: Make):
     scene = random_gaussians(1000)
-    renderer.render(scene, camera_at(0, 0, 3), EXACT)
-    assert renderer.stats.splats == 1000
-    finished = renderer.finished_stats()
-    assert renderer.stats.visible == finished.visible
+    renderer.render(FrameRequest(scene, camera_at(0, 0, 3), EXACT))
+    assert renderer.stats().splats == 1000
+    finished = renderer.stats(wait=True)
+    assert renderer.stats().visible == finished.visible
     assert 0 < finished.visible <= 1000
     assert set(finished.ms) == {"project", "sort", "draw"}
-    renderer.draw(look_at((0, 0, 3), (0, 0, 9), width=64, height=48), EXACT)
+    renderer.draw(FrameRequest(None, look_at((0, 0, 3), (0, 0, 9), width=64, height=48), EXACT))
     renderer.read()
-    assert renderer.finished_stats().visible == 0
+    assert renderer.stats(wait=True).visible == 0
 
 
 def test_draw_leaves_the_callers_framebuffer_bound(ctx, renderer, random_gaussians: Make):
     before = ctx.detect_framebuffer()
     mine = ctx.simple_framebuffer((8, 8))
     mine.use()
-    renderer.render(random_gaussians(50), camera_at(0, 0, 3), EXACT)
+    renderer.render(FrameRequest(random_gaussians(50), camera_at(0, 0, 3), EXACT))
     assert ctx.detect_framebuffer().glo == mine.glo
     before.use()  # releasing a bound framebuffer is an error in moderngl
     mine.release()
@@ -257,4 +260,4 @@ def test_draw_leaves_the_callers_framebuffer_bound(ctx, renderer, random_gaussia
 
 def test_draw_before_load_is_refused(renderer):
     with pytest.raises(RuntimeError, match="load"):
-        renderer.draw(camera_at(0, 0, 3), EXACT)
+        renderer.draw(FrameRequest(None, camera_at(0, 0, 3), EXACT))

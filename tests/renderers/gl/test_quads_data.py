@@ -11,6 +11,7 @@ import pytest
 from splatview.measure.ambiguity import unexplained_pixels
 from splatview.measure.metrics import psnr
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, RenderSettings, look_at
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
@@ -43,14 +44,14 @@ def check(ctx, scene_path, views: list[tuple[str, int]]) -> None:
         view = camera(centre, radius, DISTANCES[name], 0.4 + turn * math.pi / 2)
         truth = render_reference(scene, view, settings)
         for blend, least in (("float16", FLOAT16_PSNR), ("float32", FLOAT32_PSNR)):
-            image = renderer.render(scene, view, replace(settings, blend=blend))
+            image = renderer.render(FrameRequest(scene, view, replace(settings, blend=blend)))
             assert psnr(image, truth) >= least, (name, turn, blend)
             unexplained, explained = unexplained_pixels(
                 image, truth, scene, view, settings, bound=LARGEST_ERROR
             )
             assert not unexplained, (name, turn, blend, unexplained[:5])
             assert explained <= 0.001 * view.width * view.height
-    renderer.release()
+    renderer.close()
 
 
 @pytest.mark.parametrize("name", SCENES[:2])

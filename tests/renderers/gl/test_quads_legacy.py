@@ -20,6 +20,7 @@ from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
+from splatview.renderers.request import FrameRequest
 from splatview.scene import TEXTBOOK, Gaussians, ImageModel, InputError, RenderSettings, look_at, reference
 from splatview.scene.formats import load_scene
 from splatview.scene.sh import rgb_to_sh
@@ -32,7 +33,7 @@ FLOAT32 = RenderSettings(blend="float32")
 def renderer(ctx):
     renderer = QuadsGL33Renderer(ctx)
     yield renderer
-    renderer.release()
+    renderer.close()
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def assert_true(image: np.ndarray, gaussians: Gaussians, camera, settings: Rende
 def test_random_scenes(renderer, random_gaussians, degree, blend):
     gaussians = random_gaussians(400, sh_degree=degree, seed=degree)
     settings = RenderSettings(blend=blend, background=(0.2, 0.5, 0.9))
-    assert_true(renderer.render(gaussians, CAMERA, settings), gaussians, CAMERA, settings)
+    assert_true(renderer.render(FrameRequest(gaussians, CAMERA, settings)), gaussians, CAMERA, settings)
 
 
 @pytest.mark.parametrize(
@@ -80,27 +81,29 @@ def test_random_scenes(renderer, random_gaussians, degree, blend):
 )
 def test_every_setting(renderer, random_gaussians, settings):
     gaussians = random_gaussians(150, seed=7)
-    assert_true(renderer.render(gaussians, CAMERA, settings), gaussians, CAMERA, settings)
+    assert_true(renderer.render(FrameRequest(gaussians, CAMERA, settings)), gaussians, CAMERA, settings)
 
 
 @pytest.mark.parametrize("count", [1, TEXTURE_WIDTH - 1, TEXTURE_WIDTH, TEXTURE_WIDTH + 1, 5000])
 def test_whole_and_partial_rows_of_texels(renderer, random_gaussians, count):
     gaussians = random_gaussians(count, sh_degree=1)
     camera = look_at((0, 0, -3), (0, 0, 0), width=48, height=32)
-    assert_true(renderer.render(gaussians, camera, FLOAT32), gaussians, camera, FLOAT32)
+    assert_true(renderer.render(FrameRequest(gaussians, camera, FLOAT32)), gaussians, camera, FLOAT32)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (17, 9), (16, 16), (130, 3)])
 def test_odd_sizes_and_the_eye_inside(renderer, random_gaussians, size):
     gaussians = random_gaussians(300)
     camera = replace(look_at((0.1, 0.1, 0.1), (0, 0, 1), width=size[0], height=size[1]), cx=size[0] * 0.2)
-    assert_true(renderer.render(gaussians, camera, FLOAT32), gaussians, camera, FLOAT32)
+    assert_true(renderer.render(FrameRequest(gaussians, camera, FLOAT32)), gaussians, camera, FLOAT32)
 
 
 def test_an_empty_scene_is_the_background(renderer, random_gaussians):
-    image = renderer.render(random_gaussians(0), CAMERA, RenderSettings(background=(0.25, 0.5, 1)))
+    image = renderer.render(
+        FrameRequest(random_gaussians(0), CAMERA, RenderSettings(background=(0.25, 0.5, 1)))
+    )
     assert np.array_equal(image, np.broadcast_to(np.array([0.25, 0.5, 1, 0], np.float32), image.shape))
-    assert renderer.stats.visible == 0
+    assert renderer.stats().visible == 0
 
 
 def test_ill_splats_are_culled_and_the_others_stay(renderer, random_gaussians):
@@ -115,7 +118,7 @@ def test_ill_splats_are_culled_and_the_others_stay(renderer, random_gaussians):
     arrays["sh"][5, 7, 1] = np.nan
     logits[6], logits[7], logits[8] = np.nan, -np.inf, np.inf
     ill = replace(gaussians, **arrays, opacity_logits=logits)
-    image = renderer.render(ill, CAMERA, FLOAT32)
+    image = renderer.render(FrameRequest(ill, CAMERA, FLOAT32))
     assert np.isfinite(image).all()
     assert_true(image, ill, CAMERA, FLOAT32)
 
@@ -125,7 +128,7 @@ def test_a_scene_ten_thousand_kilometres_away(renderer, random_gaussians):
     shift = np.array([1e7, -2e7, 5e6])
     far = replace(gaussians, means=gaussians.means.astype(np.float64) + shift)
     camera = look_at(CAMERA.eye + shift, shift, width=97, height=61)
-    assert_true(renderer.render(far, camera, FLOAT32), far, camera, FLOAT32)
+    assert_true(renderer.render(FrameRequest(far, camera, FLOAT32)), far, camera, FLOAT32)
 
 
 @pytest.mark.parametrize("blend", ["float16", "float32"])
@@ -136,7 +139,7 @@ def test_trained_scenes(renderer, data_file, scene, blend):
     radius = np.median(np.linalg.norm(gaussians.means - middle, axis=1))
     camera = look_at(middle + np.array([0.5, 0.8, -3]) * radius, middle, width=128, height=96)
     settings = RenderSettings(blend=blend)
-    assert_true(renderer.render(gaussians, camera, settings), gaussians, camera, settings)
+    assert_true(renderer.render(FrameRequest(gaussians, camera, settings)), gaussians, camera, settings)
 
 
 def test_same_pictures_as_the_compute_path(ctx, renderer, random_gaussians):
@@ -145,10 +148,10 @@ def test_same_pictures_as_the_compute_path(ctx, renderer, random_gaussians):
     gaussians = random_gaussians(3000)
     other = QuadsRenderer(ctx)
     for settings in (RenderSettings(), FLOAT32):
-        image = renderer.render(gaussians, CAMERA, settings)
-        assert largest_error(image, other.render(gaussians, CAMERA, settings)) <= 1e-3
-    assert renderer.stats.visible == other.finished_stats().visible
-    other.release()
+        image = renderer.render(FrameRequest(gaussians, CAMERA, settings))
+        assert largest_error(image, other.render(FrameRequest(gaussians, CAMERA, settings))) <= 1e-3
+    assert renderer.stats().visible == other.stats(wait=True).visible
+    other.close()
 
 
 # ---- visual modes
@@ -174,7 +177,7 @@ AXIS = look_at((0, 0, 0), (0, 0, 1), up=(0, -1, 0), width=63, height=63)
 
 
 def test_points_are_small_opaque_discs(renderer):
-    image = renderer.render(balls([3.0], opacity=-4.0), AXIS, FLOAT32, mode="points")
+    image = renderer.render(FrameRequest(balls([3.0], opacity=-4.0), AXIS, FLOAT32, mode="points"))
     rows, columns = np.nonzero(image[..., 3] > 0)
     assert 5 <= len(rows) <= 21
     assert np.abs(rows - 31).max() <= 2
@@ -183,7 +186,7 @@ def test_points_are_small_opaque_discs(renderer):
 
 
 def test_ellipsoids_are_opaque_surfaces_lit_from_the_eye(renderer):
-    image = renderer.render(balls([3.0]), AXIS, FLOAT32, mode="ellipsoids")
+    image = renderer.render(FrameRequest(balls([3.0]), AXIS, FLOAT32, mode="ellipsoids"))
     rows, columns = np.indices((63, 63)) + 0.5
     slope = 0.3 * 1.5 / 3  # sine of the angle at which the sphere of 1.5 sigma is seen
     radius = AXIS.fx * slope / np.sqrt(1 - slope**2)
@@ -198,7 +201,7 @@ def test_a_nearer_ellipsoid_hides_a_farther_one(renderer):
     scene = balls([4.0, 3.0])
     colours = scene.sh.copy()
     colours[1] = rgb_to_sh(np.array([0.9, 0.1, 0.1]))
-    image = renderer.render(replace(scene, sh=colours), AXIS, FLOAT32, mode="ellipsoids")
+    image = renderer.render(FrameRequest(replace(scene, sh=colours), AXIS, FLOAT32, mode="ellipsoids"))
     assert image[31, 31, 0] > 0.8
 
 
@@ -208,7 +211,7 @@ def test_nearer_is_brighter_in_depth_colours(renderer):
         scene = balls([depth, 2.0, 4.0])
         moved = scene.means.copy()
         moved[1:, 0] = 50, -50  # out of sight: they keep the range of depths the same
-        image = renderer.render(replace(scene, means=moved), AXIS, FLOAT32, mode="depth")
+        image = renderer.render(FrameRequest(replace(scene, means=moved), AXIS, FLOAT32, mode="depth"))
         shown = image[31, 31]
         assert shown[3] > 0.8
         lightness.append(shown[:3].sum() / shown[3])
@@ -217,7 +220,7 @@ def test_nearer_is_brighter_in_depth_colours(renderer):
 
 def test_overdraw_counts_splats(renderer):
     def brightness(count: int) -> float:
-        image = renderer.render(balls([3.0] * count), AXIS, FLOAT32, mode="overdraw")
+        image = renderer.render(FrameRequest(balls([3.0] * count), AXIS, FLOAT32, mode="overdraw"))
         return float(image[31, 31, :3].sum())
 
     heat = [brightness(count) for count in (0, 1, 4, 16, 64, 400)]
@@ -233,33 +236,36 @@ def test_modes_look_as_on_the_compute_path(ctx, renderer, random_gaussians, mode
     gaussians = random_gaussians(500)
     other = QuadsRenderer(ctx)
     other.load(gaussians)
-    other.draw(CAMERA, FLOAT32, mode=mode)
-    assert largest_error(renderer.render(gaussians, CAMERA, FLOAT32, mode=mode), other.read()) <= 2e-3
-    other.release()
+    other.draw(FrameRequest(None, CAMERA, FLOAT32, mode=mode))
+    assert (
+        largest_error(renderer.render(FrameRequest(gaussians, CAMERA, FLOAT32, mode=mode)), other.read())
+        <= 2e-3
+    )
+    other.close()
 
 
 def test_every_mode_is_drawn_anew_and_back(renderer, random_gaussians):
     gaussians = random_gaussians(300)
     modes: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
-    images = [renderer.render(gaussians, CAMERA, FLOAT32, mode=mode) for mode in modes]
+    images = [renderer.render(FrameRequest(gaussians, CAMERA, FLOAT32, mode=mode)) for mode in modes]
     for i, image in enumerate(images):
         assert np.isfinite(image).all()
         assert not any(np.allclose(image, other, atol=0.01) for other in images[:i])
-    again = renderer.render(gaussians, CAMERA, FLOAT32)
+    again = renderer.render(FrameRequest(gaussians, CAMERA, FLOAT32))
     assert np.array_equal(again, images[0])
-    assert renderer.stats.sorted == 1, "no mode needs another order"
+    assert renderer.stats().sorted == 1, "no mode needs another order"
 
 
 # ---- when things happen
 
 
 def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians):
-    renderer.render(random_gaussians(100), CAMERA, FLOAT32)
-    before = renderer.stats
-    renderer.draw(replace(CAMERA, name="the same by another name"), FLOAT32)
+    renderer.render(FrameRequest(random_gaussians(100), CAMERA, FLOAT32))
+    before = renderer.stats()
+    renderer.draw(FrameRequest(None, replace(CAMERA, name="the same by another name"), FLOAT32))
     renderer.read()
     assert not renderer.busy
-    assert renderer.stats == before
+    assert renderer.stats() == before
     assert (before.projected, before.sorted, before.drawn) == (1, 1, 1)
 
 
@@ -267,9 +273,9 @@ def test_only_what_changed_is_done_again(renderer, random_gaussians):
     gaussians = random_gaussians(100)
 
     def work(camera, settings):
-        before = renderer.stats
-        renderer.render(gaussians, camera, settings)
-        after = renderer.stats
+        before = renderer.stats()
+        renderer.render(FrameRequest(gaussians, camera, settings))
+        after = renderer.stats()
         return tuple(
             getattr(after, name) - getattr(before, name) for name in ("projected", "sorted", "drawn")
         )
@@ -286,7 +292,7 @@ def test_drawing_never_waits_for_the_order(renderer, random_gaussians, gate):
     gaussians = random_gaussians(500)
     settings = replace(FLOAT32, background=(0.1, 0.2, 0.3))
     renderer.load(gaussians)
-    renderer.draw(CAMERA, settings)
+    renderer.draw(FrameRequest(None, CAMERA, settings))
     assert renderer.busy
     shown = np.frombuffer(renderer.framebuffer.read(components=4, dtype="f4"), np.float32).reshape(-1, 4)
     assert np.allclose(shown, [0.1, 0.2, 0.3, 0])
@@ -297,7 +303,7 @@ def test_drawing_never_waits_for_the_order(renderer, random_gaussians, gate):
 
     gate.clear()
     turned = look_at((-0.4, 0.3, 2.2), (0, 0, 0), width=97, height=61)
-    renderer.draw(turned, settings)
+    renderer.draw(FrameRequest(None, turned, settings))
     assert renderer.busy
     stale = np.frombuffer(renderer.framebuffer.read(components=4, dtype="f4"), np.float32)
     truth = reference.render(gaussians, turned, settings)
@@ -307,10 +313,10 @@ def test_drawing_never_waits_for_the_order(renderer, random_gaussians, gate):
 
     gate.set()
     while renderer.busy:
-        renderer.draw(turned, settings)
-    drawn = renderer.stats.drawn
+        renderer.draw(FrameRequest(None, turned, settings))
+    drawn = renderer.stats().drawn
     assert_true(renderer.read(), gaussians, turned, settings)
-    assert renderer.stats.drawn == drawn, "once it is not busy the picture is final"
+    assert renderer.stats().drawn == drawn, "once it is not busy the picture is final"
 
 
 def test_an_error_in_the_sort_thread_reaches_the_caller(renderer, random_gaussians, monkeypatch):
@@ -319,12 +325,12 @@ def test_an_error_in_the_sort_thread_reaches_the_caller(renderer, random_gaussia
 
     monkeypatch.setattr(sort_worker, "depth_order", fail)
     with pytest.raises(RuntimeError, match="sorting in the background failed"):
-        renderer.render(random_gaussians(10), CAMERA, FLOAT32)
+        renderer.render(FrameRequest(random_gaussians(10), CAMERA, FLOAT32))
 
 
 def test_results_before_a_draw_are_refused(renderer, random_gaussians):
     with pytest.raises(RuntimeError, match=r"load\(\) comes before draw\(\)"):
-        renderer.draw(CAMERA, FLOAT32)
+        renderer.draw(FrameRequest(None, CAMERA, FLOAT32))
     renderer.load(random_gaussians(10))
     for result in (renderer.read, lambda: renderer.texture, lambda: renderer.framebuffer):
         with pytest.raises(RuntimeError, match=r"draw\(\) comes first"):
@@ -333,18 +339,18 @@ def test_results_before_a_draw_are_refused(renderer, random_gaussians):
 
 def test_loading_in_steps_keeps_the_old_scene_until_the_end(renderer, random_gaussians):
     old, new = random_gaussians(50, seed=1), random_gaussians(70_000, sh_degree=0, seed=2)
-    picture = renderer.render(old, CAMERA, FLOAT32)
+    picture = renderer.render(FrameRequest(old, CAMERA, FLOAT32))
     steps = renderer.load_steps(new)
     assert 0 < next(steps) < 1
-    renderer.draw(CAMERA, FLOAT32)
+    renderer.draw(FrameRequest(None, CAMERA, FLOAT32))
     assert np.array_equal(renderer.read(), picture)
     steps.close()
-    assert renderer.stats.splats == 50
+    assert renderer.stats().splats == 50
 
     shares = list(renderer.load_steps(new))
     assert shares == sorted(shares)
     assert shares[-1] == 1
-    assert renderer.stats.splats == 70_000
+    assert renderer.stats().splats == 70_000
 
 
 def test_too_many_splats_are_refused_in_one_line(renderer, random_gaussians, monkeypatch):

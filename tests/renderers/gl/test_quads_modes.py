@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.sh import rgb_to_sh
 
@@ -21,7 +22,7 @@ RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 def renderer(ctx: moderngl.Context) -> Iterator[QuadsRenderer]:
     made = QuadsRenderer(ctx)
     yield made
-    made.release()
+    made.close()
 
 
 def splats(places: list, colours: list, scales: tuple = (0.5, 0.5, 0.5), logit: float = 9.0) -> Gaussians:
@@ -37,7 +38,7 @@ def splats(places: list, colours: list, scales: tuple = (0.5, 0.5, 0.5), logit: 
 
 def picture(renderer: QuadsRenderer, scene: Gaussians, mode, settings: RenderSettings = SETTINGS):
     renderer.load(scene)
-    renderer.draw(CAMERA, settings, mode=mode)
+    renderer.draw(FrameRequest(None, CAMERA, settings, mode=mode))
     return renderer.read()
 
 

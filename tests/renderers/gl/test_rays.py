@@ -12,8 +12,9 @@ import pytest
 
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.lens import COUNTS
 from splatview.scene.reference import render as render_reference
@@ -46,19 +47,21 @@ def through(model: str, camera: Camera = PINHOLE) -> Camera:
 
 
 @pytest.fixture(scope="module")
-def made(session_context: moderngl.Context) -> Iterator[dict[str, Renderer]]:
-    renderers: dict[str, Renderer] = {
+def made(session_context: moderngl.Context) -> Iterator[dict[str, GLRenderer]]:
+    renderers: dict[str, GLRenderer] = {
         "quads": QuadsRenderer(session_context),
         "tiles": TilesRenderer(session_context),
         "legacy": QuadsGL33Renderer(session_context),
     }
     yield renderers
     for renderer in renderers.values():
-        renderer.release()
+        renderer.close()
 
 
 @pytest.fixture(params=["quads", "tiles", "legacy"])
-def renderer(ctx: moderngl.Context, made: dict[str, Renderer], request: pytest.FixtureRequest) -> Renderer:
+def renderer(
+    ctx: moderngl.Context, made: dict[str, GLRenderer], request: pytest.FixtureRequest
+) -> GLRenderer:
     return made[request.param]
 
 
@@ -66,32 +69,34 @@ def test_no_model_is_left_out():
     assert set(LENSES) == {model for model, count in COUNTS.items() if count}
 
 
-def test_every_lens(renderer: Renderer, random_gaussians):
+def test_every_lens(renderer: GLRenderer, random_gaussians):
     scene = random_gaussians(300, sh_degree=1, seed=2)
     for model in LENSES:
         camera = through(model)
         truth = render_reference(scene, camera)
         for chosen, bound in ((RenderSettings(blend="float32"), BOUND), (RenderSettings(), HALF_BOUND)):
-            image = renderer.render(scene, camera, chosen)
+            image = renderer.render(FrameRequest(scene, camera, chosen))
             assert np.abs(image - truth).max() < bound, (model, chosen.blend)
         assert np.abs(truth - render_reference(scene, PINHOLE)).max() > 0.1, model
 
 
-def test_parallel_rays(renderer: Renderer, random_gaussians):
+def test_parallel_rays(renderer: GLRenderer, random_gaussians):
     scene = random_gaussians(300, sh_degree=3, seed=3)
-    image = renderer.render(scene, PARALLEL, RenderSettings(blend="float32"))
+    image = renderer.render(FrameRequest(scene, PARALLEL, RenderSettings(blend="float32")))
     assert np.abs(image - render_reference(scene, PARALLEL)).max() < BOUND
     # Moving along the rays changes nothing but what is culled: also a check of the reference.
     matrix = PARALLEL.world_to_camera.copy()
     matrix[2, 3] += 5
-    away = renderer.render(scene, replace(PARALLEL, world_to_camera=matrix), RenderSettings(blend="float32"))
+    away = renderer.render(
+        FrameRequest(scene, replace(PARALLEL, world_to_camera=matrix), RenderSettings(blend="float32"))
+    )
     assert np.abs(image - away).max() < 1e-4
 
 
-def test_the_picture_is_drawn_anew_when_only_the_lens_changes(renderer: Renderer, random_gaussians):
+def test_the_picture_is_drawn_anew_when_only_the_lens_changes(renderer: GLRenderer, random_gaussians):
     scene, exact = random_gaussians(100, seed=4), RenderSettings(blend="float32")
     pictures = [
-        renderer.render(scene, camera, exact)
+        renderer.render(FrameRequest(scene, camera, exact))
         for camera in (
             PINHOLE,
             through("FOV"),
@@ -114,7 +119,7 @@ def one_splat(mean: tuple[float, float, float], scale: float) -> Gaussians:
     )
 
 
-def test_beyond_the_fold_nothing_is_shown(renderer: Renderer):
+def test_beyond_the_fold_nothing_is_shown(renderer: GLRenderer):
     """r(1 - 0.3 r²) comes back to 0 at r = 1.83: a splat there would be drawn in the middle."""
     lens = Lens(model="SIMPLE_RADIAL", parameters=(-0.3,))
     camera = replace(look_at((0, 0, 0), (0, 0, 1), up=(0, -1, 0), width=64, height=48), lens=lens)
@@ -122,25 +127,29 @@ def test_beyond_the_fold_nothing_is_shown(renderer: Renderer):
     for slope, is_shown in ((0.5, True), (1.0, True), (1.06, False), (1.5, False), (1.83, False)):
         scene = one_splat((slope * 2, 0, 2), 0.05)
         wide = replace(camera, fx=30.0, fy=30.0)
-        assert (renderer.render(scene, wide, exact)[..., 3].max() > 0.5) == is_shown, slope
+        assert (renderer.render(FrameRequest(scene, wide, exact))[..., 3].max() > 0.5) == is_shown, slope
 
 
-def test_ellipsoids_of_parallel_rays_have_their_size_everywhere(renderer: Renderer):
+def test_ellipsoids_of_parallel_rays_have_their_size_everywhere(renderer: GLRenderer):
     """Radius 1.5 sigma, wherever in the picture and at whatever depth; nearer ones hide farther ones."""
     sizes = []
     for mean in ((0, 0, 0), (0.6, 0.3, 0), (0, 0, 1.5)):
         scene = one_splat(mean, 0.2)
-        image = renderer.render(scene, PARALLEL, RenderSettings(blend="float32"), mode="ellipsoids")
+        image = renderer.render(
+            FrameRequest(scene, PARALLEL, RenderSettings(blend="float32"), mode="ellipsoids")
+        )
         sizes.append((image[..., 3] > 0.5).sum())
     expected = np.pi * (0.2 * 1.5) ** 2 * PARALLEL.fx * PARALLEL.fy
     np.testing.assert_allclose(sizes, expected, rtol=0.08)
 
 
-def test_ellipsoids_through_a_lens_are_refused_in_one_line(renderer: Renderer):
+def test_ellipsoids_through_a_lens_are_refused_in_one_line(renderer: GLRenderer):
     with pytest.raises(InputError, match="ellipsoids cannot be drawn through a lens"):
-        renderer.render(one_splat((0, 0, 0), 0.1), through("FOV"), RenderSettings(), mode="ellipsoids")
+        renderer.render(
+            FrameRequest(one_splat((0, 0, 0), 0.1), through("FOV"), RenderSettings(), mode="ellipsoids")
+        )
     # And the renderer is as good as before.
-    image = renderer.render(one_splat((0, 0, 0), 0.1), through("FOV"), RenderSettings())
+    image = renderer.render(FrameRequest(one_splat((0, 0, 0), 0.1), through("FOV"), RenderSettings()))
     assert image[..., 3].max() > 0.5
 
 
@@ -148,5 +157,5 @@ def test_ellipsoids_through_a_lens_are_refused_in_one_line(renderer: Renderer):
 def test_other_orders_through_a_lens(made, ctx, order):
     """They do not ask how rays come: a single splat is the same in all of them."""
     scene, camera = one_splat((0.3, 0.2, 0.4), 0.2), through("OPENCV_FISHEYE")
-    image = made["quads"].render(scene, camera, RenderSettings(blend="float32", order=order))
+    image = made["quads"].render(FrameRequest(scene, camera, RenderSettings(blend="float32", order=order)))
     assert np.abs(image - render_reference(scene, camera)).max() < BOUND

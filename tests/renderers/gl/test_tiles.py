@@ -13,7 +13,7 @@ from splatview.measure.metrics import largest_error, psnr
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import HARDWARE, LEAST_PAIRS, SOFTWARE, TilesRenderer, TileTuning
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import TEXTBOOK, Camera, Gaussians, ImageModel, InputError, RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, PREVIEW, SELECTED, SceneEdits, bake
 from splatview.scene.reference import render as render_reference
@@ -35,7 +35,7 @@ def made(session_context: moderngl.Context) -> Iterator[dict[str, TilesRenderer]
     }
     yield renderers
     for renderer in renderers.values():
-        renderer.release()
+        renderer.close()
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def assert_true(
     least: float = 80.0,
     most: float = 0.5 / 255,
 ) -> np.ndarray:
-    image = renderer.render(scene, camera, settings)
+    image = renderer.render(FrameRequest(scene, camera, settings))
     truth = render_reference(scene, camera, settings)
     assert image.shape == (camera.height, camera.width, 4)
     assert image.dtype == np.float32
@@ -89,7 +89,7 @@ def test_tiles_that_the_picture_does_not_fill(any_renderer, random_gaussians: Ma
 def test_tiles_of_other_sizes(ctx, random_gaussians: Make, tile):
     other = TilesRenderer(ctx, tuning=TileTuning(tile=tile, workgroup=32, batch=32))
     assert_true(other, random_gaussians(300), camera_at(0, 0.1, 1.5))
-    other.release()
+    other.close()
 
 
 def test_off_centre_principal_point(any_renderer, random_gaussians: Make):
@@ -113,7 +113,7 @@ def test_bare_textbook_model(any_renderer, random_gaussians: Make):
 @pytest.mark.parametrize("count", [0, 1])
 def test_an_empty_scene_and_a_single_splat(any_renderer, random_gaussians: Make, count):
     image = assert_true(any_renderer, random_gaussians(count), camera_at(0, 0, 2))
-    assert any_renderer.finished_stats().visible == count
+    assert any_renderer.stats(wait=True).visible == count
     if count == 0:
         assert np.allclose(image, (*BACKGROUND, 0.0), atol=1e-6)
 
@@ -162,7 +162,7 @@ def test_every_tile_with_a_pixel_of_the_ellipse_and_no_other(renderer, random_ga
         seen = np.zeros((80, 112), bool)
         seen[:76, :100] = render_reference(alone, camera, EXACT)[..., 3] > 0
         needed += int(seen.reshape(5, 16, 7, 16).any(axis=(1, 3)).sum())
-    renderer.render(scene, camera, EXACT)
+    renderer.render(FrameRequest(scene, camera, EXACT))
     assert needed <= pairs(renderer) <= 1.1 * needed + 5
 
 
@@ -204,7 +204,7 @@ def test_what_finds_no_room_is_drawn_all_the_same_and_room_is_made(ctx, random_g
     left_overs, plan = [], np.zeros(0)
     for frame in range(4):
         near = camera_at(0, 0, 0.9 + 1e-6 * frame, width=160, height=120)
-        image = renderer.render(scene, near, EXACT)
+        image = renderer.render(FrameRequest(scene, near, EXACT))
         assert psnr(image, truth) >= 80
         plan = np.frombuffer(made.plan.read(), np.uint32)
         left_overs.append(int(plan[4]) - int(plan[3]))
@@ -213,12 +213,14 @@ def test_what_finds_no_room_is_drawn_all_the_same_and_room_is_made(ctx, random_g
     assert left_overs[-1] == 0
     assert plan[5 : 5 + rounds].sum() == pairs(renderer)
     assert made.capacity > LEAST_PAIRS if rounds == 1 else made.capacity == LEAST_PAIRS
-    renderer.release()
+    renderer.close()
 
 
 def test_cramped_pictures_are_those_with_room(made, ctx, random_gaussians: Make):
     scene, camera = random_gaussians(900), camera_at(0.2, 0, 0.8)
-    pictures = [made[name].render(scene, camera, EXACT) for name in ("software", "cramped", "hardware")]
+    pictures = [
+        made[name].render(FrameRequest(scene, camera, EXACT)) for name in ("software", "cramped", "hardware")
+    ]
     assert pairs(made["cramped"]) > 900
     assert largest_error(pictures[0], pictures[1]) < 1e-5
     assert largest_error(pictures[0], pictures[2]) < 1e-5
@@ -230,9 +232,9 @@ def test_early_stop_costs_at_most_its_transmittance(any_renderer, random_gaussia
     scene = replace(scene, opacity_logits=scene.opacity_logits + 3)
     camera = camera_at(0, 0, 1.5)
     truth = render_reference(scene, camera, EXACT)
-    image = any_renderer.render(scene, camera, replace(EXACT, early_stop=stop))
+    image = any_renderer.render(FrameRequest(scene, camera, replace(EXACT, early_stop=stop)))
     assert largest_error(image, truth) <= stop * max(truth[..., :3].max(), 4.0) + 1e-4
-    exact = any_renderer.render(scene, camera, EXACT)
+    exact = any_renderer.render(FrameRequest(scene, camera, EXACT))
     assert largest_error(exact, truth) <= 1e-4
     if stop == 1e-2:
         assert largest_error(image, exact) > 0
@@ -243,7 +245,7 @@ def test_orders_that_tiles_have_and_others(renderer, random_gaussians: Make):
     assert_true(renderer, scene, camera, replace(EXACT, order="16-bit"), least=50, most=0.2)
     for order in ("weighted", "stochastic"):
         with pytest.raises(InputError, match=f"{order} order is not for tiles"):
-            renderer.render(scene, camera, replace(EXACT, order=order))
+            renderer.render(FrameRequest(scene, camera, replace(EXACT, order=order)))
 
 
 @pytest.mark.parametrize("kind", ["hidden", "lit"])
@@ -252,43 +254,45 @@ def test_edits_and_tints(any_renderer, random_gaussians: Make, kind):
     flag = HIDDEN if kind == "hidden" else SELECTED
     marks = np.where(np.arange(400) % 3 == 0, flag, 0).astype(np.uint32)
     edits = SceneEdits(marks=marks, flags=HIDDEN | SELECTED | PREVIEW)
-    image = any_renderer.render(scene, camera, EXACT, edits=edits, highlight=Highlight())
-    plain = any_renderer.render(scene, camera, EXACT)
+    image = any_renderer.render(FrameRequest(scene, camera, EXACT, edits=edits, highlight=Highlight()))
+    plain = any_renderer.render(FrameRequest(scene, camera, EXACT))
     if kind == "hidden":
         assert largest_error(image, render_reference(bake(scene, edits), camera, EXACT)) <= 0.5 / 255
     else:
         assert np.allclose(image[..., 3], plain[..., 3], atol=1e-6)
         quads = QuadsRenderer(any_renderer._ctx)
         wide = replace(EXACT, blend="float32")
-        lit = quads.render(scene, camera, wide, edits=edits, highlight=Highlight())
-        quads.release()
+        lit = quads.render(FrameRequest(scene, camera, wide, edits=edits, highlight=Highlight()))
+        quads.close()
         assert largest_error(image, lit) <= 0.5 / 255
     assert largest_error(image, plain) > 0.1
 
 
 def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
-    renderer.render(scene, camera, EXACT)
-    before = renderer.stats
+    renderer.render(FrameRequest(scene, camera, EXACT))
+    before = renderer.stats()
     first = renderer.read()
-    renderer.render(scene, camera_at(0, 0, 2.5), replace(EXACT, blend="float16"))
-    white = renderer.render(scene, camera, replace(EXACT, background=(1, 1, 1)))
-    after = renderer.stats
+    renderer.render(FrameRequest(scene, camera_at(0, 0, 2.5), replace(EXACT, blend="float16")))
+    white = renderer.render(FrameRequest(scene, camera, replace(EXACT, background=(1, 1, 1))))
+    after = renderer.stats()
     assert (after.projected, after.sorted, after.drawn) == (before.projected, before.sorted, before.drawn)
     assert largest_error(white, first) > 0.3
-    renderer.draw(camera, replace(EXACT, early_stop=0.5))
-    assert renderer.stats.drawn == before.drawn + 1
-    assert renderer.stats.projected == before.projected
-    assert set(renderer.finished_stats().ms) == {"project", "sort", "draw"}
+    renderer.draw(FrameRequest(None, camera, replace(EXACT, early_stop=0.5)))
+    assert renderer.stats().drawn == before.drawn + 1
+    assert renderer.stats().projected == before.projected
+    assert set(renderer.stats(wait=True).ms) == {"project", "sort", "draw"}
 
 
 @pytest.mark.parametrize("mode", ["points", "ellipsoids", "depth", "overdraw"])
 def test_other_modes_are_those_of_quads(renderer, random_gaussians: Make, mode):
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
-    image = renderer.render(scene, camera, EXACT, mode=mode)
+    image = renderer.render(FrameRequest(scene, camera, EXACT, mode=mode))
     quads = QuadsRenderer(renderer._ctx)
-    assert np.array_equal(image, quads.render(scene, camera, replace(EXACT, blend="float32"), mode=mode))
-    quads.release()
+    assert np.array_equal(
+        image, quads.render(FrameRequest(scene, camera, replace(EXACT, blend="float32"), mode=mode))
+    )
+    quads.close()
     assert_true(renderer, scene, camera)
 
 
@@ -296,7 +300,7 @@ def test_draw_leaves_the_callers_framebuffer_bound(ctx, renderer, random_gaussia
     before = ctx.detect_framebuffer()
     mine = ctx.simple_framebuffer((8, 8))
     mine.use()
-    renderer.render(random_gaussians(50), camera_at(0, 0, 3), EXACT)
+    renderer.render(FrameRequest(random_gaussians(50), camera_at(0, 0, 3), EXACT))
     assert ctx.detect_framebuffer().glo == mine.glo
     before.use()
     mine.release()
@@ -307,7 +311,7 @@ def test_older_gl_is_refused_in_one_line(ctx: moderngl.Context):
         version_code = 330
 
     with pytest.raises(InputError, match=r"tiles needs OpenGL 4\.3, this is 3\.3"):
-        make_renderer(Old(), "tiles")  # pyright: ignore[reportArgumentType]
+        make_renderer("tiles", Old())  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("cramped", [False, True])
@@ -324,15 +328,15 @@ def test_very_many_splats_in_one_tile(ctx, random_gaussians: Make, cramped):
         opacity_logits=np.full(count, np.log(alpha / (1 - alpha)), np.float32),
     )
     settings = replace(EXACT, model=ImageModel(alpha_cut=0))
-    image = renderer.render(scene, camera_at(0, 0, 3, width=8, height=8), settings)
+    image = renderer.render(FrameRequest(scene, camera_at(0, 0, 3, width=8, height=8), settings))
     assert np.allclose(image[..., 3], 1 - (1 - alpha) ** count, atol=5e-3)
-    renderer.release()
+    renderer.close()
 
 
 def test_pictures_too_large_for_software_are_refused(ctx, random_gaussians: Make):
     tuning = replace(SOFTWARE, pairs=replace(SOFTWARE.pairs, most_tiles=4))
     renderer = TilesRenderer(ctx, tuning=tuning)
     with pytest.raises(InputError, match="tiles draws at most 0 megapixels without a GPU, not 33x32"):
-        renderer.render(random_gaussians(5), camera_at(0, 0, 2, width=33, height=32), EXACT)
+        renderer.render(FrameRequest(random_gaussians(5), camera_at(0, 0, 2, width=33, height=32), EXACT))
     assert_true(renderer, random_gaussians(5), camera_at(0, 0, 2, width=32, height=32))
-    renderer.release()
+    renderer.close()

@@ -17,6 +17,7 @@ from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, placement_of, upload_steps
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, concatenate, look_at
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.reference import render as render_reference
@@ -53,8 +54,8 @@ def render(request: pytest.FixtureRequest) -> Iterator[Render]:
         return
     made = {"quads": QuadsRenderer, "tiles": TilesRenderer, "legacy": QuadsGL33Renderer}
     renderer = made[request.param](request.getfixturevalue("ctx"))
-    yield renderer.render
-    renderer.release()
+    yield lambda *picture: renderer.render(FrameRequest(*picture))
+    renderer.close()
 
 
 @pytest.mark.parametrize("settings", [FLOAT16, FLOAT32], ids=["float16", "float32"])
@@ -113,7 +114,7 @@ def test_other_scenes_pay_nothing(ctx, random_gaussians):
     renderer = QuadsGL33Renderer(ctx)
     renderer.load(random_gaussians(300))
     assert renderer._scene is not None and renderer._scene.rests is None
-    renderer.release()
+    renderer.close()
 
 
 def test_what_is_not_finite_stays_so(random_gaussians):
