@@ -1,4 +1,4 @@
-"""What must not end in the middle of things: a frame that fails, signals, a display that is gone."""
+"""The platform: failing frames, signals, a lost display, OpenGL versions, priority of threads."""
 
 from __future__ import annotations
 
@@ -132,9 +132,6 @@ def _xlib() -> Any:
         return None
 
 
-# ---- Whether a window can be opened here, and with which OpenGL.
-
-
 GL_VERSIONS = ((4, 5), (4, 3), (4, 1), (3, 3))
 """Tried in this order: 4.3 brings compute shaders, 4.1 is what macOS has, 3.3 is the least we can use."""
 
@@ -189,9 +186,6 @@ def no_display_reason() -> str:
     ):
         return "there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
     return "the display cannot be reached"
-
-
-# ---- Lets the window wait for the trainer rather than the trainer for the window.
 
 
 NICENESS = 10

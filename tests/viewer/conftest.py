@@ -19,6 +19,7 @@ import pytest
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
+from splatview.viewer.app import window_state
 from splatview.viewer.open import continue_loading
 from splatview.viewer.picture import Picture
 from splatview.viewer.preferences import Preferences
@@ -80,7 +81,7 @@ class RecordingPicture:
 def app(tmp_path, monkeypatch) -> AppState:
     """A window's state with motions switched off, its settings in a folder of the test's own."""
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
-    made = AppState(preferences=Preferences(smooth=False))
+    made = window_state(preferences=Preferences(smooth=False))
     made.picture = cast(Picture, RecordingPicture())
     made.picture_size = (320, 200)
     return made

@@ -49,17 +49,17 @@ def asked(app: AppState, scene: WindowScene) -> list[str]:
 
 
 def test_a_picture_of_the_open_scene(opened) -> None:
-    assert asked(opened, WindowScene(opened, threading.Event(), lambda: None)) == ["drawn"]
+    assert asked(opened, WindowScene(opened, lambda: False, lambda: None)) == ["drawn"]
 
 
 def test_another_scene_cancels(opened, random_gaussians) -> None:
-    scene = WindowScene(opened, threading.Event(), lambda: None)
+    scene = WindowScene(opened, lambda: False, lambda: None)
     opened.scene = replace(opened.scene, gaussians=random_gaussians(20))
     assert asked(opened, scene) == ["cancelled"]
 
 
 def test_a_failure_is_told_only_of_the_open_scene(opened, random_gaussians, monkeypatch) -> None:
-    scene = WindowScene(opened, threading.Event(), lambda: None)
+    scene = WindowScene(opened, lambda: False, lambda: None)
 
     def fail(*_, **__):
         raise ValueError("50 marks for a scene of 20 splats")

@@ -19,7 +19,7 @@ from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import PREVIEW, Adjustment, Crop
 from splatview.scene.progress import Progress
-from splatview.viewer.commands import ACTIONS
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
@@ -200,11 +200,11 @@ def test_a_picked_splat_is_where_its_adjustment_put_it(session):
 
 
 def test_commands_are_found_by_their_words_and_keys():
-    assert matching("brush")[0].action == "tool_brush"
-    assert matching("invert sel")[0].action == "select_inverse"
-    assert matching("ctrl+z")[0].action == "undo"
-    assert matching("undo")[0].action == "undo"
-    assert {command.action for command in matching("")} == set(ACTIONS)
+    assert matching("brush")[0].id == "tool_brush"
+    assert matching("invert sel")[0].id == "select_inverse"
+    assert matching("ctrl+z")[0].id == "undo"
+    assert matching("undo")[0].id == "undo"
+    assert {command.id for command in matching("")} == set(COMMANDS)
     assert not matching("no such thing at all")
 
 

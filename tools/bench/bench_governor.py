@@ -19,6 +19,7 @@ import numpy as np
 from harness import PANELS, in_window, make_parser
 
 from splatview.measure.machine import write_results
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 BUDGETS = {"cpu": (20.0, 30.0, 45.0), "quads": (250.0, 400.0)}
@@ -68,7 +69,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         if stats is None or picture is None or not stats.ms:
             return
         if not frames or frames[-1][0] != stats.drawn:
-            reduced = app.accuracy.note or picture.note
+            reduced = app.feature(Accuracy).note or picture.note
             frames.append((stats.drawn, sum(stats.ms.values()), picture.texture.size, reduced))
 
     def draw(app: AppState, *arguments: Any) -> None:
@@ -81,7 +82,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
     def settle(app: AppState) -> None:
         time.sleep(0.5)
         limit = time.monotonic() + PATIENCE
-        while app.waiting or app.transition or app.scene is None or pricing():
+        while app.waiting or app.transition or not app.is_open or pricing():
             assert time.monotonic() < limit, "the window does not settle"
             time.sleep(0.01)
 
@@ -90,7 +91,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         done.set()
 
     def begin_to_measure(app: AppState, begun: threading.Event) -> None:
-        app.accuracy.measure(app)
+        app.feature(Accuracy).measure(app)
         begun.set()
 
     def pictures_while_flying(app: AppState, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
@@ -99,7 +100,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         while len(frames) < wanted and time.monotonic() < limit:
             done = threading.Event()
             app.post(one_step, number, done)
-            app.accuracy.wake()
+            app.feature(Accuracy).wake()
             done.wait(1.0)
             number += 1
         return list(frames)
@@ -113,7 +114,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             assert begun.wait(PATIENCE), "nothing is measured"
             settle(app)
             found["size"] = list(app.picture_size)
-            ladder = app.accuracy.ladder
+            ladder = app.feature(Accuracy).ladder
             found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
             exact = app.picture.texture.size if app.picture else None
             full = [ms for _, ms, size, note in pictures_while_flying(app, LEARNING) if not note]
@@ -121,7 +122,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             settle(app)
             found["budgets"] = []
             for budget in BUDGETS[renderer]:
-                app.post(lambda app, budget=budget: app.accuracy.hold(app, budget))
+                app.post(lambda app, budget=budget: app.feature(Accuracy).hold(app, budget))
                 pictures_while_flying(app, LEARNING)
                 settle(app)  # what is to be found out about prices is found out at rest
                 pictures_while_flying(app, LEARNING)
@@ -129,7 +130,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
                 frames.clear()
                 settle(app)
                 if renderer != "cpu" and app.picture is not None:  # times come a frame late, or never
-                    frames.append((-1, 0.0, app.picture.texture.size, app.accuracy.note))
+                    frames.append((-1, 0.0, app.picture.texture.size, app.feature(Accuracy).note))
                 after = [(size == exact and not note) for _, _, size, note in frames]
                 times = [ms for _, ms, _, _ in flown]
                 found["budgets"].append(

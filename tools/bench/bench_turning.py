@@ -112,7 +112,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
 def settle(app: AppState) -> None:
     """Waits until nothing is on its way."""
     time.sleep(0.5)
-    while app.waiting or app.transition or app.scene is None or pricing():
+    while app.waiting or app.transition or not app.is_open or pricing():
         time.sleep(0.01)
 
 

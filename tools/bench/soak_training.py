@@ -62,7 +62,7 @@ class Soak:
         self._last_frame: tuple[str, float] | None = None
 
     def watch(self, training: LiveTraining) -> None:
-        """Called for every frame, in place of `LiveTraining.advance`."""
+        """Called for every frame, in place of `LiveTraining.before_frame`."""
         app, now = training.app, time.perf_counter()
         if app is not None and self.app is None:
             self.app = app
@@ -245,13 +245,13 @@ def main() -> None:
     parser.add_argument("--max-splats", default="50000")
     options = parser.parse_args()
     soak = Soak(options.minutes)
-    real = LiveTraining.advance
+    real = LiveTraining.before_frame
 
     def watched(self: LiveTraining, app: AppState) -> None:
         real(self, app)
         soak.watch(self)
 
-    LiveTraining.advance = watched
+    LiveTraining.before_frame = watched
     with tempfile.TemporaryDirectory() as folder, screen() as display:
         os.environ |= {"SPLATVIEW_CONFIG_DIR": folder, "DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1"}
         os.environ.pop("WAYLAND_DISPLAY", None)

@@ -20,7 +20,7 @@ from splatview.scene.formats import load_cameras, load_scene
 from splatview.scene.formats.panorama import load_panorama
 from splatview.scene.health import check
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.viewer.open import camera_from_text
+from splatview.viewer.camera import camera_from_text
 from splatview.viewer.preferences import FILE_NAME, beside, load_bookmarks, load_preferences
 
 CORPUS = Path(__file__).parent / "corpus"

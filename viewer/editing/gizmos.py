@@ -1,4 +1,4 @@
-"""Handles on the picture that move, turn and scale things, by ImGuizmo."""
+"""Handles on the picture that move, turn and scale things, by ImGuizmo; Euler angles and quaternions."""
 
 from __future__ import annotations
 
@@ -82,9 +82,6 @@ def projection(camera: Camera) -> np.ndarray:
 
 def _columns(matrix: np.ndarray) -> imguizmo.im_guizmo.Matrix16:
     return guizmo.Matrix16(matrix.T.astype(np.float32).ravel().tolist())
-
-
-# ---- Rotations as people type them and as the scene keeps them. No ImGui in here.
 
 
 Euler = tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""What the mouse draws with a screen tool, and the selection that it means. No ImGui in here."""
+"""State of the screen tools: names, strokes under way, and measured distances. No ImGui in here."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ from splatview.edit.operations import Select
 from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
 from splatview.scene import Camera
 
-# ---- The words that screen tools are spoken of by.
-
-
 ToolName = Literal["none", "rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure", "ground"]
-"""What the left mouse button does on the picture; "none" is navigation."""
+"""Use of the left mouse button on the picture; "none" is navigation."""
 
 Depth = Literal["through", "front"]
 """Whether screen tools take what is behind the surface too."""
 
 Mode = Literal["set", "add", "remove", "intersect"]
-"""What a new selection does to the one before."""
+"""Combination of a new selection with the one before."""
 
 Point = tuple[float, float]
 """px from the picture's top left corner."""
@@ -40,7 +37,7 @@ CLICKED: tuple[ToolName, ...] = ("flood", "colour", "measure", "ground")
 
 
 def mode_of(*, shift: bool, ctrl: bool) -> Mode:
-    """What held keys make of a selection: Shift adds, Ctrl removes, both keep the common part."""
+    """Mode of a selection by the held keys: Shift adds, Ctrl removes, both keep the common part."""
     if shift and ctrl:
         return "intersect"
     return "add" if shift else "remove" if ctrl else "set"
@@ -101,9 +98,6 @@ class Stroke:
         else:
             by = Polygon(camera=camera, depth=depth, points=points)
         return Select(by=by, mode=self.mode)
-
-
-# ---- The tape measure's answer.
 
 
 @dataclass(frozen=True, kw_only=True)

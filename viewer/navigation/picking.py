@@ -34,7 +34,7 @@ SAMPLES_SLACK = 1.5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pick:
-    """What is under a pixel."""
+    """The surface under a pixel."""
 
     index: int
     """Of the splat in the scene at which transmittance falls through `SURFACE`, or, in front of haze

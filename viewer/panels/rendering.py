@@ -1,4 +1,4 @@
-"""How the picture is made: what is shown, the image model's knobs, the background."""
+"""The Picture panel: visual mode, background, image model."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from typing import get_args
 from imgui_bundle import ImVec4, imgui
 
 from splatview.renderers import MODES
-from splatview.scene.image_model import BLUR, DISC_BLUR, ImageModel
+from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
 from splatview.viewer.commands import set_mode
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES, BackgroundKind
 from splatview.viewer.state import AppState
-
-# ---- What is behind the scene: one colour, a sky over a ground, or a picture all around.
-
 
 COLOURS = (
     ("Black", (0.0, 0.0, 0.0)),
@@ -112,7 +109,7 @@ def show(app: AppState) -> None:
 
 
 def sh_degree(app: AppState) -> None:
-    stored = app.scene.gaussians.sh_degree if app.scene else 3
+    stored = app.scene.gaussians.sh_degree if app.is_open else 3
     choices = ["all", *(str(degree) for degree in range(stored + 1))]
     names = [f"All stored ({stored})", "0: constant colour", "1", "2", "3"][: len(choices)]
     now = app.settings.sh_degree
@@ -180,7 +177,7 @@ def image_model(app: AppState) -> None:
     )
     if blend is not None:
         app.prefer(blend=blend)
-    called_for = app.scene.settings.model if app.scene else ImageModel()
+    called_for = app.scene.settings.model
     if app.settings.model != called_for:
         widgets.button(
             "As the scene calls for",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -15,8 +14,8 @@ from splatview.measure.knobs import Plan
 from splatview.measure.ladder import draw_by_path
 from splatview.measure.metrics import heat, largest_error, perceptual_map, psnr, signed_map
 from splatview.renderers.request import FrameRequest
-from splatview.scene.progress import Cancelled
-from splatview.viewer.quality.measurement import WindowScene
+from splatview.viewer.quality.measurement import Cancelled, WindowScene
+from splatview.viewer.tasks import LatestTask, Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -68,45 +67,52 @@ class Comparing:
         """Where the two sides meet, as a share of the picture's width."""
         self.gain = 8.0
         """By how much the signed difference is brightened."""
-        self.latest: Compared | None = None
-        self.problem: str | None = None
         self.dragging = False
         self._pair: Pair | None = None
         self._since = 0.0
-        self._tried: Pair | None = None
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
+        self._closed = False
+        self._wake: Callable[[], object] = lambda: None
+        self._task: LatestTask[tuple[Pair, WindowScene | None], Compared] = LatestTask(
+            self._work,
+            name="splatview-compare",
+            same=lambda one, other: same_pair(one[0], other[0]),
+            on_done=self._on_compared,
+        )
         self._textures: dict[str, moderngl.Texture] = {}
         self._uploaded: Compared | None = None
 
     @property
     def busy(self) -> bool:
-        waiting = self._pair is not None and not same_pair(self._pair, self._tried)
-        return self.right != "off" and (waiting or self._thread is not None)
+        waiting = self._pair is not None and not self._task.has_tried((self._pair, None))
+        return self.right != "off" and (waiting or self._task.busy)
 
-    def want(self, app: AppState, wake: Callable[[], object]) -> Compared | None:
-        """Called every frame while it is on: the comparison of what is seen now, if there is one."""
-        if self._thread is not None and not self._thread.is_alive():
-            self._thread = None
-        if app.scene is None or app.picture is None or app.mode != "splats":
+    @property
+    def latest(self) -> Compared | None:
+        return self._task.latest
+
+    @property
+    def problem(self) -> str | None:
+        """Error of the last comparison, in one line."""
+        return self._task.problem
+
+    def want(self, app: AppState, by: Plan, wake: Callable[[], object]) -> Compared | None:
+        """Called every frame while it is on: the comparison of what is seen now with the
+        picture by the plan `by`, if there is one."""
+        self._task.collect()
+        if not app.is_open or app.picture is None or app.mode != "splats":
             return None
         shown = app.scene.gaussians, app.camera
         exact, chosen = (
-            FrameRequest.by_plan(*shown, plan, edits=app.edits)
-            for plan in (Plan(settings=app.settings), app.accuracy.plan(app))
+            FrameRequest.by_plan(*shown, plan, edits=app.edits) for plan in (Plan(settings=app.settings), by)
         )
         pair = exact, chosen, self.gain
         now = app.now()
         if not same_pair(pair, self._pair):
             self._pair, self._since = pair, now
         rested = now - self._since >= REST_SECONDS
-        if self._thread is None and rested and not same_pair(pair, self._tried):
-            self._tried, self.problem = pair, None
-            scene = WindowScene(app, self._stop, wake)
-            self._thread = threading.Thread(
-                target=self._work, args=(scene, pair, wake), name="splatview-compare", daemon=True
-            )
-            self._thread.start()
+        if rested and not self._task.busy and not self._task.has_tried((pair, None)):
+            self._wake = wake
+            self._task.request((pair, WindowScene(app, lambda: self._closed, wake)))
         latest = self.latest
         return latest if latest is not None and same_pair(pair, latest.of) else None
 
@@ -124,10 +130,8 @@ class Comparing:
         return self._textures["exact"], self._textures["chosen" if self.right == "off" else self.right]
 
     def end(self) -> None:
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        self._closed = True
+        self._task.close()
         self._release_textures()
 
     def _release_textures(self) -> None:
@@ -136,21 +140,24 @@ class Comparing:
         self._textures.clear()
         self._uploaded = None
 
-    def _work(self, scene: WindowScene, pair: Pair, wake: Callable[[], object]) -> None:
-        camera, plans = pair[0].camera, [request.plan for request in pair[:2]]
+    def _on_compared(self) -> None:
+        self._wake()
+
+    @staticmethod
+    def _work(request: tuple[Pair, WindowScene | None], task: Task[Compared]) -> Compared:
+        pair, scene = request
+        assert scene is not None
+        camera, plans = pair[0].camera, [each.plan for each in pair[:2]]
         try:
             if plans[0].attributes == plans[1].attributes:
                 exact, _ = draw_by_path(scene, camera, plans[0])
             else:  # the renderer has the rounded scene only
                 exact = raster.render(scene.gaussians, camera, plans[0].settings, edits=scene.edits)
             chosen = exact if plans[0] == plans[1] else draw_by_path(scene, camera, plans[1])[0]
-            self.latest = compare(pair, exact, chosen)
         except Cancelled:
-            pass
-        except Exception as error:
-            self.problem = f"{type(error).__name__}: {error}"
-        finally:
-            wake()
+            task.cancel()
+            raise
+        return compare(pair, exact, chosen)
 
 
 def compare(pair: Pair, exact: np.ndarray, chosen: np.ndarray) -> Compared:

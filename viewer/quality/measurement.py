@@ -32,6 +32,7 @@ from splatview.scene.effects import Effect, used_sh_degree
 from splatview.scene.progress import Cancelled
 from splatview.viewer.navigation import orbit
 from splatview.viewer.picture import scaled_camera
+from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -45,8 +46,8 @@ class WindowScene:
     """The open scene in the window's renderer, with the edits that were in force when it was made: a
     `measure.ladder.SceneRenderer` for a thread that measures."""
 
-    def __init__(self, app: AppState, cancelled: threading.Event, wake: Callable[[], object]):
-        if app.picture is None or app.scene is None:
+    def __init__(self, app: AppState, cancelled: Callable[[], bool], wake: Callable[[], object]):
+        if app.picture is None or not app.is_open:
             raise ValueError("nothing is open")
         self.name = app.picture.backend
         self.gaussians: Gaussians = app.scene.gaussians
@@ -96,7 +97,7 @@ class WindowScene:
     def _overtaken(self) -> bool:
         """Whether another scene has been loaded since this was made, or is about to be."""
         scene, loading = self._app.scene, self._app.loading
-        same = scene is not None and scene.gaussians is self.gaussians
+        same = scene.gaussians is self.gaussians
         return not same or (loading is not None and loading.done)
 
     def _edits_by(self, plan: Plan) -> SceneEdits | None:
@@ -111,7 +112,7 @@ class WindowScene:
 
         def command(app: AppState) -> None:
             try:
-                if app.picture is self._picture and not self._overtaken and not self._cancelled.is_set():
+                if app.picture is self._picture and not self._overtaken and not self._cancelled():
                     answers.append(work())
             except Exception as error:  # the thread that asked must hear of it, not the frame loop
                 failures.append(error)
@@ -120,7 +121,7 @@ class WindowScene:
         self._post(command)
         self._wake()
         while not done.wait(PATIENCE):
-            if self._cancelled.is_set():
+            if self._cancelled():
                 raise Cancelled
         if failures:
             raise failures[0]
@@ -160,53 +161,40 @@ BEFORE_ALL = -2
 """Number of the frame that tells how quick they are: none of those that are timed."""
 
 
-class Measuring(ABC):
-    """Something measured of the view that is seen, in a thread beside the frame loop. Begins when made."""
+class Measuring(Task[None], ABC):
+    """A measurement of the view that is seen. Begins when made."""
 
     def __init__(
         self, app: AppState, *, seconds: float, rounds: int | None, wake: Callable[[], object], text: str
     ):
-        self.progress = 0.0
         self.text = text
-        self.problem: str | None = None
-        self._stop = threading.Event()
         self._wake = wake
-        self._scene = WindowScene(app, self._stop, wake)
+        self._scene = WindowScene(app, lambda: self.cancelled, wake)
         self._plan, self._seconds, self._rounds = Plan(settings=app.settings), seconds, rounds
         self.view, self._size, self._scale = app.view, app.picture_size, app.preferences.resolution_scale
         self.gaussians = self._scene.gaussians
         self.camera = scaled_camera(self.view.camera(*self._size), self._scale)
-        self._thread = threading.Thread(target=self._work, name="splatview-measure", daemon=True)
+
+    def _begin(self) -> None:
+        """Starts the thread; for subclasses to call when all is set."""
+        super().__init__(lambda _: self._measure(), name="splatview-measure", on_done=self._wake)
+
+    @property
+    def problem(self) -> str | None:
+        """Error of the measurement, in one line; None where it was cancelled."""
+        if self.error is None or isinstance(self.error, Cancelled):
+            return None
+        return f"measuring failed: {type(self.error).__name__}: {self.error}"
 
     def _moved(self, _: int, number: int) -> Camera:
         turned = orbit(self.view, FRAME_TURN * (number + 1), 0.0)
         return scaled_camera(turned.camera(*self._size), self._scale)
 
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    def cancel(self) -> None:
-        self._stop.set()
-
-    def join(self) -> None:
-        self._thread.join()
-
-    def _work(self) -> None:
-        try:
-            self._measure()
-        except Cancelled:
-            pass
-        except Exception as error:
-            self.problem = f"measuring failed: {type(error).__name__}: {error}"
-        finally:
-            self._wake()
-
     @abstractmethod
     def _measure(self) -> None: ...
 
-    def _show(self, share: float, text: str) -> None:
-        self.progress, self.text = share, text
+    def report(self, share: float, text: str = "") -> None:
+        super().report(share, text)
         self._wake()
 
 
@@ -224,7 +212,7 @@ class Measurement(Measuring):
         super().__init__(app, seconds=seconds, rounds=rounds, wake=wake, text="the truth in float64")
         self.ladder: Ladder | None = None
         self.bill: Bill | None = None
-        self._thread.start()
+        self._begin()
 
     def _measure(self) -> None:
         scene, plan = self._scene, self._plan
@@ -234,7 +222,7 @@ class Measurement(Measuring):
         truth = raster.draw_frame(
             splats, self.camera, exact, workspace, edits=scene.edits, dtype=np.float64
         ).image
-        if self._stop.is_set():
+        if self.cancelled:
             return
         work = count_work(splats, self.camera, plan.settings, workspace, edits=scene.edits)
         self.bill = bill_of(scene.gaussians, work)
@@ -246,8 +234,8 @@ class Measurement(Measuring):
             moved=self._moved,
             seconds=max(self._seconds, min(slow, MOST_SECONDS)),
             rounds=self._rounds,
-            on_progress=self._show,
-            cancelled=self._stop.is_set,
+            on_progress=self.report,
+            cancelled=lambda: self.cancelled,
         )
         if ladder.complete:
             self.ladder = ladder
@@ -270,9 +258,9 @@ class Pricing(Measuring):
         self._effects = effects
         self._unedited: WindowScene | None = None
         if app.edits is not None and app.edits.in_force:
-            self._unedited = WindowScene(app, self._stop, wake)
+            self._unedited = WindowScene(app, lambda: self.cancelled, wake)
             self._unedited.edits = None
-        self._thread.start()
+        self._begin()
 
     def _measure(self) -> None:
         self.prices = price_effects(
@@ -285,6 +273,6 @@ class Pricing(Measuring):
             seconds=self._seconds,
             rounds=self._rounds,
             unedited=self._unedited,
-            on_progress=self._show,
-            cancelled=self._stop.is_set,
+            on_progress=self.report,
+            cancelled=lambda: self.cancelled,
         )
