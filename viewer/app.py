@@ -29,13 +29,12 @@ from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.session import Editing
-from splatview.viewer.feature import Feature
 from splatview.viewer.picture import Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
-from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
 FEATURES: tuple[type[Feature], ...] = (

@@ -11,7 +11,7 @@ import numpy as np
 from splatview.scene import InputError
 from splatview.scene.background import Background, Gradient, Panorama
 from splatview.scene.formats.panorama import load_panorama
-from splatview.viewer.feature import Feature
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

@@ -14,8 +14,8 @@ from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
 from splatview.renderers.gl.resolve import PictureMean
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, camera_at, check_camera
-from splatview.viewer.feature import Feature
 from splatview.viewer.navigation import pick
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

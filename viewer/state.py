@@ -22,14 +22,13 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.feature import Feature
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
 from splatview.viewer.picture import Picture
 from splatview.viewer.preferences import Bookmark, Preferences
 
-F = TypeVar("F", bound=Feature)
+F = TypeVar("F", bound="Feature")
 
 Y_UP = np.array([0.0, 1.0, 0.0])
 
@@ -54,6 +53,38 @@ class Palette:
     chosen: int = 0
     fresh: bool = True
     """Just opened: takes the keyboard."""
+
+
+class Feature:
+    """One subject of the window with a state of its own, such as editing or depth of field. `viewer.app`
+    registers them; all methods run on the GL thread, between two frames."""
+
+    @property
+    def edits(self) -> SceneEdits | None:
+        """Edits of the open scene to be drawn."""
+        return None
+
+    @property
+    def highlight(self) -> Highlight | None:
+        """Highlight of those edits on the picture."""
+        return None
+
+    def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
+        """Another scene is open, in the place of the one before."""
+
+    def before_frame(self, app: AppState) -> None:
+        """Takes over finished work and prepares the frame that follows."""
+
+    def busy(self, app: AppState) -> bool:
+        """Whether work is under way whose result a next frame should show."""
+        return False
+
+    def cancel(self, app: AppState) -> bool:
+        """Ends the latest thing that the user began; whether there was one. For the Escape key."""
+        return False
+
+    def close(self, app: AppState) -> None:
+        """Ends work under way and frees GL objects; the window closes."""
 
 
 @dataclass(eq=False, kw_only=True)

@@ -17,8 +17,8 @@ from splatview.scene.user_dirs import config_folder
 from splatview.viewer import open as opening
 from splatview.viewer.editing.session import JOURNALS, Editing, EditSession, at_rest, can_edit, session_of
 from splatview.viewer.editing.target import AT_REST
-from splatview.viewer.feature import Feature
 from splatview.viewer.loading import stamp_of, stamps_of
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

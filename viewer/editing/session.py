@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from splatview.edit.document import Document, Planned
-from splatview.edit.impact import Impact, frozen
+from splatview.edit.impact import frozen
 from splatview.edit.journal import Journal
-from splatview.edit.operations.appearance import Grade, How
-from splatview.edit.operations.base import Operation, Scope
-from splatview.edit.selectors import Histogram
+from splatview.edit.operations.base import Operation
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
@@ -29,111 +27,13 @@ from splatview.scene.edits import PREVIEW, Crop, SceneEdits
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
-from splatview.viewer.editing.tool_state import Depth, Measured, Place, Stroke, ToolName
-from splatview.viewer.feature import Feature
+from splatview.viewer.editing.tool_state import Depth, Forms, Measured, Place, Stroke, ToolName
 from splatview.viewer.loading import Examination, LoadedScene, Stamp
+from splatview.viewer.state import Feature
 from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
-
-
-Euler = tuple[float, float, float]
-"""Degrees about x, y, z."""
-
-
-@dataclass(kw_only=True)
-class MoveForm:
-    """Values of the Move section; the neutral ones change nothing."""
-
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """World units."""
-    rotation: Euler = (0.0, 0.0, 0.0)
-    scale: float = 1.0
-    gizmo: bool = False
-    """Whether handles are shown on the picture."""
-    turning: bool = False
-    """Whether the handles turn rather than move."""
-
-
-@dataclass(kw_only=True)
-class LookForm:
-    """Values of the Look section."""
-
-    opacity: float = 1.0
-    """Factor on the opacities, or the opacity that all get."""
-    size: float = 1.0
-    """Factor on the sizes, or the size that all get, world units."""
-    grade: Grade = field(default_factory=Grade)
-
-
-@dataclass(kw_only=True)
-class RangeForm:
-    """Values of the selection by a range of an attribute."""
-
-    attribute: str = "opacity"
-    values: np.ndarray | None = None
-    """(N,) float32: the attribute of every splat."""
-    of: object = None
-    """Attribute and versions of the document that `values` are of."""
-    histogram: Histogram | None = None
-    low: float = 0.0
-    high: float = 1.0
-
-
-@dataclass(kw_only=True)
-class CleanForm:
-    """Values of the Clean up section."""
-
-    detector: str = "clusters"
-    scores: np.ndarray | None = None
-    """(N,) float32: score of every splat."""
-    of: object = None
-    """Detector and versions of the document that `scores` are of."""
-    threshold: float = 0.0
-    mask: np.ndarray | None = None
-    """(N,) bool: splats above the threshold that may be deleted."""
-    count: int = 0
-    price: Impact | None = None
-    """Price of deleting `mask`; None: not measured."""
-    keep: int = 0
-    """Number of splats that decimation leaves; 0: not filled in yet."""
-    kept_price: tuple[object, Impact] | None = None
-    """Price of decimation, after the number of splats and the versions that it is of."""
-
-
-@dataclass(kw_only=True)
-class HealthForm:
-    """Values of the health report."""
-
-    prices: dict[str, Impact] = field(default_factory=dict)
-    """Price of the repair of each finding, by its name."""
-    of: object = None
-    """Versions of the document that `prices` are of."""
-
-
-@dataclass(kw_only=True)
-class Forms:
-    """Values that are filled in on the editing panels until they are applied."""
-
-    scope: Scope = "selection"
-    move: MoveForm = field(default_factory=MoveForm)
-    look: LookForm = field(default_factory=LookForm)
-    how: How = "scale"
-    """Whether opacities and sizes are multiplied or set."""
-    range: RangeForm = field(default_factory=RangeForm)
-    clean: CleanForm = field(default_factory=CleanForm)
-    health: HealthForm = field(default_factory=HealthForm)
-    crop: int = -1
-    """Index of the crop with the handles; -1: none."""
-    crop_handles: int = 0
-    """Kind of the handles: an index of `panels.crops.KINDS`."""
-    crop_dragged: bool = False
-    """Whether the handles are being dragged."""
-    open_section: str = ""
-    """Title of the section that the Edit panel is to open, once."""
-    previewing: str = ""
-    """The section whose preview is in force; "" for none."""
 
 
 BRUSH_RADIUS = 24.0

@@ -22,14 +22,12 @@ from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import (
     EditSession,
-    LookForm,
-    MoveForm,
     at_rest,
     can_edit,
     post_edit,
     session_of,
 )
-from splatview.viewer.editing.tool_state import Place, ToolName
+from splatview.viewer.editing.tool_state import LookForm, MoveForm, Place, ToolName
 from splatview.viewer.panels import clean, crops, recipe, select, widgets
 from splatview.viewer.training.live import LiveTraining
 

@@ -13,8 +13,8 @@ from splatview.scene.effects import Effect, settings_for
 from splatview.scene.effects.appearance import background_effect
 from splatview.scene.effects.overrides import as_settings_have_them, switched
 from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect
-from splatview.viewer.feature import Feature
 from splatview.viewer.quality.measurement import EFFECT_SECONDS, Pricing
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState

@@ -23,10 +23,10 @@ from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import SceneEdits
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.feature import Feature
 from splatview.viewer.picture import Picture, scaled_camera
 from splatview.viewer.quality.comparison import Comparing
 from splatview.viewer.quality.measurement import SECONDS, Measurement
+from splatview.viewer.state import Feature
 from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:

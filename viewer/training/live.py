@@ -17,12 +17,11 @@ from splatview.trainer.background import BackgroundTraining, Snapshot, State, St
 from splatview.trainer.views import TrainView
 from splatview.viewer.camera import common_up, go_to_camera
 from splatview.viewer.editing.session import Editing
-from splatview.viewer.feature import Feature
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene
 from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.open import UPLOAD_SECONDS
 from splatview.viewer.preferences import TrainingUpdates
-from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.comparison import Comparer, Pictures
 from splatview.viewer.training.live_edits import TrainingEdits
 

@@ -52,7 +52,7 @@ def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians: 
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
 
     def counters() -> tuple[int, int, int]:
-        stats = renderer.stats
+        stats = renderer.stats()
         return stats.projected, stats.sorted, stats.drawn
 
     renderer.render(FrameRequest(scene, camera, EXACT))

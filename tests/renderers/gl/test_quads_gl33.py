@@ -80,11 +80,11 @@ def test_same_pictures_as_the_compute_path(ctx, renderer, random_gaussians):
 
 def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians):
     renderer.render(FrameRequest(random_gaussians(100), CAMERA, FLOAT32))
-    before = renderer.stats
+    before = renderer.stats()
     renderer.draw(FrameRequest(None, replace(CAMERA, name="the same by another name"), FLOAT32))
     renderer.read()
     assert not renderer.busy
-    assert renderer.stats == before
+    assert renderer.stats() == before
     assert (before.projected, before.sorted, before.drawn) == (1, 1, 1)
 
 
@@ -92,9 +92,9 @@ def test_only_what_changed_is_done_again(renderer, random_gaussians):
     gaussians = random_gaussians(100)
 
     def work(camera, settings):
-        before = renderer.stats
+        before = renderer.stats()
         renderer.render(FrameRequest(gaussians, camera, settings))
-        after = renderer.stats
+        after = renderer.stats()
         return tuple(
             getattr(after, name) - getattr(before, name) for name in ("projected", "sorted", "drawn")
         )

@@ -196,11 +196,11 @@ def test_cramped_pictures_are_those_with_room(made, ctx, random_gaussians: Make)
 def test_nothing_is_done_again_when_nothing_changed(renderer, random_gaussians: Make):
     scene, camera = random_gaussians(200), camera_at(0, 0, 2.5)
     renderer.render(FrameRequest(scene, camera, EXACT))
-    before = renderer.stats
+    before = renderer.stats()
     first = renderer.read()
     renderer.render(FrameRequest(scene, camera_at(0, 0, 2.5), replace(EXACT, blend="float16")))
     white = renderer.render(FrameRequest(scene, camera, replace(EXACT, background=(1, 1, 1))))
-    after = renderer.stats
+    after = renderer.stats()
     assert (after.projected, after.sorted, after.drawn) == (before.projected, before.sorted, before.drawn)
     assert largest_error(white, first) > 0.3
     renderer.draw(FrameRequest(None, camera, replace(EXACT, early_stop=0.5)))
