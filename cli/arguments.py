@@ -16,7 +16,7 @@ import numpy as np
 from splatview.measure.knobs import KNOBS, Plan, apply_choices
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.background import Background, Colour, Gradient
-from splatview.scene.camera import stepped_back, through_lens, turned_about, with_parallel_rays
+from splatview.scene.camera import orbited, stepped_back, through_lens, with_parallel_rays
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.panorama import load_panorama
 from splatview.scene.framing import WORLD_UP, frame_camera, robust_bounds
@@ -297,7 +297,7 @@ class Orbit:
 
     def turned_from(self, camera: Camera, degrees: float) -> Camera:
         """Likewise, of another camera."""
-        return turned_about(camera, self.target, self.up, degrees)
+        return orbited(camera, self.target, self.up, degrees)
 
 
 def chosen_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from splatview.cli.arguments import Parser
-from splatview.scene.formats import check_saving, load_scene, save_scene
+from splatview.scene.formats import FORMATS, check_saving, load_scene, save_scene
 
 
 def run(arguments: list[str]) -> int:
@@ -24,5 +24,7 @@ def run(arguments: list[str]) -> int:
     gaussians = load_scene(args.scene)
     save_scene(gaussians, args.output)
     size = args.output.stat().st_size / 2**20
+    for loss in FORMATS[args.output.suffix.lower()[1:]].lost:
+        print(f"{args.output}: {loss}", file=sys.stderr)
     print(f"{args.output}: {len(gaussians):,} splats, {size:.1f} MiB", file=sys.stderr)
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -12,7 +11,9 @@ import numpy as np
 
 from splatview.cli.arguments import Parser
 from splatview.cli.window import no_window
-from splatview.renderers.headless import automatic_choice, make_headless
+from splatview.measure.machine import available_cores
+from splatview.renderers import FrameRequest, automatic_choice
+from splatview.renderers.headless import make_headless
 from splatview.scene import Gaussians, InputError, RenderSettings, look_at, reference
 
 LIBRARIES = (
@@ -67,11 +68,6 @@ def examine() -> dict[str, Any]:
     }
 
 
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def installed(name: str) -> str | None:
     try:
         return version(name)
@@ -113,7 +109,7 @@ def tried(name: str) -> dict[str, Any]:
     scene, settings = sample_scene(), RenderSettings()
     camera = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=96, height=64)
     try:
-        image = make_headless(name).draw(scene, camera, settings)
+        image = make_headless(name).render(FrameRequest(scene, camera, settings))
     except Exception as error:  # a broken driver or library may raise anything; that is the finding
         return {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
     error = float(np.abs(image - reference.render(scene, camera, settings)).max())

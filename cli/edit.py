@@ -14,15 +14,15 @@ from splatview.cli.arguments import Parser
 from splatview.edit.changes import Change
 from splatview.edit.document import Document
 from splatview.edit.export import exported
-from splatview.edit.impact import StepPrices, in_words
+from splatview.edit.impact import StepImpacts, in_words
 from splatview.edit.operations import OPERATIONS, Operation
 from splatview.edit.operations.merge_split import Split
-from splatview.edit.progress import Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, replay
 from splatview.edit.sample_views import sample_cameras
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import check_saving, load_scene, save_scene
+from splatview.scene.progress import Progress
 
 VIEWS = 8
 """That a price is measured in."""
@@ -78,13 +78,13 @@ def run(arguments: list[str]) -> int:
         gaussians,
         name=Path(args.scene).name,
         folder=recipe.folder,
-        tools=RasterTools(),
+        tools=CpuRenderer(),
         save=lambda scene, path: parts.append((scene, path)),
     )
     steps: list[dict[str, object]] = []
     prices = None
     if args.prices:
-        prices = StepPrices(document, sample_cameras(gaussians, document.edits, VIEWS))
+        prices = StepImpacts(document, sample_cameras(gaussians, document.edits, VIEWS))
 
     def report(number: int, operation: Operation, change: Change) -> None:
         steps.append({"op": operation.op, "title": change.title, "count": change.count})
@@ -100,7 +100,7 @@ def run(arguments: list[str]) -> int:
 
     try:
         check_scene(recipe, document, any_scene=args.any_scene)
-        replay(recipe, document, on_step=report, watch=Watch(progress=_printer()))
+        replay(recipe, document, on_step=report, progress=Progress(report=_printer()))
         scene = exported(document)
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None

@@ -14,14 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
-from splatview.cli.ladder import FRAME_TURN, MEASURED, on_interrupt
-from splatview.edit.document import Document
-from splatview.edit.impact import Price, in_words, price_operations
-from splatview.edit.operations.cleanup import REPAIRS, Repair
-from splatview.edit.sample_views import sample_cameras
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
-from splatview.renderers.headless import RasterTools, SceneArtist, make_headless
+from splatview.renderers import choices
+from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.effects import Effect, scene_effects, settings_for, used_sh_degree, view_effects
 from splatview.scene.formats import load_scene
@@ -43,7 +39,9 @@ def add_measure_options(parser: Parser) -> None:
         action="store_true",
         help="also draw with each effect on and off, and tell the difference in time",
     )
-    group.add_argument("--renderer", choices=("auto", *MEASURED), help="which one draws (default: auto)")
+    group.add_argument(
+        "--renderer", choices=("auto", *choices("ladder")), help="which one draws (default: auto)"
+    )
     group.add_argument("--seconds", type=positive, metavar="S", help=f"for how long (default: {SECONDS:g})")
     add_camera_options(parser)
 
@@ -65,8 +63,10 @@ def measured_prices(
 
     Raises KeyboardInterrupt where the user ends it early: half of the prices are not said.
     """
+    from splatview.cli.ladder import FRAME_TURN, on_interrupt  # when needed: it compiles
+
     orbit = chosen_orbit(args, gaussians)
-    artist = SceneArtist(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
+    scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
     camera = orbit.turned(0.0)
     stopped = threading.Event()
 
@@ -79,7 +79,7 @@ def measured_prices(
         task = progress.add_task("", total=1.0)
         with on_interrupt(stopped.set):
             prices = price_effects(
-                artist,
+                scene,
                 Plan(settings=settings_for(gaussians)),
                 gaussians,
                 effects,
@@ -91,7 +91,7 @@ def measured_prices(
             )
     if prices is None:
         raise KeyboardInterrupt
-    return prices, {"renderer": artist.name, "size": [camera.width, camera.height]}
+    return prices, {"renderer": scene.name, "size": [camera.width, camera.height]}
 
 
 def price_as_json(price: EffectPrice) -> dict[str, Any]:
@@ -114,19 +114,28 @@ VIEWS = 8
 
 def add_repairs(receipt: dict[str, Any], gaussians: Gaussians) -> None:
     """Gives each finding of `receipt["health"]` that can be repaired "repair", what it does, and "price"."""
-    document = Document(gaussians, tools=RasterTools())
+    # Imported when needed: they compile.
+    from splatview.edit.document import Document
+    from splatview.edit.impact import operation_impacts
+    from splatview.edit.operations.cleanup import REPAIRS, Repair
+    from splatview.edit.sample_views import sample_cameras
+    from splatview.renderers.cpu import CpuRenderer
+
+    document = Document(gaussians, tools=CpuRenderer())
     found = [entry for entry in receipt["health"] if entry["count"] and entry["name"] in REPAIRS]
     repairs = {entry["name"]: Repair(finding=entry["name"]) for entry in found}
-    prices = price_operations(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
+    prices = operation_impacts(document, repairs, sample_cameras(gaussians, document.edits, VIEWS))
     for entry in found:
         entry["repair"], entry["price"] = REPAIRS[entry["name"]], asdict(prices[entry["name"]])
 
 
 def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
     """A line for each of those findings; none where `add_repairs` was not called."""
+    from splatview.edit.impact import Impact, in_words
+
     found = [entry for entry in receipt["health"] if "price" in entry]
     return ["repairs"] * bool(found) + [
-        f"  {entry['name']}: {entry['repair']}; {in_words(Price(**entry['price']))}" for entry in found
+        f"  {entry['name']}: {entry['repair']}; {in_words(Impact(**entry['price']))}" for entry in found
     ]
 
 
@@ -153,8 +162,6 @@ def run(arguments: list[str]) -> int:
                 effect["price"] = price_as_json(prices[effect["name"]])
                 effect["measured"] = str(prices[effect["name"]])
     if args.repairs:
-        # Imported when needed: it compiles.
-
         add_repairs(receipt, gaussians)
     print(json.dumps(receipt, indent=1, allow_nan=False) if args.json else as_text(args.scene, receipt))
     return 0

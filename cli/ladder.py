@@ -30,7 +30,7 @@ from splatview.cli.arguments import (
 from splatview.cli.render import check_output
 from splatview.cli.train_setup import ready_kernels
 from splatview.measure.knobs import KNOBS, Plan, knob
-from splatview.measure.ladder import AGREEMENT, Artist, Ladder, climb, disagreement, rungs_for
+from splatview.measure.ladder import AGREEMENT, Ladder, disagreement, run_ladder, rungs_for
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text
 from splatview.measure.machine import describe_machine
@@ -43,8 +43,9 @@ from splatview.measure.training_ladder import (
     training_as_json,
     training_cells,
 )
+from splatview.renderers import automatic_choice, choices
 from splatview.renderers.demo_cache import cached_demo_capture
-from splatview.renderers.headless import SceneArtist, automatic_choice, make_headless
+from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.captures import Capture, load_capture
 from splatview.scene.effects import settings_for, used_sh_degree
@@ -52,14 +53,14 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
 )
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots, shots_of
+from splatview.trainer.views import TrainView, TrainViews, train_views
 
 # ---- `splatview ladder --train CAPTURE`: the same question asked of training, at equal seconds.
 
@@ -84,7 +85,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
-    held_out = shots_of(capture.held_out)
+    held_out = train_views(capture.held_out)
     if not held_out:
         raise InputError(f"{name}: has no held-out photos to measure by")
     ready_kernels(console)
@@ -120,7 +121,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
 
 def train_rung(
     capture: Capture,
-    held_out: list[Shot],
+    held_out: list[TrainView],
     rung: TrainingRung,
     minutes: float,
     seed: int,
@@ -157,24 +158,24 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     changes = dict(rung.changes)
     factor, early_stop = float(changes.pop("splats", 1.0)), changes.pop("early_stop", None)
     precision = changes.pop("precision", "float32")
-    shots = Shots(shots_of(capture.train), seed)
-    pull = automatic_pull(len(shots))
+    views = TrainViews(train_views(capture.train), seed)
+    regularisation = automatic_regularisation(len(views))
     settings = TrainSettings(
         iterations=None,
         minutes=minutes,
         seed=seed,
-        opacity_pull=pull,
-        scale_pull=pull,
-        drop=automatic_drop(len(shots)),
-        elongation=automatic_elongation(len(shots)),
+        opacity_reg=regularisation,
+        scale_reg=regularisation,
+        dropout=automatic_dropout(len(views)),
+        max_aspect=automatic_max_aspect(len(views)),
         background=capture.background or (0.0, 0.0, 0.0),
-        max_splats=max(1, round(factor * automatic_limit(shots.pixel_count, minutes))),
+        max_splats=max(1, round(factor * automatic_limit(views.pixel_count, minutes))),
     )
     settings = replace(settings, **changes)
     parameters = initial_parameters(
         capture.points, capture.point_colours, capture.scene_radius, limit=settings.max_splats, seed=seed
     )
-    trainer = Trainer(shots, parameters, capture.scene_radius, settings)
+    trainer = Trainer(views, parameters, capture.scene_radius, settings)
     trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:
         trainer.render_settings = replace(trainer.render_settings, early_stop=early_stop)
@@ -301,7 +302,7 @@ def run(arguments: list[str]) -> int:
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
     console = Console(stderr=True)
-    artists: list[Artist] = [SceneArtist(make_headless(name), gaussians, orbit.turned_from) for name in names]
+    scenes = [HeadlessScene(make_headless(name), gaussians, orbit.turned_from) for name in names]
     views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
     with console.status("Drawing the truth in float64"):
         truths, apart = draw_truths(gaussians, views, plan.settings)
@@ -311,8 +312,8 @@ def run(arguments: list[str]) -> int:
             "without a truth there is nothing to measure against"
         )
     seconds = THOROUGH_SECONDS if args.thorough else args.seconds or SECONDS
-    rungs = rungs_for(artists, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
-    ladder = climb_with_progress(
+    rungs = rungs_for(scenes, plan, used_sh_degree=used_sh_degree(gaussians), knobs=knobs)
+    ladder = run_with_progress(
         console,
         rungs,
         views,
@@ -340,14 +341,15 @@ def run(arguments: list[str]) -> int:
 
 def chosen_renderers(given: str | None) -> list[str]:
     """Names of the renderers to measure, the baseline's first."""
+    measured = choices("ladder")
     if given is not None:
         names = list(dict.fromkeys(given.split(",")))
         for name in names:
-            if name not in MEASURED:
-                raise InputError(f"--renderers {name}: choose from {', '.join(MEASURED)}")
+            if name not in measured:
+                raise InputError(f"--renderers {name}: choose from {', '.join(measured)}")
         return names
     first, why = automatic_choice()
-    others = [name for name in MEASURED if name != first]
+    others = [name for name in measured if name != first]
     if first == "cpu":
         from splatview.renderers.gl.context import create_headless_context
 
@@ -357,9 +359,6 @@ def chosen_renderers(given: str | None) -> list[str]:
             print(f"splatview: only cpu is measured: {error} ({why})", file=sys.stderr)
             return [first]
     return [first, *others]
-
-
-MEASURED = ("quads", "tiles", "cpu")
 
 
 def draw_truths(
@@ -379,7 +378,7 @@ def draw_truths(
     return truths, disagreement(truths[0], gaussians, views[0], exact)
 
 
-def climb_with_progress(
+def run_with_progress(
     console: Console, rungs, views, truths, *, orbit: Orbit, seconds: float, rounds: int | None
 ) -> Ladder:
     """Measures with a progress bar. Ctrl-C ends it early: what was measured by then is the result."""
@@ -397,7 +396,7 @@ def climb_with_progress(
             progress.update(task, completed=share, description=text)
 
         with on_interrupt(stopped.set):
-            return climb(
+            return run_ladder(
                 rungs,
                 views,
                 truths,
@@ -428,7 +427,7 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         table.add_column(column, justify="right", no_wrap=True)
     last = None
     for one in ladder.rungs:
-        renderer = one.rung.artist.name
+        renderer = one.rung.renderer.name
         if last not in (None, renderer):
             table.add_section()
         last = renderer
@@ -436,7 +435,7 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         star = "* " if one.pareto else "  "
         table.add_row(star + name, *rest, style="bold" if one.pareto else None)
     console.print(table)
-    base = ladder.baseline.rung.artist.name
+    base = ladder.baseline.rung.renderer.name
     console.print(
         f"ms: of a frame; time: of {base} with its defaults, drawn in turn with it; same: not to be told"
         f" from chance. Noise floor: ±{ladder.noise:.0%} ({base} against itself, {ladder.rounds} pairs;"

@@ -32,7 +32,9 @@ from splatview.cli.arguments import (
     positive,
 )
 from splatview.measure.knobs import Plan, path_to_view
-from splatview.renderers.headless import RENDERERS, HeadlessRenderer, draw_plan, make_headless
+from splatview.renderers import MODES, FrameRequest, Renderer, choices
+from splatview.renderers.headless import make_headless
+from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects import settings_for
@@ -86,8 +88,6 @@ def eight_bit(image: np.ndarray, *, alpha: bool = False) -> np.ndarray:
     return np.floor(np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-MODES = ("splats", "points", "ellipsoids", "depth", "overdraw")
-
 WARM_UP_TURN = -1.0
 """Degrees by which the frame before the measured ones differs, so that nothing of it can be kept."""
 
@@ -110,8 +110,8 @@ def make_parser() -> Parser:
     group.add_argument(
         "--alpha", action="store_true", help="a .png with transparency instead of a background"
     )
-    group.add_argument("--renderer", choices=RENDERERS, default="auto")
-    group.add_argument("--mode", choices=MODES, default="splats", help="other than splats: quads only")
+    group.add_argument("--renderer", choices=("auto", *choices("render")), default="auto")
+    group.add_argument("--mode", choices=tuple(MODES), default="splats", help="other than splats: quads only")
     group.add_argument(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -181,8 +181,9 @@ def check_picture_options(args: argparse.Namespace) -> None:
         raise InputError("--aperture needs --focus, the distance that is sharp")
     if args.aperture is None and (args.focus is not None or args.lens_samples is not None):
         raise InputError("--focus and --lens-samples go with --aperture, the diameter of the lens")
-    if args.mode != "splats" and args.renderer not in ("auto", "quads"):
-        raise InputError(f"--mode {args.mode} needs --renderer quads")
+    backends = MODES[args.mode].backends
+    if args.renderer not in ("auto", *backends):
+        raise InputError(f"--mode {args.mode} needs --renderer {' or '.join(backends)}")
     check_knob_options(args)
 
 
@@ -216,7 +217,7 @@ def chosen_aperture(args: argparse.Namespace, camera: Camera) -> Aperture | None
 
 def render_frames(
     args: argparse.Namespace,
-    renderer: HeadlessRenderer,
+    renderer: Renderer,
     gaussians: Gaussians,
     orbit: Orbit,
     plan: Plan,
@@ -229,7 +230,8 @@ def render_frames(
     """
 
     def draw(camera: Camera) -> np.ndarray:
-        return draw_plan(renderer, gaussians, camera, plan, args.mode)
+        request = FrameRequest.by_plan(gaussians, camera, plan, mode=args.mode)
+        return renderer.render(reduced(request)).astype(np.float32, copy=False)
 
     if args.stats:
         draw(orbit.turned(WARM_UP_TURN))
@@ -250,8 +252,9 @@ def render_frames(
             image = mean_picture(draw, camera, aperture, args.lens_samples or LENS_SAMPLES)
         totals.append(1e3 * (time.perf_counter() - start))
         if args.stats:
-            visible, milliseconds = renderer.stats()
-            for stage, value in milliseconds.items():
+            latest = renderer.stats(wait=True)
+            visible = latest.visible
+            for stage, value in latest.ms.items():
                 stages.setdefault(stage, []).append(value)
     ms = {
         "total": statistics.median(totals),

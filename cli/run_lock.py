@@ -15,7 +15,7 @@ _held: dict[Path, IO[bytes]] = {}
 """Claims last as long as the process, which may make one again."""
 
 
-def claim(path: Path) -> None:
+def lock_run(path: Path) -> None:
     """Keeps `path` for this process to write. Marks lie in the cache's folder, not beside the file; where
     none can be made nothing is claimed, which is no reason not to work.
 

@@ -6,7 +6,8 @@ import json
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,78 @@ from splatview.cli.arguments import Parser
 from splatview.cli.render import write_picture
 from splatview.measure.hard_cases import CASES, find_case
 from splatview.measure.hard_cases.case import HardCase
-from splatview.measure.hard_cases.run import CaseRenderer, CaseResult, draw_case, error_of, run_case
+from splatview.measure.hard_cases.run import (
+    CaseRenderer,
+    CaseResult,
+    Precision,
+    draw_case,
+    error_of,
+    run_case,
+)
 from splatview.measure.machine import describe_machine
-from splatview.renderers.headless import GL_NAMES, NAMES, case_renderers, describe_gl
-from splatview.scene import InputError
+from splatview.renderers import BACKENDS, FrameRequest, Renderer, choices, make_renderer, on_this_gl
+from splatview.renderers.cpu import ReferenceRenderer
+from splatview.renderers.gl import context
+from splatview.renderers.headless import announce_compiling
+from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+
+NAMES = choices("stability")
+
+PRECISIONS: tuple[Precision, ...] = ("float32", "float16")
+"""Precisions of blending that the catalogue has bounds for."""
+
+GL_NAMES = tuple(name for name in NAMES if BACKENDS[name].gl_version is not None)
+
+
+@contextmanager
+def case_renderers(names: Sequence[str] = NAMES) -> Iterator[list[CaseRenderer]]:
+    """The backends called `names`, each in every precision that the catalogue knows of; freed at the end.
+
+    Raises:
+        InputError: one of them needs OpenGL, and there is none.
+    """
+    made: dict[str, Renderer] = {}
+    ctx = context.create_headless_context() if any(name in GL_NAMES for name in names) else None
+    try:
+        for name in names:
+            backend = BACKENDS[name] if ctx is None else on_this_gl(name, ctx)
+            old = ctx is not None and (backend.gl_version or 0) > ctx.version_code
+            if backend.name not in made and not old and name != "reference":
+                made[backend.name] = make_renderer(backend.name, ctx)
+        cases = [
+            case_renderer(name, renderer, blend)
+            for name, renderer in made.items()
+            for blend in PRECISIONS
+            if blend in renderer.capabilities.precisions
+        ]
+        if "reference" in names:
+            for dtype in (np.float64, np.float32):
+                name = f"reference {np.dtype(dtype)}"
+                cases.append(case_renderer(name, ReferenceRenderer(dtype), "float32"))
+        yield cases
+    finally:
+        for renderer in made.values():
+            renderer.close()
+        if ctx is not None:
+            ctx.release()
+
+
+def case_renderer(name: str, renderer: Renderer, blend: Precision) -> CaseRenderer:
+    """The renderer as the catalogue takes it."""
+
+    def draw(gaussians: Gaussians, camera: Camera, settings: RenderSettings) -> np.ndarray:
+        return renderer.render(FrameRequest(gaussians, camera, settings))
+
+    return CaseRenderer(name=name, blend=blend, draw=draw)
+
+
+def describe_gl() -> dict[str, str]:
+    """Vendor, renderer and version of the OpenGL that is tested. Raises InputError where there is none."""
+    ctx = context.create_headless_context()
+    info = context.describe(ctx)
+    ctx.release()
+    return {"vendor": info.vendor, "renderer": info.renderer, "version": info.version}
+
 
 # ---- Pictures of a hard case for the eye: the reference, what a renderer made, and where they differ.
 
@@ -118,7 +187,8 @@ def run(arguments: list[str]) -> int:
     if args.save is not None:
         make_folder(args.save)
     names = (args.renderer,) if args.renderer else working_renderers()
-    announce_compiling(names)
+    for name in names:
+        announce_compiling(name)
     written: list[Path] = []
     with case_renderers(names) as renderers:
         if not renderers:
@@ -146,14 +216,6 @@ def working_renderers() -> tuple[str, ...]:
         print(f"splatview: only the renderers without OpenGL are tested: {error}", file=sys.stderr)
         return tuple(name for name in NAMES if name not in GL_NAMES)
     return NAMES
-
-
-def announce_compiling(names: Sequence[str]) -> None:
-    if "cpu" in names:
-        from splatview.raster import will_compile
-
-        if will_compile():
-            print("splatview: compiling the CPU renderer, once, may take a minute", file=sys.stderr)
 
 
 def run_with_progress(cases: Sequence[HardCase], renderers: Sequence[CaseRenderer]) -> list[CaseResult]:

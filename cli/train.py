@@ -19,7 +19,8 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from splatview.cli.arguments import Parser, count, index, positive
-from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels
+from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.cli.window import no_window
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
@@ -34,11 +35,10 @@ from splatview.trainer.distributed import (
     stopping_between_steps,
 )
 from splatview.trainer.evaluate import Evaluation
-from splatview.trainer.run import Outputs, Progress, TrainingRun
+from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
-
-# ---- What `splatview train` prints: a bar while it runs, lines of evaluations, a table at the end.
 
 
 def make_bar(console: Console) -> Bar:
@@ -53,7 +53,7 @@ def make_bar(console: Console) -> Bar:
     )
 
 
-def numbers(progress: Progress, evaluation: Evaluation | None) -> str:
+def numbers(progress: RunProgress, evaluation: Evaluation | None) -> str:
     """The figures behind the bar; `evaluation` is the last one."""
     step = progress.step
     text = f"step {step.iteration:,}  loss {step.loss:.4f}  {step.gaussians:,} splats"
@@ -70,7 +70,7 @@ def effect_line(effect: Effect) -> str:
     return f"  {'on ' if effect.in_force else 'off'}  {effect.name}: {effect.why}"
 
 
-def evaluation_line(progress: Progress) -> str:
+def evaluation_line(progress: RunProgress) -> str:
     step, evaluation = progress.step, progress.evaluation
     assert evaluation is not None
     return (
@@ -90,17 +90,13 @@ def print_summary(
             table.add_row(score.name, f"{score.psnr:.2f}", f"{score.ssim:.4f}")
         table.add_row("mean", f"{evaluation.psnr:.2f}", f"{evaluation.ssim:.4f}", style="bold")
         console.print(table)
-    console.print(
+    say(
+        console,
         f"{outputs.scene}: {len(trainer.splats):,} splats, {counters.iteration:,} steps in"
         f" {counters.seconds:.1f} s",
-        highlight=False,
-        soft_wrap=True,
     )
     if evaluation is not None:
-        console.print(f"side by side: {outputs.pictures}", highlight=False, soft_wrap=True)
-
-
-# ---- `splatview train` with a window: the scene is seen to grow, and may be steered.
+        say(console, f"side by side: {outputs.pictures}")
 
 
 EVAL_SECONDS = 4.0
@@ -126,7 +122,7 @@ def train_in_window(
     """
     console = Console(stderr=True)
     ready = prepare(options, console, Alone())
-    console.print(opening(ready), highlight=False, soft_wrap=True)
+    say(console, opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     session = TrainingRun(
         ready.trainer,
@@ -156,7 +152,7 @@ def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
             thread.close()
     finally:
         for note in thread.take_notes():
-            console.print(f"[yellow]{note}", highlight=False, soft_wrap=True)
+            say(console, f"[yellow]{note}")
     _conclude(console, ready, thread)
 
 
@@ -168,7 +164,7 @@ def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> i
     training = LiveTraining(
         thread=thread,
         name=ready.capture.name,
-        photos=watched_photos(ready.trainer.shots.all, ready.held_out),
+        photos=watched_photos(ready.trainer.views.all, ready.held_out),
         settings=ready.trainer.render_settings,
     )
 
@@ -184,12 +180,7 @@ def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     elif status.saved_at is None:
         console.print("nothing was trained, and nothing written", highlight=False)
     else:
-        console.print(
-            f"stopped at step {status.iteration:,}: {outputs.scene} is as far as it came;"
-            f" go on with --resume {outputs.checkpoint}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        say(console, f"stopped at step {status.iteration:,}: {_as_far(outputs)}")
 
 
 @contextmanager
@@ -207,9 +198,6 @@ def _undisturbed() -> Iterator[None]:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
 
-
-EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 EVAL_EVERY = 1000
 """Steps between evaluations where nothing else is asked for."""
@@ -247,7 +235,7 @@ def make_parser() -> Parser:
         help="photos whose lens is no pinhole: train through it, or take its distortion out of them first "
         f"(default: {DEFAULT_LENS_USE})",
     )
-    group.add_argument("--strategy", choices=("mcmc", "classic"), help="density control (default: mcmc)")
+    group.add_argument("--strategy", choices=tuple(STRATEGIES), help="density control (default: mcmc)")
     group.add_argument(
         "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
     )
@@ -288,7 +276,7 @@ def make_parser() -> Parser:
 
 
 def levels(text: str) -> tuple[tuple[float, int], ...]:
-    """`0.1:4,0.3:2` or `none`, as `TrainSettings.coarse`."""
+    """`0.1:4,0.3:2` or `none`, as `TrainSettings.resolution`."""
     if text == "none":
         return ()
     pairs = [part.split(":") for part in text.split(",")]
@@ -330,15 +318,15 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
         ready = prepare(options, console, group)
     except ToldElsewhere:
         return EXIT_BAD_INPUT
-    console.print(_opening(ready), highlight=False, soft_wrap=True)
+    say(console, _opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 
 def _opening(ready: Run) -> str:
-    trainer, (_, width, height) = ready.trainer, ready.trainer.shots.names()[0]
+    trainer, (_, width, height) = ready.trainer, ready.trainer.views.names()[0]
     text = (
-        f"{ready.capture.name}: {len(trainer.shots)} photos to train on, {len(ready.held_out)} held out,"
+        f"{ready.capture.name}: {len(trainer.views)} photos to train on, {len(ready.held_out)} held out,"
         f" {width}x{height} px; {len(trainer.splats):,} splats to begin with"
     )
     if trainer.group.size > 1:
@@ -352,9 +340,9 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
     with make_bar(console) as bar:
         task = bar.add_task("", total=1.0, numbers="")
 
-        def show(progress: Progress) -> None:
+        def show(progress: RunProgress) -> None:
             if progress.evaluation is not None:
-                bar.console.print(evaluation_line(progress), highlight=False, soft_wrap=True)
+                say(bar.console, evaluation_line(progress))
             bar.update(task, completed=progress.step.progress, numbers=numbers(progress, session.evaluation))
 
         session = TrainingRun(
@@ -366,7 +354,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             notes=ready.notes,
             effects=ready.effects,
             on_progress=show,
-            on_note=lambda note: bar.console.print(f"[yellow]{note}", highlight=False, soft_wrap=True),
+            on_note=lambda note: say(bar.console, f"[yellow]{note}"),
         )
         try:
             with stopping_between_steps(trainer.group):
@@ -374,10 +362,9 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         except PeerLost as error:
             raise InputError(f"{error}; {_as_far(outputs)}") from None
     if not completed:
-        console.print(
+        say(
+            console,
             f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}",
-            highlight=False,
-            soft_wrap=True,
         )
         return EXIT_INTERRUPTED
     evaluation = session.final_evaluation()

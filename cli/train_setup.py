@@ -13,11 +13,12 @@ from typing import Any
 
 from rich.console import Console
 
-from splatview.cli.run_lock import claim
+from splatview.cli.run_lock import lock_run
 from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
 from splatview.scene.effects import Effect
+from splatview.scene.progress import Progress
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
 from splatview.trainer.effects import capture_effects, model_for, with_exposure
@@ -25,15 +26,16 @@ from splatview.trainer.run import Outputs
 from splatview.trainer.settings import (
     PAPER_ITERATIONS,
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
     automatic_steps,
 )
 from splatview.trainer.splats import initial_parameters
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots, shots_of
+from splatview.trainer.views import TrainView, TrainViews, train_views
 from splatview.trainer.warm_up import warm_up
 
 COMPILED_SECONDS = 10.0
@@ -42,7 +44,7 @@ COMPILED_SECONDS = 10.0
 BYTES_A_SPLAT = 250 + 2 * 710
 """In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
 
-OF_THE_CHECKPOINT = (
+OF_THE_CHECKPOINT = [
     "seed",
     "strategy",
     "max_splats",
@@ -52,8 +54,13 @@ OF_THE_CHECKPOINT = (
     "antialiased",
     "abs_grad",
     "lens",
-)
+]
 """Options that a resumed run takes from where it was."""
+
+
+def say(console: Console, text: str) -> None:
+    """Prints a line as it is, however long."""
+    console.print(text, highlight=False, soft_wrap=True)
 
 
 class ToldElsewhere(Exception):
@@ -66,7 +73,7 @@ class Run:
 
     capture: Capture
     trainer: Trainer
-    held_out: list[Shot]
+    held_out: list[TrainView]
     outputs: Outputs
     notes: dict[str, Any]
     """For checkpoints."""
@@ -127,28 +134,27 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
-        claim(outputs.checkpoint)
+        lock_run(outputs.checkpoint)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
     capture = _with_status(
         console,
         "Reading photos",
-        lambda show: load_capture(folder, downscale=downscale, lens=lens, progress=show),
+        lambda progress: load_capture(folder, downscale=downscale, lens=lens, progress=progress),
     )
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
-    shots, held_out = Shots(shots_of(capture.train), seed), shots_of(capture.held_out)
+    views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
-        console.print(f"[yellow]{warning}", highlight=False, soft_wrap=True)
+        say(console, f"[yellow]{warning}")
     if checkpoint is None:
-        trainer = _new_trainer(capture, shots, seed, batch, options, group)
-        if options.iterations is None and automatic_steps(len(shots)) is not None:
-            console.print(
-                f"{len(shots)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
+        trainer = _new_trainer(capture, views, seed, batch, options, group)
+        if options.iterations is None and automatic_steps(len(views)) is not None:
+            say(
+                console,
+                f"{len(views)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
                 " learn single photos by heart; --iterations asks for more",
-                highlight=False,
-                soft_wrap=True,
             )
     else:
-        trainer = _resumed_trainer(shots, checkpoint, options, group)
+        trainer = _resumed_trainer(views, checkpoint, options, group)
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     antialiased = (
@@ -172,10 +178,9 @@ def ready_kernels(console: Console, *, lens: bool = False) -> float:
     seconds = time.perf_counter() - begun
     if seconds < COMPILED_SECONDS:
         return 0.0
-    console.print(
+    say(
+        console,
         f"compiling took {seconds:.0f} s, once per installation; --minutes does not count it",
-        highlight=False,
-        soft_wrap=True,
     )
     return seconds
 
@@ -194,14 +199,14 @@ def _demo(console: Console) -> tuple[Path, float]:
     """The folder of the demo's photos, and the seconds that making them took."""
     begun = time.perf_counter()
     title = "Taking pictures of the demo scene (once per installation)"
-    folder = _with_status(console, title, lambda show: cached_demo_capture(progress=show))
+    folder = _with_status(console, title, lambda progress: cached_demo_capture(progress=progress))
     return folder, time.perf_counter() - begun
 
 
-def _with_status(console: Console, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) -> Any:
     """Does `work` while its share shows behind the title."""
     with console.status(title) as status:
-        return work(lambda share: status.update(f"{title}: {share:.0%}"))
+        return work(Progress(report=lambda share: status.update(f"{title}: {share:.0%}")))
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
@@ -226,49 +231,49 @@ def _check_room(outputs: Outputs, splats: int) -> None:
 
 
 def _new_trainer(
-    capture: Capture, shots: Shots, seed: int, batch: int, options: argparse.Namespace, group: Group
+    capture: Capture, views: TrainViews, seed: int, batch: int, options: argparse.Namespace, group: Group
 ) -> Trainer:
     iterations, minutes = options.iterations, options.minutes
     if iterations is None:
-        iterations = automatic_steps(len(shots)) or (PAPER_ITERATIONS if minutes is None else None)
-    strategy = options.strategy or "mcmc"
-    if options.abs_grad and strategy != "classic":
+        iterations = automatic_steps(len(views)) or (PAPER_ITERATIONS if minutes is None else None)
+    strategy = options.strategy or TrainSettings.strategy
+    if options.abs_grad and not hasattr(STRATEGIES[strategy][0], "absolute_gradient"):
         raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
-    pull = automatic_pull(len(shots))
+    regularisation = automatic_regularisation(len(views))
     settings = TrainSettings(
         iterations=iterations,
         minutes=minutes,
         seed=seed,
         batch=batch,
-        opacity_pull=pull,
-        scale_pull=pull,
-        drop=automatic_drop(len(shots)),
-        elongation=automatic_elongation(len(shots)),
+        opacity_reg=regularisation,
+        scale_reg=regularisation,
+        dropout=automatic_dropout(len(views)),
+        max_aspect=automatic_max_aspect(len(views)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
-        coarse=TrainSettings.coarse if options.coarse is None else options.coarse,
+        resolution=TrainSettings.resolution if options.coarse is None else options.coarse,
         background=capture.background or (0.0, 0.0, 0.0),
         model=model_for(capture, options.antialiased or "auto"),
         max_splats=options.max_splats
-        or automatic_limit(shots.pixel_count, minutes if options.iterations is None else None),
+        or automatic_limit(views.pixel_count, minutes if options.iterations is None else None),
     )
     extent = capture.scene_radius
     parameters = initial_parameters(
         capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=seed
     )
-    return Trainer(shots, parameters, extent, settings, threads=_threads(options, group), group=group)
+    return Trainer(views, parameters, extent, settings, threads=_threads(options, group), group=group)
 
 
 def _resumed_trainer(
-    shots: Shots, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
+    views: TrainViews, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
 ) -> Trainer:
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
     parameters = checkpoint.splats.parameters
     trainer = Trainer(
-        shots, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
+        views, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
     )
     restore(trainer, checkpoint)
     if trainer.done:
@@ -289,7 +294,7 @@ def _check_equal(run: Run, group: Processes) -> None:
         group,
         {
             "options": digest(trainer.settings),
-            "photos": digest(trainer.shots.names(), *(shot.pixels for shot in trainer.shots.all)),
+            "photos": digest(trainer.views.names(), *(view.pixels for view in trainer.views.all)),
             "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
             "checkpoint": digest(trainer.counters.iteration),
         },

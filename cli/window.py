@@ -8,7 +8,8 @@ from pathlib import Path
 
 from splatview.cli.arguments import DEFAULT_SIZE, Parser
 from splatview.cli.render import check_output, write_picture
-from splatview.renderers.headless import Cpu, HeadlessRenderer, Quads, Tiles
+from splatview.renderers import FrameRequest, Renderer, choices
+from splatview.renderers.headless import make_headless
 from splatview.scene import Camera, Gaussians, InputError, concatenate
 from splatview.scene.effects import settings_for
 from splatview.scene.formats import load_scene
@@ -20,7 +21,7 @@ DEFAULT_PREVIEW = Path("splatview-preview.png")
 def run(arguments: list[str]) -> int:
     parser = Parser("", "Opens scenes in a window.", usage="splatview [SCENE ...] [options]")
     parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE")
-    parser.add_argument("--renderer", choices=("auto", "quads", "tiles", "cpu"), default="auto")
+    parser.add_argument("--renderer", choices=("auto", *choices("window")), default="auto")
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_PREVIEW, metavar="FILE.png")
     args = parser.parse(arguments)
     if args is None:
@@ -39,7 +40,8 @@ def run(arguments: list[str]) -> int:
     gaussians, camera = first_view(args.scenes)
     print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)
     drawing = preview_renderer(args.renderer)
-    write_picture(drawing.draw(gaussians, camera, settings_for(gaussians)), args.output)
+    request = FrameRequest(gaussians, camera, settings_for(gaussians))
+    write_picture(drawing.render(request), args.output)
     print(f"{args.output}: {camera.width}x{camera.height}, by {drawing.name}", file=sys.stderr)
     return 0
 
@@ -68,16 +70,12 @@ def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
     return gaussians, frame_camera(gaussians, width, height)
 
 
-def preview_renderer(renderer: str) -> HeadlessRenderer:
+def preview_renderer(name: str) -> Renderer:
     """`quads` by EGL unless another is asked for; where there is no EGL, `cpu`, saying so."""
-    if renderer == "cpu":
-        return Cpu()
-    from splatview.renderers.gl.context import create_headless_context
-
     try:
-        return (Tiles if renderer == "tiles" else Quads)(create_headless_context())
+        return make_headless("quads" if name == "auto" else name)
     except InputError as error:
-        if renderer != "auto":
+        if name != "auto":
             raise
         print(f"splatview: {error}; rendering on the CPU", file=sys.stderr)
-        return Cpu()
+        return make_headless("cpu")

@@ -1,1 +1,1 @@
-"""Editing a scene without touching it: selections, operations, history, recipes. Imports scene only."""
+"""Non-destructive editing: selections, operations, history, recipes. Imports scene only."""

@@ -1,7 +1,7 @@
-"""What one operation alters, in a form that goes both ways and takes little room.
+"""Changes: the alterations by one operation, reversible and compact.
 
-A change is made before anything is altered; applying it cannot fail half way but by lack of memory, and
-then what was altered is put back.
+A change is made before anything is altered; applying it can fail half way only by lack of memory, and then
+the parts applied so far are reverted.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import IDENTITY, MOST_ADJUSTMENTS, PALETTE_SHIFT, Adjustment, Crop
 
 ADJUSTMENT_BYTES = 1000
-"""A palette entry in Python's memory, about."""
+"""Approximate memory of a palette entry."""
 
 
 class Part(Protocol):
-    """A step of a change. Each way needs the state that the other way leaves."""
+    """A part of a change. Each direction needs the state that the other one leaves."""
 
     def apply(self, state: State) -> None: ...
 
@@ -35,7 +35,7 @@ class Part(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Toggle:
-    """State flags flipped on some splats: its own reverse."""
+    """Flags flipped on some splats: its own inverse."""
 
     splats: SplatSet
     bits: int
@@ -54,23 +54,22 @@ class Toggle:
 
 @dataclass(frozen=True, eq=False)
 class SplatEntries:
-    """The palette entry of each splat of a set, in the smallest type that holds them."""
+    """The palette index of each splat of a set, in the smallest type that holds them."""
 
     values: np.ndarray
 
 
 Reentry = int | np.ndarray | SplatEntries
-"""How marks come to name other entries: by bits to flip, by a lookup (P,) uint32, or one by one."""
+"""New palette indices: by bits to flip, by a lookup (P,) uint32, or one by one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Readjust:
-    """Some splats get other adjustments, one for each that they had."""
+    """Other adjustments for some splats, one for each that they had, and the palettes before and after."""
 
     splats: SplatSet
     before: tuple[Adjustment, ...]
     after: tuple[Adjustment, ...]
-    """The palettes."""
     there: Reentry
     back: Reentry
 
@@ -85,7 +84,7 @@ class Readjust:
     def _write(self, state: State, entries: Reentry) -> None:
         if isinstance(entries, int):
             if entries == 0:
-                return  # the palette alone says it
+                return  # the palette alone changes
             self.splats.toggle(state.marks, entries)
         elif isinstance(entries, SplatEntries):
             mask = self.splats.mask
@@ -126,8 +125,8 @@ class Recrop:
 
 @dataclass(frozen=True, eq=False)
 class Rewrite:
-    """Other values of one attribute for some splats. The scene's array is not written to: the state gets
-    a scene that has a new one, and shares all others."""
+    """Other values of one attribute for some splats. The scene's array is not written to: the state gets a
+    scene with a new one, which shares all others."""
 
     attribute: str
     splats: SplatSet
@@ -153,7 +152,7 @@ class Rewrite:
 
 @dataclass(frozen=True, eq=False)
 class Append:
-    """More splats, after those that are there."""
+    """More splats, after the present ones."""
 
     before: Gaussians
     after: Gaussians
@@ -173,8 +172,8 @@ class Append:
 
 
 class SaveOnce:
-    """A scene written to a file of its own, the first time that the change is applied. Taking the change
-    back leaves the file, so that later times find it there."""
+    """A scene written to a file of its own, the first time that the change is applied. Reverting the change
+    leaves the file."""
 
     def __init__(self, save: Callable[[Gaussians, Path], None], path: Path, scene: Gaussians) -> None:
         self._save, self._path = save, path
@@ -195,15 +194,15 @@ class SaveOnce:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Change:
-    """What came of one operation."""
+    """The alterations by one operation."""
 
     title: str
-    """For the history: what was done, and to how many."""
+    """What was done, and to how many splats: for the history."""
     count: int
-    """Splats that it concerns."""
+    """Splats concerned."""
     parts: tuple[Part, ...] = ()
     notes: tuple[str, ...] = field(default=())
-    """What the user should be told besides."""
+    """Further messages to the user."""
 
     def apply(self, state: State) -> None:
         done: list[Part] = []
@@ -229,28 +228,31 @@ class Change:
 
     @property
     def nbytes(self) -> int:
-        """Memory that it holds, about."""
+        """Approximate memory."""
         return sum(part.nbytes for part in self.parts)
+
+
+def toggling(splats: SplatSet, bits: int, title: str) -> Change:
+    """The change that flips flags of `splats`."""
+    parts = (Toggle(splats, bits),) if len(splats) else ()
+    return Change(title=title, count=len(splats), parts=parts)
 
 
 def splats_in_words(count: int) -> str:
     return "1 splat" if count == 1 else f"{count:,} splats"
 
 
-# ---- Giving splats another adjustment: one entry of the palette for all that are alike, none without use.
-
-
 def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
-    """What puts `later` after the adjustments that `splats` have.
+    """Applies `later` after the adjustments of `splats`: one palette entry for all alike, none without use.
 
-    Entries that only these splats used are used again for them, so moving one selection a thousand times
-    takes one entry, and moving all splats writes to no mark.
+    Entries that only these splats used are reused for them, so moving one selection a thousand times takes
+    one entry, and moving all splats writes to no mark.
 
     Raises:
         InputError: the adjustments together leave the range of numbers.
     """
     before = state.palette
-    # Deleted splats count: undoing brings them back with what they had.
+    # Deleted splats count: undoing brings them back with their adjustments.
     usage, moved = np.array([[len(state.marks)], [len(splats)]])
     if len(before) > 1:
         usage, moved = kernels.entry_usage(state.marks, splats.mask, len(before))
@@ -273,7 +275,7 @@ def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
         if adjustment in slots:
             lookup[entry] = slots[adjustment]
             continue
-        # Its own place where that has become free: then no mark has to change.
+        # Its own place where that is free now: then no mark has to change.
         slot = entry if entry in free else min(free, default=len(after))
         if slot == len(after):
             after.append(adjustment)
@@ -308,7 +310,7 @@ def _then(first: Adjustment, later: Adjustment) -> Adjustment:
 def _back(
     state: State, splats: SplatSet, sources: np.ndarray, lookup: np.ndarray, entries: int
 ) -> np.ndarray | SplatEntries:
-    """What undoes `lookup` of the entries `sources`: an array if none of them become one."""
+    """The inverse of `lookup` for the entries `sources`: an array unless two of them become one."""
     targets = lookup[sources]
     if len(set(targets.tolist())) == len(targets):
         back = np.arange(entries, dtype=np.uint32)

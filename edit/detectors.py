@@ -1,4 +1,5 @@
-"""What all detectors have in common: a score a splat, a threshold, and what these mean."""
+"""Detectors of splats that one would rather be without: a score per splat, and a threshold above which it
+goes."""
 
 from __future__ import annotations
 
@@ -10,33 +11,35 @@ import numpy as np
 
 from splatview.edit.kernels.grid import linked
 from splatview.edit.kernels.kdtree import nearest
-from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
+from splatview.edit.kernels.marks import positions_of, shown_positions
 from splatview.edit.sample_views import sample_cameras
 from splatview.edit.selectors.attributes import attribute_values, log_scales, opacities
-from splatview.edit.selectors.base import above_zero, choice, whole
+from splatview.edit.selectors.base import Query, above_zero, choice, finding_mask, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits, shown
 from splatview.scene.framing import robust_bounds
-from splatview.scene.health import Finding, check
+from splatview.scene.health import Finding
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Detector:
-    """Frozen dataclasses: their fields are a line of a recipe, what follows here is for the interface."""
+    """Base of all detectors: frozen dataclasses whose fields are those of a recipe's step; the class
+    variables are for the interface."""
 
     label: ClassVar[str]
     what: ClassVar[str]
     """One sentence for a tooltip."""
     unit: ClassVar[str]
-    """Of scores and threshold."""
+    """Unit of scores and threshold."""
     threshold: ClassVar[float]
-    """A sensible one to begin with."""
+    """A sensible threshold to begin with."""
     slider: ClassVar[tuple[float, float]]
-    """From everything that one might want gone to nothing."""
+    """Range of sensible thresholds, from nearly all splats deleted to none."""
     log: ClassVar[bool] = True
     """Whether the slider's scale is logarithmic."""
     renders: ClassVar[bool] = False
-    """Whether it takes pictures, of the cameras that it is given."""
+    """Whether it renders the views of the given cameras."""
 
     def scores(
         self,
@@ -45,87 +48,87 @@ class Detector:
         tools: Tools,
         cameras: Sequence[Camera] = (),
         *,
-        watch: Watch = UNWATCHED,
+        progress: Progress = NO_PROGRESS,
     ) -> np.ndarray:
         """(N,) float32: the greater the worse; NaN for splats that are not shown.
 
-        `cameras`, if any, are the views that count; where none are given and some are wanted, sample
-        views are made. Raises Cancelled.
+        `cameras` are the views that count; none: sample views, for detectors that render. Raises Cancelled.
         """
+        progress.step(0.0)
+        query = Query(gaussians=gaussians, edits=edits, tools=tools, cameras=cameras, progress=progress)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            scores = self._scores(query).astype(np.float32)
+        scores[~shown(gaussians, edits)] = np.nan
+        progress.step(1.0)
+        return scores
+
+    def _scores(self, query: Query) -> np.ndarray:
+        """(N,) of any float type, and any values for splats that are not shown."""
         raise TypeError(f"{type(self).__name__} has no scores")
 
     def mask(self, scores: np.ndarray, threshold: float) -> np.ndarray:
-        """Which splats score above `threshold`: (N,) bool."""
+        """Splats that score above `threshold`: (N,) bool."""
         return scores > np.float32(threshold)
 
     def meaning(self, threshold: float) -> str:
-        """What the threshold says, in words: "below 2 % opacity"."""
+        """The threshold in words: "below 2 % opacity"."""
         return f"over {threshold:.3g} {self.unit}"
-
-
-# ---- Who is next to whom among the splats that are shown: what floaters and giants are found by.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Neighbourhood:
-    """Of the M splats that are shown and somewhere."""
+    """Nearest neighbours of the M shown splats with finite positions."""
 
     count: int
-    """N of the scene."""
+    """N, splats of the scene."""
     indices: np.ndarray
     """(M,) int64, ascending."""
     neighbours: np.ndarray
-    """(M, k) int32, places in `indices`, nearest first; -1: there are no more."""
+    """(M, k) int32, places in `indices`, nearest first; -1: none left."""
     distances: np.ndarray
     """(M, k) float64, world units."""
     extents: np.ndarray
-    """(M,) float64, world units: the middle of a splat's three standard deviations, that is how wide it
-    looks; a needle looks thin and a disc broad."""
+    """(M,) float64, world units: the middle of a splat's three standard deviations, its apparent width; that
+    of a needle is small and that of a disc large."""
     typical: float
-    """Median distance to the furthest of the k neighbours, above 0."""
+    """Median distance to the furthest of the k neighbours, above 0, world units."""
+
+    @classmethod
+    def of(cls, query: Query, k: int) -> Neighbourhood:
+        indices, positions = shown_positions(query.gaussians, query.edits)
+        neighbours, distances = nearest(positions, k, query.progress)
+        scales = log_scales(query.gaussians, query.edits)[indices]
+        sizes = np.exp(np.sort(scales, axis=1)[:, 1].astype(np.float64))
+        furthest = distances[:, -1]
+        usable = furthest[(furthest > 0) & np.isfinite(furthest)]
+        return cls(
+            count=len(query.gaussians),
+            indices=indices,
+            neighbours=neighbours,
+            distances=distances,
+            extents=np.nan_to_num(sizes, nan=0.0, posinf=np.finfo(np.float64).max),
+            typical=float(np.median(usable)) if len(usable) else 1.0,
+        )
 
     def spread(self, scores: np.ndarray) -> np.ndarray:
         """Scores (M,) as those of the scene, (N,) float32, NaN for all others."""
         result = np.full(self.count, np.nan, np.float32)
-        with np.errstate(over="ignore"):
-            result[self.indices] = scores
+        result[self.indices] = scores
         return result
 
 
-def neighbourhood(gaussians: Gaussians, edits: SceneEdits, k: int, watch: Watch = UNWATCHED) -> Neighbourhood:
-    """The `k` nearest neighbours of all that is shown. Raises Cancelled."""
-    positions = positions_of(gaussians, edits)
-    indices = np.flatnonzero(shown(gaussians, edits) & np.isfinite(positions).all(axis=1))
-    neighbours, distances = nearest(positions[indices], k, watch)
-    with np.errstate(over="ignore", invalid="ignore"):
-        sizes = np.exp(np.sort(log_scales(gaussians, edits)[indices], axis=1)[:, 1].astype(np.float64))
-    furthest = distances[:, -1]
-    usable = furthest[(furthest > 0) & np.isfinite(furthest)]
-    typical = float(np.median(usable)) if len(usable) else 1.0
-    return Neighbourhood(
-        count=len(gaussians),
-        indices=indices,
-        neighbours=neighbours,
-        distances=distances,
-        extents=np.nan_to_num(sizes, nan=0.0, posinf=np.finfo(np.float64).max),
-        typical=typical,
-    )
-
-
-# ---- Floaters: what hangs in the air, found as small clusters apart and as splats far from any other.
-
-
 NEIGHBOURS = 8
-"""Enough that a surface hangs together and few enough that a floater's fellows are not all of them."""
+"""Neighbours of a splat: enough that a surface hangs together and its median is not swayed by one giant, few
+enough that a floater's fellows are not all of them."""
 
 WIDTHS = 3.0
-"""Standard deviations up to which a splat reaches: where the background is coarse, far apart is near."""
+"""Radius of a splat in standard deviations: in a coarse background, far apart is near."""
 
 
 @dataclass(frozen=True)
 class IsolatedClusters(Detector):
-    """A cluster's mass is the sum of its opacities. Two neighbours belong together where they are no
-    further apart than `reach` typical distances, or than each of them is wide."""
+    """A cluster's mass is the sum of its opacities. Two neighbours are linked where they are no further apart
+    than `reach` typical distances, or than each of them is wide."""
 
     label: ClassVar[str] = "Isolated clusters"
     what: ClassVar[str] = "Small groups of splats with nothing around them."
@@ -139,22 +142,14 @@ class IsolatedClusters(Detector):
     def __post_init__(self) -> None:
         above_zero("reach", self.reach)
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        near = neighbourhood(gaussians, edits, NEIGHBOURS, watch)
-        reaches = np.maximum(self.reach * near.typical, WIDTHS * near.extents)
-        labels = linked(near.neighbours, near.distances, reaches)
-        mass = np.nan_to_num(opacities(gaussians, edits)[near.indices].astype(np.float64))
+    def _scores(self, query: Query) -> np.ndarray:
+        near = Neighbourhood.of(query, NEIGHBOURS)
+        radii = np.maximum(self.reach * near.typical, WIDTHS * near.extents)
+        labels = linked(near.neighbours, near.distances, radii)
+        opacity = opacities(query.gaussians, query.edits)[near.indices]
+        mass = np.nan_to_num(opacity.astype(np.float64))
         masses = np.bincount(labels, weights=mass, minlength=len(labels))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return near.spread(masses.max(initial=0.0) / masses[labels])
+        return near.spread(masses.max(initial=0.0) / masses[labels])
 
     def meaning(self, threshold: float) -> str:
         return f"clusters with less than 1/{threshold:,.0f} of the main one's mass"
@@ -162,7 +157,7 @@ class IsolatedClusters(Detector):
 
 @dataclass(frozen=True)
 class SparseSplats(Detector):
-    """The distance to the k-th neighbour, over that of the median splat, or over the splat's own width where
+    """Distance to the k-th neighbour, relative to that of the median splat, or to the splat's own width where
     that is more: a coarse sky is no floater."""
 
     label: ClassVar[str] = "Low density"
@@ -177,36 +172,12 @@ class SparseSplats(Detector):
     def __post_init__(self) -> None:
         whole("neighbours", self.neighbours, 1)
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        near = neighbourhood(gaussians, edits, self.neighbours, watch)
-        with np.errstate(over="ignore", invalid="ignore"):
-            usual = np.maximum(near.typical, WIDTHS * near.extents)
-            return near.spread(near.distances[:, -1] / usual)
+    def _scores(self, query: Query) -> np.ndarray:
+        near = Neighbourhood.of(query, self.neighbours)
+        return near.spread(near.distances[:, -1] / np.maximum(near.typical, WIDTHS * near.extents))
 
     def meaning(self, threshold: float) -> str:
         return f"the {self.neighbours}th neighbour is over {threshold:.3g} times as far as usual"
-
-
-# ---- Splats of a bad shape: needles and giants.
-
-
-LEAST_NEIGHBOURS = 8
-"""Whose median is not yet swayed by one other giant beside it."""
-
-SCENE_SHARE = 0.01
-"""Against the scene a splat scores 1 at this share of its radius, so that one slider serves both ways."""
-
-
-def _hide(scores: np.ndarray, gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
-    return np.where(shown(gaussians, edits), scores, np.float32(np.nan)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -226,28 +197,23 @@ class Needles(Detector):
         if not isinstance(self.discs, bool):
             raise ValueError(f"discs must be true or false, got {self.discs!r}")
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        watch.step(0.0)
+    def _scores(self, query: Query) -> np.ndarray:
         # Growing or shrinking a splat leaves the ratio as it is.
         name = "anisotropy" if self.discs else "elongation"
-        ratios = attribute_values(name, gaussians, edits, tools)
-        return _hide(ratios, gaussians, edits)
+        return attribute_values(name, query.gaussians, query.edits, query.tools)
 
     def meaning(self, threshold: float) -> str:
         return f"over {threshold:.3g} times as long as {'thin' if self.discs else 'wide'}"
 
 
+SCENE_SHARE = 0.01
+"""Share of the scene's radius at which a giant scores 1, so that one slider serves both comparisons."""
+
+
 @dataclass(frozen=True)
 class Giants(Detector):
-    """The largest standard deviation over the median of that of the neighbours, or the scene's radius."""
+    """The largest standard deviation over the median of that of the neighbours, or over the scene's
+    radius."""
 
     label: ClassVar[str] = "Giants"
     what: ClassVar[str] = "Splats far larger than those around them, which veil the scene."
@@ -261,34 +227,21 @@ class Giants(Detector):
     def __post_init__(self) -> None:
         choice("against", self.against, ("neighbours", "scene"))
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        watch.step(0.0)
+    def _scores(self, query: Query) -> np.ndarray:
+        gaussians, edits = query.gaussians, query.edits
         largest = log_scales(gaussians, edits).max(axis=1)
         if self.against == "scene":
             _, radius = robust_bounds(positions_of(gaussians, edits)[shown(gaussians, edits)])
-            with np.errstate(over="ignore"):
-                return _hide(np.exp(largest) / (SCENE_SHARE * radius), gaussians, edits)
-        near = neighbourhood(gaussians, edits, LEAST_NEIGHBOURS, watch)
+            return np.exp(largest) / (SCENE_SHARE * radius)
+        near = Neighbourhood.of(query, NEIGHBOURS)
         own = largest[near.indices].astype(np.float64)
         others = np.where(near.neighbours >= 0, own[near.neighbours], np.nan)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return near.spread(np.exp(own - np.median(others, axis=1)))
+        return near.spread(np.exp(own - np.median(others, axis=1)))
 
     def meaning(self, threshold: float) -> str:
         if self.against == "scene":
             return f"over {threshold * SCENE_SHARE:.3g} times the scene's radius"
         return f"over {threshold:.3g} times as large as their neighbours"
-
-
-# ---- Splats that hardly show: faint ones, and those that no camera sees.
 
 
 @dataclass(frozen=True)
@@ -299,19 +252,8 @@ class FaintSplats(Detector):
     threshold: ClassVar[float] = 50.0
     slider: ClassVar[tuple[float, float]] = (2.0, 255.0)
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        watch.step(0.0)
-        with np.errstate(divide="ignore"):
-            scores = 1 / opacities(gaussians, edits)
-        return np.where(shown(gaussians, edits), scores, np.float32(np.nan))
+    def _scores(self, query: Query) -> np.ndarray:
+        return 1 / opacities(query.gaussians, query.edits)
 
     def meaning(self, threshold: float) -> str:
         return f"opacity below {1 / threshold:.3g}"
@@ -319,8 +261,8 @@ class FaintSplats(Detector):
 
 @dataclass(frozen=True)
 class UnseenSplats(Detector):
-    """One over the contribution: the sum over all pixels of the views of alpha times the light that reaches
-    the splat. What contributes nothing scores infinity, which is above every threshold."""
+    """One over the contribution, the sum of alpha times transmittance over all pixels of the views. A splat
+    without contribution scores infinity, which is above every threshold."""
 
     label: ClassVar[str] = "Never seen"
     what: ClassVar[str] = "Splats that no view shows: hidden inside, behind, or beside all of them."
@@ -329,20 +271,10 @@ class UnseenSplats(Detector):
     slider: ClassVar[tuple[float, float]] = (0.01, 1e4)
     renders: ClassVar[bool] = True
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        cameras = list(cameras) or sample_cameras(gaussians, edits)
-        total = contributions(gaussians, edits, tools, cameras, watch=watch)
-        with np.errstate(divide="ignore", over="ignore"):
-            scores = (1 / total).astype(np.float32)
-        return np.where(shown(gaussians, edits), scores, np.float32(np.nan))
+    def _scores(self, query: Query) -> np.ndarray:
+        return 1 / contributions(
+            query.gaussians, query.edits, query.tools, query.cameras, progress=query.progress
+        )
 
     def meaning(self, threshold: float) -> str:
         return f"makes less than {1 / threshold:.3g} pixels of all views together"
@@ -354,49 +286,34 @@ def contributions(
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> np.ndarray:
-    """(N,) float64: the sum of the contributions to all `cameras`, view by view. Raises Cancelled."""
+    """(N,) float64: each splat's contributions to all `cameras`, added up view by view; without cameras, to
+    sample views. Raises Cancelled."""
+    cameras = cameras or sample_cameras(gaussians, edits)
     total = np.zeros(len(gaussians))
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
+        progress.step(i / len(cameras))
         total += tools.contributions(gaussians, [camera], edits)
-    watch.step(1.0)
+    progress.step(1.0)
     return total
-
-
-# ---- What `scene.health` finds in the file: splats that cannot be drawn, and copies of others.
 
 
 @dataclass(frozen=True)
 class HealthDetector(Detector):
-    """Scores are 1 where a finding concerns the splat and 0 elsewhere; of the file, whatever was edited."""
+    """1 for splats concerned by a finding of `scene.health` in the file, whatever was edited, and 0 for
+    others."""
 
     unit: ClassVar[str] = "yes or no"
     threshold: ClassVar[float] = 0.5
     slider: ClassVar[tuple[float, float]] = (0.5, 1.0)
     log: ClassVar[bool] = False
 
-    def wanted(self, finding: Finding) -> bool:
-        raise TypeError(f"{type(self).__name__} wants nothing")
+    def matches(self, finding: Finding) -> bool:
+        raise TypeError(f"{type(self).__name__} matches nothing")
 
-    def scores(
-        self,
-        gaussians: Gaussians,
-        edits: SceneEdits,
-        tools: Tools,
-        cameras: Sequence[Camera] = (),
-        *,
-        watch: Watch = UNWATCHED,
-    ) -> np.ndarray:
-        watch.step(0.0)
-        scores = np.zeros(len(gaussians), np.float32)
-        for finding in check(gaussians):
-            if self.wanted(finding):
-                scores[finding.indices] = 1
-        scores[~shown(gaussians, edits)] = np.nan
-        watch.step(1.0)
-        return scores
+    def _scores(self, query: Query) -> np.ndarray:
+        return finding_mask(query.gaussians, self.matches)
 
     def meaning(self, threshold: float) -> str:
         return self.label.lower()
@@ -407,7 +324,7 @@ class Undrawable(HealthDetector):
     label: ClassVar[str] = "Broken splats"
     what: ClassVar[str] = "NaN, infinite or zero where no picture can come of it, or opacity below 1/255."
 
-    def wanted(self, finding: Finding) -> bool:
+    def matches(self, finding: Finding) -> bool:
         return finding.culled
 
 
@@ -416,11 +333,8 @@ class Duplicates(HealthDetector):
     label: ClassVar[str] = "Duplicates"
     what: ClassVar[str] = "Splats that equal an earlier one in every value; only the copies are meant."
 
-    def wanted(self, finding: Finding) -> bool:
+    def matches(self, finding: Finding) -> bool:
         return finding.name == "duplicates"
-
-
-# ---- Finding the splats that one would rather be without, each kind by a score and a threshold.
 
 
 DETECTORS: dict[str, type[Detector]] = {
@@ -433,19 +347,4 @@ DETECTORS: dict[str, type[Detector]] = {
     "broken": Undrawable,
     "duplicates": Duplicates,
 }
-"""By the name that a recipe has."""
-
-__all__ = [
-    "DETECTORS",
-    "Detector",
-    "Duplicates",
-    "FaintSplats",
-    "Giants",
-    "IsolatedClusters",
-    "Needles",
-    "SparseSplats",
-    "Undrawable",
-    "UnseenSplats",
-    "contributions",
-    "sample_cameras",
-]
+"""Detectors by their names in recipes."""

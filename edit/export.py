@@ -1,4 +1,4 @@
-"""Writing the edited scene: the one way there is, for the window and for scripts."""
+"""Export of the edited scene, for the window and for scripts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from splatview.scene.formats import save_scene
 
 
 def exported(document: Document) -> Gaussians:
-    """The edited scene: without what is deleted or cropped away, hidden splats included, adjustments put
-    into the values, comments and extras as they were. A preview in force does not count.
+    """The edited scene: deleted and cropped splats left out, hidden ones kept, adjustments applied to the
+    values, comments and extras as they were. A preview is cancelled.
 
     Raises:
-        InputError: nothing would be left.
+        InputError: no splats would be left.
     """
     document.cancel_preview()
     scene = bake(document.gaussians, document.edits, hidden=True)
@@ -29,7 +29,7 @@ def export(document: Document, path: Path) -> int:
     very file that the scene came from. Returns the number of splats.
 
     Raises:
-        InputError: nothing would be left, or the file cannot be written; an older file is still whole.
+        InputError: no splats would be left, or the file cannot be written; an older file is still whole.
     """
     scene = exported(document)
     save_scene(scene, path)

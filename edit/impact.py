@@ -1,9 +1,9 @@
-"""What an edit costs: how much the pictures change, measured before one accepts it."""
+"""Impact of an edit: the change of the pictures by it, measured before one accepts it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,110 +11,95 @@ import numpy as np
 from splatview.edit.changes import Change, SaveOnce
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.state import State
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits, shown
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 NO_LOSS = 100.0
-"""dB: an error of 1e-5, a hundredth of what an 8-bit picture can show. Pictures that differ less count as
-so far apart, or views that an edit does not touch would make every mean infinite."""
+"""PSNR in dB of an error of 1e-5, a hundredth of what an 8-bit picture can show; greater values are cut to
+it, or views that an edit does not touch would make every mean infinite."""
+
+EditedScene = tuple[Gaussians, SceneEdits]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewPrice:
-    """How much one view changes."""
+class ViewImpact:
+    """Change of one view."""
 
     camera: Camera
     psnr: float
-    """dB, the picture after against the one before, RGB in [0, 1]; at most NO_LOSS."""
+    """PSNR in dB of the picture after against the one before, RGB in [0, 1]; at most NO_LOSS."""
     largest_error: float
-    """Of any pixel and channel, 0 to 1."""
+    """Largest error of any pixel and channel, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Price:
-    """How much all views change."""
+class Impact:
+    """Change of all views."""
 
     count: int
     """Splats that are shown before and not after."""
     mean: float
-    """dB, over views; NO_LOSS where nothing changes or there are no views."""
+    """Mean PSNR over views, dB; NO_LOSS where nothing changes or there are no views."""
     worst: float
-    """dB, of the view that changes most."""
+    """PSNR of the view that changes most, dB."""
     largest_error: float
-    """0 to 1, over all views."""
+    """Largest error over all views, 0 to 1."""
     views: int
-    """How many there were."""
+    """Number of views."""
+
+    @classmethod
+    def of(cls, before: EditedScene, after: EditedScene, views: Iterable[ViewImpact]) -> Impact:
+        views = list(views)
+        psnrs = np.array([view.psnr for view in views] or [NO_LOSS])
+        return cls(
+            count=_shown_less(before, after),
+            mean=float(psnrs.mean()),
+            worst=float(psnrs.min()),
+            largest_error=float(np.max([view.largest_error for view in views], initial=0.0)),
+            views=len(views),
+        )
 
 
-def price(
+def measure_impact(
     gaussians: Gaussians,
     before: SceneEdits,
     after: SceneEdits,
     tools: Tools,
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
-) -> Price:
-    """The loss of going from `before` to `after`, over the views of `cameras`. Raises Cancelled."""
-    views = price_views(gaussians, before, after, tools, cameras, watch=watch)
-    return price_of(shown_less(gaussians, before, after), views)
+    progress: Progress = NO_PROGRESS,
+) -> Impact:
+    """The impact of going from `before` to `after`, over the views of `cameras`.
 
-
-def price_views(
-    gaussians: Gaussians,
-    before: SceneEdits,
-    after: SceneEdits,
-    tools: Tools,
-    cameras: Sequence[Camera],
-    *,
-    watch: Watch = UNWATCHED,
-) -> Iterator[ViewPrice]:
-    """View by view, so that a window can show what is known so far and stop when it wants.
-
-    The edits must not change meanwhile; `with_deleted` makes some that do not. Raises Cancelled.
+    The edits must not change meanwhile; `with_deleted` and `frozen` make some that do not. Raises Cancelled.
     """
+    views = []
     for i, camera in enumerate(cameras):
-        watch.step(i / len(cameras))
-        first = tools.render(gaussians, camera, before)
-        watch.step((i + 0.5) / len(cameras))
-        yield compare(camera, first, tools.render(gaussians, camera, after))
-    watch.step(1.0)
+        progress.step(i / len(cameras))
+        first = tools.picture(gaussians, camera, before)
+        progress.step((i + 0.5) / len(cameras))
+        views.append(compare(camera, first, tools.picture(gaussians, camera, after)))
+    progress.step(1.0)
+    return Impact.of((gaussians, before), (gaussians, after), views)
 
 
-def compare(camera: Camera, before: np.ndarray, after: np.ndarray) -> ViewPrice:
-    """Of two pictures (H, W, 4) float32 of one view. NaN in a picture makes the result NaN."""
+def compare(camera: Camera, before: np.ndarray, after: np.ndarray) -> ViewImpact:
+    """The impact on one view by its pictures (H, W, 4) float32; NaN for NaN in a picture."""
     difference = np.clip(before[..., :3], 0, 1) - np.clip(after[..., :3], 0, 1)
     error = float(np.mean(np.square(difference), dtype=np.float64))
     psnr = NO_LOSS if error == 0 else min(NO_LOSS, -10 * math.log10(error))
-    return ViewPrice(
+    return ViewImpact(
         camera=camera,
         psnr=math.nan if math.isnan(error) else psnr,
         largest_error=float(np.abs(difference).max(initial=0.0)),
     )
 
 
-def price_of(count: int, views: Iterable[ViewPrice]) -> Price:
-    """All in one; of the views so far, while there are more to come."""
-    views = list(views)
-    decibels = np.array([view.psnr for view in views] or [NO_LOSS])
-    return Price(
-        count=count,
-        mean=float(decibels.mean()),
-        worst=float(decibels.min()),
-        largest_error=float(np.max([view.largest_error for view in views], initial=0.0)),
-        views=len(views),
-    )
-
-
-def shown_less(gaussians: Gaussians, before: SceneEdits, after: SceneEdits) -> int:
-    """How many splats are shown before and not after."""
-    return int(np.count_nonzero(shown(gaussians, before) & ~shown(gaussians, after)))
-
-
 def with_deleted(edits: SceneEdits, mask: np.ndarray) -> SceneEdits:
-    """`edits` as if the splats in `mask` (N,) bool were deleted too; shares nothing that changes."""
+    """`edits` with the splats in `mask` (N,) bool deleted too; shares nothing that changes."""
     marks = edits.marks | np.where(mask, np.uint32(DELETED), np.uint32(0))
     return replace(
         edits,
@@ -125,88 +110,52 @@ def with_deleted(edits: SceneEdits, mask: np.ndarray) -> SceneEdits:
     )
 
 
-def unchanging(edits: SceneEdits) -> SceneEdits:
-    """`edits` as they are now, whatever the editor does next."""
+def frozen(edits: SceneEdits) -> SceneEdits:
+    """A copy of `edits` that later edits do not change."""
     return replace(edits, marks=edits.marks.copy())
 
 
-def decimate(
-    gaussians: Gaussians,
-    edits: SceneEdits,
-    tools: Tools,
-    cameras: Sequence[Camera],
-    target: int,
-    *,
-    watch: Watch = UNWATCHED,
-) -> np.ndarray:
-    """Which splats to drop so that `target` of those shown stay, (N,) bool: those that contribute least.
-
-    Of equal contributions the later splat goes. None where no more are shown. Raises Cancelled.
-
-    Raises:
-        ValueError: `target` is below 0, or there are no cameras.
-    """
-    if not target >= 0:
-        raise ValueError(f"target must be at least 0, got {target}")
-    if not cameras:
-        raise ValueError("decimating needs at least one camera")
-    from splatview.edit.detectors import contributions
-
-    indices = np.flatnonzero(shown(gaussians, edits))
-    mask = np.zeros(len(gaussians), bool)
-    if target < len(indices):
-        worth = contributions(gaussians, edits, tools, cameras, watch=watch)[indices]
-        order = np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")
-        mask[indices[order[target:]]] = True
-    return mask
-
-
-# ---- What any operation costs: the pictures of the scene after it against those before, on one renderer.
-#
-# `price` knows deletions, which are a mask; repairs write other values, moves and grades other looks: here
-# the change itself is made, on a copy of what it alters.
-
-
-def price_operations(
+def operation_impacts(
     document: Document,
     operations: Mapping[str, Operation],
     cameras: Sequence[Camera],
     *,
-    watch: Watch = UNWATCHED,
-) -> dict[str, Price]:
-    """The price of each of `operations` by itself, by its key, over the views of `cameras`.
+    progress: Progress = NO_PROGRESS,
+) -> dict[str, Impact]:
+    """The impact of each of `operations` by itself, by its key, over the views of `cameras`.
 
-    The document is only read, so that this may run in a thread while nobody edits. Views are drawn once
+    The document is only read, so this may run in a thread while nothing is edited. Views are drawn once
     before, and once after each operation.
 
     Raises:
         InputError: an operation cannot be done here, or there is no renderer.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
-    before = document.gaussians, unchanging(document.edits)
-    planned = {name: document.plan(operation).change for name, operation in operations.items()}
-    afters = {name: after(document, change) for name, change in planned.items()}
+    before = document.gaussians, frozen(document.edits)
+    afters = {
+        name: after(document, document.plan(operation).change) for name, operation in operations.items()
+    }
     views = {name: [] for name in operations}
     work = max(len(cameras) * (1 + len(afters)), 1)
     done = 0
     for camera in cameras:
-        watch.step(done / work)
-        first = document.tools.render(before[0], camera, before[1])
+        progress.step(done / work)
+        first = document.tools.picture(before[0], camera, before[1])
         done += 1
         for name, (gaussians, edits) in afters.items():
-            watch.step(done / work)
-            views[name].append(compare(camera, first, document.tools.render(gaussians, camera, edits)))
+            progress.step(done / work)
+            views[name].append(compare(camera, first, document.tools.picture(gaussians, camera, edits)))
             done += 1
-    watch.step(1.0)
-    return {name: price_of(_shown_less(before, afters[name]), views[name]) for name in operations}
+    progress.step(1.0)
+    return {name: Impact.of(before, afters[name], views[name]) for name in operations}
 
 
-def after(document: Document, change: Change) -> tuple[Gaussians, SceneEdits]:
-    """Scene and edits as `change`, planned for `document` as it is, would leave them; nothing is altered, and
-    no file written."""
-    state, now = State(document.gaussians), document.state
-    state.marks = now.marks.copy()
-    state.palette, state.crops = now.palette, now.crops
+def after(document: Document, change: Change) -> EditedScene:
+    """Scene and edits after `change`, planned for `document` as it is; nothing is altered, and no file
+    written."""
+    state = State(document.gaussians)
+    state.marks = document.marks.copy()
+    state.palette, state.crops = document.palette, document.crops
     for part in change.parts:
         if not isinstance(part, SaveOnce):
             part.apply(state)
@@ -225,39 +174,39 @@ def after(document: Document, change: Change) -> tuple[Gaussians, SceneEdits]:
     return state.gaussians, edits
 
 
-class StepPrices:
-    """The price of one step after the other, of a document that is being replayed."""
+class StepImpacts:
+    """Impacts of the steps of a document, one after the other, while it is replayed."""
 
     def __init__(self, document: Document, cameras: Sequence[Camera]) -> None:
         self._document, self._cameras = document, cameras
-        self._before = document.gaussians, unchanging(document.edits)
+        self._before = document.gaussians, frozen(document.edits)
         self._pictures = self._draw(self._before)
 
-    def after_step(self) -> Price:
-        """Of what was done since the last time. Raises InputError where there is no renderer."""
-        now = self._document.gaussians, unchanging(self._document.edits)
+    def after_step(self) -> Impact:
+        """The impact of the steps since the last call. Raises InputError where there is no renderer."""
+        now = self._document.gaussians, frozen(self._document.edits)
         pictures = self._draw(now)
         views = [compare(*one) for one in zip(self._cameras, self._pictures, pictures, strict=True)]
-        price = price_of(_shown_less(self._before, now), views)
+        impact = Impact.of(self._before, now, views)
         self._before, self._pictures = now, pictures
-        return price
+        return impact
 
-    def _draw(self, scene: tuple[Gaussians, SceneEdits]) -> list[np.ndarray]:
+    def _draw(self, scene: EditedScene) -> list[np.ndarray]:
         gaussians, edits = scene
-        return [self._document.tools.render(gaussians, camera, edits) for camera in self._cameras]
+        return [self._document.tools.picture(gaussians, camera, edits) for camera in self._cameras]
 
 
-def _shown_less(before: tuple[Gaussians, SceneEdits], after: tuple[Gaussians, SceneEdits]) -> int:
-    """How many splats of `before` are not shown any more; those that were added come behind them."""
+def _shown_less(before: EditedScene, after: EditedScene) -> int:
+    """Number of splats shown in `before` and not in `after`; added splats come behind them."""
     were, are = shown(*before), shown(*after)
     return int(np.count_nonzero(were & ~are[: len(were)])) if len(are) >= len(were) else len(were) - len(are)
 
 
-def in_words(price: Price) -> str:
-    """One line: how far the pictures stay from each other."""
-    if price.largest_error == 0:
-        return f"no pixel of {price.views} views changes"
+def in_words(impact: Impact) -> str:
+    """The impact in one line."""
+    if impact.largest_error == 0:
+        return f"no pixel of {impact.views} views changes"
     return (
-        f"pictures stay at {price.mean:.1f} dB on average, {price.worst:.1f} dB at worst, over {price.views} "
-        f"views; no pixel changes by more than {price.largest_error * 255:.0f}/255"
+        f"pictures stay at {impact.mean:.1f} dB on average, {impact.worst:.1f} dB at worst, over "
+        f"{impact.views} views; no pixel changes by more than {impact.largest_error * 255:.0f}/255"
     )

@@ -1,8 +1,8 @@
-"""Autosave: each step goes to a file as it is done, so that a crash loses nothing.
+"""Autosave: each step is written to a journal as it is done, so that a crash loses nothing.
 
-One JSON object a line: first the scene, then ``{"do": step}`` and ``{"position": steps in force}``. The
-file is locked as long as its program lives and removed when that ends well; what lies there without a
-lock is what a crash has left.
+One JSON object per line: first the scene, then ``{"do": step}`` and ``{"position": steps in force}``. The
+file is locked as long as its program runs and removed when that ends well; a journal without a lock was left
+by a crash.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ VERSION = 1
 SUFFIX = ".journal.jsonl"
 
 LOCK_SECONDS = 1.0
-"""Far longer than a look at a journal that has just been begun takes."""
+"""Longest wait for the lock: far longer than another program takes to look at a new journal."""
 
 SYNC_SECONDS = 2.0
-"""A crash of the program loses no step; one of the whole machine loses at most those of so many seconds."""
+"""Interval of syncing to disk: a crash of the program loses no step, one of the machine those since then."""
 
 _NO_JOURNAL = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
-"""What reading something else as a journal raises."""
+"""Errors of reading something else as a journal."""
 
 
 class Journal:
-    """Writes down what is done to `document` from now on. Never raises: see `problem`."""
+    """Records the steps of `document` from now on. Never raises: see `problem`."""
 
     def __init__(self, document: Document, folder: Path, *, scene: Path | None = None) -> None:
         """`folder` is made at the first step, if need be; `scene` is the file that was opened."""
         self.problem: str | None = None
-        """Why nothing is saved any more, for the user to know."""
+        """Why nothing is saved any more, for the user; None: all is well."""
         self._document, self._folder, self._scene = document, folder, scene
         self._file: IO[bytes] | None = None
         self._path: Path | None = None
@@ -99,7 +99,7 @@ class Journal:
                 "time": time.time(),
             }
         )
-        # What was done before there was a journal.
+        # Steps from before there was a journal.
         for step in document.history.steps[: max(document.history.position - 1, 0)]:
             self._append({"do": step.operation.to_json()})
 
@@ -117,7 +117,7 @@ class Journal:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AbandonedJournal:
-    """What a program that did not end well was doing."""
+    """The journal of a program that did not end well."""
 
     file: Path
     scene: Path | None
@@ -125,7 +125,7 @@ class AbandonedJournal:
     recipe: Recipe
     """The steps that were in force."""
     time: float
-    """When the first of them was done: seconds since the epoch."""
+    """Time of the first step, seconds since the epoch."""
 
     def discard(self) -> None:
         """Removes the file."""
@@ -134,7 +134,7 @@ class AbandonedJournal:
 
 
 def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
-    """What can be restored, latest first. Those of programs that still run are left out."""
+    """Journals to restore, latest first, without those of running programs."""
     found = []
     for path in folder.glob(f"*{SUFFIX}"):
         with contextlib.suppress(OSError, InputError, *_NO_JOURNAL):
@@ -157,7 +157,7 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
         raise ValueError(f"a journal of version {head[FORMAT]}")
     steps: list[Operation] = []
     position = 0
-    # What follows the last line break was being written when the program ended.
+    # The text behind the last line break was being written when the program ended.
     for text in lines[1:-1]:
         try:
             line = json.loads(text)
@@ -169,7 +169,7 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
             else:
                 position = min(max(int(line["position"]), 0), len(steps))
         except (InputError, *_NO_JOURNAL):
-            break  # what came before is whole
+            break  # the lines before are whole
     folder = head["folder"]
     recipe = Recipe(
         steps=tuple(steps[:position]),
@@ -186,7 +186,7 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
 
 
 def _write_whole(file: IO[bytes], line: bytes) -> None:
-    """All of `line` or nothing: on a full disk a part could be written, and what follows be lost with it."""
+    """Writes all of `line` or nothing: a part of a line, on a full disk, would spoil the lines after it."""
     begin, written = file.tell(), 0
     try:
         while written < len(line):

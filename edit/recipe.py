@@ -1,4 +1,4 @@
-"""Recipes: the steps that were done to a scene, as a file that does them again to this or another one.
+"""Recipes: the steps of an edit as a file, to be replayed on this scene or another one.
 
 ``{"splatview_recipe": 1, "scene": {"name", "count", "fingerprint"}, "steps": [{"op": ...}, ...]}``
 """
@@ -16,11 +16,11 @@ import numpy as np
 from splatview.edit.changes import Change
 from splatview.edit.document import Document
 from splatview.edit.operations import Operation, Select, operation_from_json
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import IndexRuns
 from splatview.edit.serialization import quoted
 from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write, read_json
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 FORMAT = "splatview_recipe"
 VERSION = 1
@@ -30,9 +30,9 @@ VERSION = 1
 class Recipe:
     steps: tuple[Operation, ...]
     scene: Mapping[str, Any]
-    """`Document.identity` of the scene that it was made for; empty: for any."""
+    """`Document.identity` of the scene that the recipe was made for; empty: any."""
     folder: Path | None = None
-    """What relative paths in its steps start from."""
+    """Folder of relative paths in the steps."""
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -43,13 +43,13 @@ class Recipe:
 
 
 def recipe_of(document: Document) -> Recipe:
-    """What is in force in `document`, to be done again."""
+    """The steps in force in `document`."""
     steps = tuple(step.operation for step in document.history.done)
     return Recipe(steps=steps, scene=document.identity, folder=document.folder)
 
 
 def save_recipe(recipe: Recipe, path: Path) -> None:
-    """Writes it, wholly or not at all, one step a line. Raises InputError."""
+    """Writes a recipe, wholly or not at all, one step per line. Raises InputError."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path}: recipes are saved as .json; give it that suffix")
     with atomic_write(path) as file:
@@ -57,7 +57,7 @@ def save_recipe(recipe: Recipe, path: Path) -> None:
 
 
 def as_text(recipe: Recipe) -> str:
-    """The file's text."""
+    """The text of a recipe's file."""
     data = recipe.to_json()
     steps = ",\n".join(f"  {json.dumps(step, allow_nan=False)}" for step in data["steps"])
     scene = json.dumps(data["scene"])
@@ -68,7 +68,7 @@ def load_recipe(path: Path) -> Recipe:
     """The recipe in a file.
 
     Raises:
-        InputError: it cannot be read, or is none; of a wrong step the message has number and operation.
+        InputError: it cannot be read, or is no recipe; for a wrong step with its number and operation.
     """
     data = read_json(path, what="recipe")
     if not isinstance(data, dict) or FORMAT not in data:
@@ -89,7 +89,7 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def steps_from_json(steps: Sequence[Any], where: str) -> tuple[Operation, ...]:
-    """Raises InputError that begins with `where` and names the step."""
+    """The operations of a recipe's steps. Raises InputError that begins with `where` and names the step."""
     operations = []
     for number, step in enumerate(steps, start=1):
         try:
@@ -106,9 +106,9 @@ def step_name(number: int, step: Any) -> str:
 
 
 def check_scene(recipe: Recipe, document: Document, *, any_scene: bool = False) -> None:
-    """That `recipe` was made for the scene of `document`, which has no edits yet.
+    """Checks that `recipe` was made for the scene of `document`, which has no edits yet.
 
-    With `any_scene` other scenes will do, but for steps that name splats by their numbers.
+    With `any_scene` other scenes are accepted, except for steps that name splats by their numbers.
 
     Raises:
         InputError: it was made for another scene.
@@ -140,37 +140,28 @@ def replay(
     document: Document,
     *,
     on_step: Callable[[int, Operation, Change], None] | None = None,
-    watch: Watch = UNWATCHED,
+    progress: Progress = NO_PROGRESS,
 ) -> None:
-    """Applies all steps; if one cannot be, those before it are taken back.
+    """Applies all steps; if one cannot be applied, those before it are undone.
 
     Raises:
         InputError: with the step's number and operation.
-        Cancelled: the watch says so.
+        Cancelled: nobody waits for it any more.
     """
     position = document.history.position
-    # Numbers of a recipe may be out of all bounds: what they make is then infinite, or beyond every limit.
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        _replay(recipe, document, position, on_step, watch)
-
-
-def _replay(
-    recipe: Recipe,
-    document: Document,
-    position: int,
-    on_step: Callable[[int, Operation, Change], None] | None,
-    watch: Watch,
-) -> None:
     try:
-        for number, operation in enumerate(recipe.steps, start=1):
-            share = watch.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
-            share.step(0.0)
-            try:
-                change = document.apply(document.plan(operation, watch=share))
-            except InputError as error:
-                raise InputError(f"{step_name(number, operation)}: {error}") from None
-            if on_step is not None:
-                on_step(number, operation, change)
+        # Numbers of a recipe may be out of all bounds: their results are then infinite, or beyond every
+        # limit.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for number, operation in enumerate(recipe.steps, start=1):
+                part = progress.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
+                part.step(0.0)
+                try:
+                    change = document.apply(document.plan(operation, progress=part))
+                except InputError as error:
+                    raise InputError(f"{step_name(number, operation)}: {error}") from None
+                if on_step is not None:
+                    on_step(number, operation, change)
     except BaseException:
         document.jump(position)
         raise

@@ -1,4 +1,4 @@
-"""Views of a scene that came without cameras: an orbit about what is shown."""
+"""Views of a scene without cameras: an orbit around the shown splats."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from splatview.scene.framing import WORLD_UP, robust_bounds
 from splatview.scene.image_model import NEAR
 
 SIZE = 512
-"""Pixels a side: a splat too small to be seen at this size hardly shows at any."""
+"""Width and height, px: a splat too small to show at this size hardly shows at any."""
 
 FOV = 50.0
-"""Degrees."""
+"""Field of view, degrees."""
 
 LOWEST, HIGHEST = -5.0, 65.0
-"""Degrees above the horizon between which the eyes are: few look at a scene from below."""
+"""Range of the eyes' elevations, degrees above the horizon: few look at a scene from below."""
 
 GOLDEN_TURN = math.pi * (3 - math.sqrt(5))
-"""Radians; after any number of such turns the eyes are spread evenly about the scene."""
+"""Angle from one eye to the next, radians: any number of them is spread evenly around the scene."""
 
 
 def sample_cameras(
     gaussians: Gaussians, edits: SceneEdits, count: int = 16, *, size: int = SIZE
 ) -> list[Camera]:
-    """`count` views, square, from around the bulk of the splats that are shown, with -y up.
+    """`count` square views from around the bulk of the shown splats, with -y up.
 
-    Every second one is from half as far, where small things show. They look at a scene from outside:
-    for a room one should have the cameras that it was made with.
+    Every second one is from half the distance, where small things show. They look at a scene from outside: a
+    room needs the cameras that it was made with.
 
     Raises:
         ValueError: `count` or `size` is below 1.

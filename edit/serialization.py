@@ -1,4 +1,5 @@
-"""Dataclasses to JSON and back, strictly: what comes back equals what went, and nothing else passes."""
+"""Dataclasses to JSON and back, strictly: the way back gives an equal object, and no other input is
+accepted."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> Any:
-    """A dataclass as an object of all its fields; arrays and tuples as lists; the rest as it is.
+    """The JSON form of a value: a dataclass as an object of its fields, arrays and tuples as lists.
 
     A `Camera` takes the form of a camera file. Floats come back to the bit: JSON's decimals are Python's
     shortest that do.

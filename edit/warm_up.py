@@ -1,4 +1,4 @@
-"""Compiling ahead what the first edits need, so that the first click does not wait for the compiler."""
+"""Warm-up of the kernels of the first edits, so that the first click does not wait for the compiler."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from splatview.edit.document import Document
+from splatview.edit.kernels.marks import positions_of
 from splatview.edit.operations import operation_from_json
 from splatview.edit.serialization import to_json
 from splatview.scene import Gaussians, look_at
 
 COUNT = 200
-"""Splats: enough that scattered sets and runs of them are both met."""
+"""Splats: enough for both scattered sets and runs of them."""
 
 CAMERA = to_json(look_at((0, 0, -4), (0, 0, 0), width=32, height=32))
 
@@ -40,7 +41,7 @@ STEPS: tuple[dict[str, Any], ...] = (
 
 
 def warm_up() -> None:
-    """Does the quick edits once on a scene of its own: some seconds on a new installation, else a moment.
+    """Applies the quick edits once to a scene of its own: some seconds on a new installation, else a moment.
     For a thread beside the window's."""
     rng = np.random.default_rng(0)
     document = Document(
@@ -56,3 +57,4 @@ def warm_up() -> None:
         document.apply(operation_from_json(step))
     document.jump(0)
     document.highlight(np.ones(COUNT, bool))
+    positions_of(document.gaussians, document.edits)

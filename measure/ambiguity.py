@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.background import seen
+from splatview.scene.background import background_colours
 from splatview.scene.projection import Footprints, project
 from splatview.scene.reference import alphas, composite, splats_reaching
 
@@ -85,7 +85,9 @@ def unexplained_pixels(
     # With a lower cut, or splats whose peak is just below it would be culled before they are looked at.
     lenient = replace(settings.model, alpha_cut=settings.model.alpha_cut * (1 - RELATIVE_SLACK))
     footprints = project(gaussians, camera, replace(settings, model=lenient))
-    behind = np.broadcast_to(seen(settings.background, camera), (camera.height, camera.width, 3))
+    behind = np.broadcast_to(
+        background_colours(settings.background, camera), (camera.height, camera.width, 3)
+    )
     unexplained: list[tuple[int, int]] = []
     for x, y in zip(columns.tolist(), rows.tolist(), strict=True):
         r, g, b = behind[y, x].tolist()

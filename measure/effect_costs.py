@@ -8,7 +8,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from splatview.measure.knobs import Plan
-from splatview.measure.ladder import LEAST_PAIRS, Artist, Measured, Rung, climb, is_clear, timed_draw
+from splatview.measure.ladder import (
+    LEAST_PAIRS,
+    Measured,
+    Rung,
+    SceneRenderer,
+    draw_by_path,
+    is_clear,
+    run_ladder,
+    timed_draw,
+)
 from splatview.scene import Camera, Gaussians
 from splatview.scene.effects import Effect
 from splatview.scene.effects.overrides import in_force, switched
@@ -53,7 +62,7 @@ class EffectPrice:
 
 
 def price_effects(
-    artist: Artist,
+    renderer: SceneRenderer,
     plan: Plan,
     gaussians: Gaussians,
     effects: Sequence[Effect],
@@ -62,34 +71,34 @@ def price_effects(
     moved: Callable[[int, int], Camera],
     seconds: float,
     rounds: int | None = None,
-    unedited: Artist | None = None,
+    unedited: SceneRenderer | None = None,
     on_progress: Callable[[float, str], None] = lambda share, text: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> dict[str, EffectPrice] | None:
     """By name, the price of each of `effects` that settings can turn the other way; None where cancelled.
 
-    `artist` draws by `plan`; `moved`, `seconds`, `rounds` as for `climb`. `unedited` draws the scene without
-    its edits, whose price is then told as EDITS. Where `seconds` are too few for all, each still
-    gets LEAST_PAIRS.
+    `renderer` draws by `plan`; `moved`, `seconds`, `rounds` as for `run_ladder`. `unedited` draws the scene
+    without its edits, whose price is then told as EDITS. Where `seconds` are too few for all, each still gets
+    LEAST_PAIRS.
     """
     settings = plan.settings
     now = in_force(gaussians, settings)
-    base = Rung(knob="renderer", value=artist.name, artist=artist, plan=plan, options=())
+    base = Rung(knob="renderer", value=renderer.name, renderer=renderer, plan=plan, options=())
     rungs = [base]
     for effect in effects:
         if effect.can_override and effect.name in now:
             other = replace(plan, settings=switched(gaussians, settings, effect.name, not now[effect.name]))
             if other != plan:
-                rungs.append(_rung(effect.name, artist, other))
+                rungs.append(_rung(effect.name, renderer, other))
     if unedited is not None:
         rungs.append(_rung(EDITS, unedited, plan))
-    artist.prepare(camera, plan)
-    picture = artist.draw(camera, plan)
+    renderer.prepare(plan)
+    picture, _ = draw_by_path(renderer, camera, plan)
     # The second has no memory to take and nothing to compile.
     frame = 1e-3 * timed_draw(base, moved(0, 0))
     if rounds is None and FRAMES_A_RUNG * len(rungs) * frame > seconds:
         rounds = LEAST_PAIRS
-    ladder = climb(
+    ladder = run_ladder(
         rungs,
         [camera],
         [picture],
@@ -109,8 +118,8 @@ def price_effects(
     }
 
 
-def _rung(name: str, artist: Artist, plan: Plan) -> Rung:
-    return Rung(knob="effect", value=name, artist=artist, plan=plan, options=(), rank=1)
+def _rung(name: str, renderer: SceneRenderer, plan: Plan) -> Rung:
+    return Rung(knob="effect", value=name, renderer=renderer, plan=plan, options=(), rank=1)
 
 
 def _price(other: Measured, ms: float, on: bool) -> EffectPrice:

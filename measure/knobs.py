@@ -42,7 +42,7 @@ class Value:
     apply: Callable[[Plan], Plan]
     renderers: tuple[str, ...] | None = None
     """Which of the knob's have it; None: all."""
-    dear: bool = False
+    expensive: bool = False
     """Takes many times as long as the exact value: it is there for something else."""
 
 
@@ -80,9 +80,11 @@ class Knob:
 
 
 def _setting(
-    text: str, renderers: tuple[str, ...] | None = None, *, dear: bool = False, **changes: Any
+    text: str, renderers: tuple[str, ...] | None = None, *, expensive: bool = False, **changes: Any
 ) -> Value:
-    return Value(text=text, apply=partial(_with_settings, changes=changes), renderers=renderers, dear=dear)
+    return Value(
+        text=text, apply=partial(_with_settings, changes=changes), renderers=renderers, expensive=expensive
+    )
 
 
 def _with_settings(plan: Plan, changes: Mapping[str, Any]) -> Plan:
@@ -136,7 +138,7 @@ KNOBS: tuple[Knob, ...] = (
         values=(
             _setting("32-bit", order="32-bit"),
             _setting("16-bit", order="16-bit"),
-            _setting("per-pixel", TILES + CPU, dear=True, order="per-pixel"),
+            _setting("per-pixel", TILES + CPU, expensive=True, order="per-pixel"),
             _setting("weighted", GL, order="weighted"),
             _setting("stochastic", GL, order="stochastic"),
         ),

@@ -14,61 +14,54 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
-from splatview.measure.knobs import KNOBS, Knob, Plan, Value
+from splatview.measure.knobs import KNOBS, Knob, Plan, Value, path_to_view
 from splatview.measure.metrics import largest_error, psnr, ssim
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.background import seen
+from splatview.scene.background import background_colours
 from splatview.scene.projection import project
 from splatview.scene.reference import composite, splats_reaching
 
 # ---- Rungs of the ladder: ways to draw, what is measured of each, and what may be said of two of them.
 
 
-class Artist(Protocol):
-    """A renderer with a scene, handed in: this package knows none."""
+class SceneRenderer(Protocol):
+    """One scene in one renderer, handed in: this package knows none."""
 
     name: str
 
-    def prepare(self, camera: Camera, plan: Plan) -> None:
-        """What must be there before `camera` is drawn, such as the scene stored in the plan's way: no part of
-        a frame's time."""
+    def supports(self, plan: Plan) -> bool:
+        """Whether this machine can draw by `plan` at all."""
         ...
 
-    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        """The picture (H, W, 4) float32; never one that was kept from an earlier call. Where it depends on
-        those before, by the path of `paths`."""
+    def turned(self, camera: Camera, degrees: float) -> Camera:
+        """The camera `degrees` farther on its way, for pictures that depend on those before."""
         ...
 
-    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
-        """The picture of a camera that has moved on a little since the last `draw`, drawn as the frame in
-        which that shows most."""
+    def prepare(self, plan: Plan) -> None:
+        """Makes what must be there before a frame is timed, such as the scene stored in the plan's way."""
         ...
 
-    def memory(self, plan: Plan) -> int:
-        """Bytes that scene and picture take in this renderer."""
+    def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
+        """Picture (H, W, 4) float32, never one kept from an earlier call, and the milliseconds up to its
+        pixels in memory. `anew`: in an order of its own, though the settings let an older one serve."""
         ...
 
-
-@runtime_checkable
-class ChoosyArtist(Protocol):
-    """One whose machine may lack what some of its renderer's knobs need."""
-
-    def can_draw(self, plan: Plan) -> bool:
-        """Whether there is a picture by `plan` at all."""
+    def memory(self) -> int:
+        """Bytes that scene and latest picture take in this renderer."""
         ...
 
 
-@runtime_checkable
-class TimedArtist(Protocol):
-    """One that knows better than a clock around `draw` what a frame takes: it has to wait for its turn."""
-
-    def timed(self, camera: Camera, plan: Plan) -> float:
-        """ms of a frame up to its pixels in memory."""
-        ...
+def draw_by_path(renderer: SceneRenderer, camera: Camera, plan: Plan) -> tuple[np.ndarray, float]:
+    """The picture at the end of the path of `path_to_view`, and a frame's milliseconds, the path's mean."""
+    path = [
+        renderer.turned(camera, degrees) if degrees else camera for degrees in path_to_view(plan.settings)
+    ]
+    drawn = [renderer.draw(each, plan, anew=len(path) > 1 and each is path[0]) for each in path]
+    return drawn[-1][0], float(np.mean([milliseconds for _, milliseconds in drawn]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +71,7 @@ class Rung:
     knob: str
     """Name of the knob that differs from the renderer's own defaults, "renderer" for none."""
     value: str
-    artist: Artist
+    renderer: SceneRenderer
     plan: Plan
     options: tuple[str, ...]
     """What makes `splatview render` draw so."""
@@ -181,21 +174,21 @@ class Ladder:
 
 
 def rungs_for(
-    artists: Sequence[Artist], plan: Plan, *, used_sh_degree: int, knobs: Sequence[str] | None = None
+    renderers: Sequence[SceneRenderer], plan: Plan, *, used_sh_degree: int, knobs: Sequence[str] | None = None
 ) -> list[Rung]:
     """Each renderer with its defaults, and with each value of each knob that it has and that differs.
 
     The first is the baseline. `knobs`: names of those wanted; None: all.
     """
     rungs = []
-    for artist in artists:
-        options = ("--renderer", artist.name)
-        first = artist is artists[0]
+    for renderer in renderers:
+        options = ("--renderer", renderer.name)
+        first = renderer is renderers[0]
         rungs.append(
             Rung(
                 knob="renderer",
-                value=artist.name,
-                artist=artist,
+                value=renderer.name,
+                renderer=renderer,
                 plan=plan,
                 options=options,
                 rank=0 if first else 2,
@@ -204,21 +197,20 @@ def rungs_for(
         for knob in KNOBS:
             if knobs is not None and knob.name not in knobs:
                 continue
-            for value in knob.values_for(artist.name):
+            for value in knob.values_for(renderer.name):
                 changed = value.apply(plan)
                 degree = changed.settings.sh_degree
                 if knob.name == "sh-degree" and (degree is None or degree >= used_sh_degree):
                     continue
-                able = not isinstance(artist, ChoosyArtist) or artist.can_draw(changed)
-                if able and changed != plan:
+                if changed != plan and renderer.supports(changed):
                     rungs.append(
                         Rung(
                             knob=knob.name,
                             value=value.text,
-                            artist=artist,
+                            renderer=renderer,
                             plan=changed,
                             options=(*options, knob.option, value.text),
-                            rank=_rank(knob, value, artists[0].name, first=first),
+                            rank=_rank(knob, value, renderers[0].name, first=first),
                         )
                     )
     return rungs
@@ -228,7 +220,7 @@ def _rank(knob: Knob, value: Value, baseline: str, *, first: bool) -> int:
     """Before all: knobs of the first renderer, of these first fewer pixels and fewer splats, which frame
     budgets need; then others' defaults (2). Of the others what the first does not have tells most, then the
     ends of the knobs."""
-    if value.dear:
+    if value.expensive:
         return 3 if first else 6
     if first:
         return 0 if knob.name in ("resolution", "keep") else 1
@@ -278,28 +270,28 @@ def noise_of(ratios: Sequence[float], selves: Sequence[float]) -> float:
 SSIM_SIDE = 11
 """SSIM is undefined on smaller pictures."""
 
-NUDGED = 1
+JITTERED = 1
 """Number of the camera that differs least from a view but for 0; timed frames have larger ones."""
 
 UNKNOWN = 8.0
 """Frames of the fastest renderer that one of another is thought to take until it is known: software OpenGL
 takes about so many of the CPU's."""
 
-SHARE_FOR_JUDGING = 0.5
+SHARE_FOR_COMPARING = 0.5
 """Of the progress shown: comparing with the truth, before timing."""
 
 
-class TooDear(Exception):
+class TooExpensive(Exception):
     """There is no time for a rung."""
 
 
 class Budget:
-    """How long the ladder may take, and what is promised of it."""
+    """How long the ladder may take, and what is reserved of it."""
 
     def __init__(self, seconds: float | None):
         self._begun = time.perf_counter()
         self.seconds = seconds
-        self.promised = 0.0
+        self.reserved = 0.0
         """Seconds that will be needed for the rungs that were accepted."""
         self.frame: dict[str, float] = {}
         """Seconds of a frame, by renderer, with its defaults."""
@@ -309,10 +301,10 @@ class Budget:
         return time.perf_counter() - self._begun
 
     def reaches(self, more: float) -> bool:
-        return self.seconds is None or self.spent + self.promised + more <= self.seconds
+        return self.seconds is None or self.spent + self.reserved + more <= self.seconds
 
 
-def climb(
+def run_ladder(
     rungs: Sequence[Rung],
     views: Sequence[Camera],
     truths: Sequence[np.ndarray],
@@ -339,14 +331,14 @@ def climb(
         if cancelled():
             complete = False
             break
-        share = min(SHARE_FOR_JUDGING, budget.spent / seconds)
-        on_progress(share, f"{rung.artist.name}, {rung.knob} {rung.value}: against the truth")
+        share = min(SHARE_FOR_COMPARING, budget.spent / seconds)
+        on_progress(share, f"{rung.renderer.name}, {rung.knob} {rung.value}: against the truth")
         try:
-            judged = _judged_within(budget, rung, rungs[0], views, truths, moved)
-        except TooDear:
+            compared = _compared_within(budget, rung, rungs[0], views, truths, moved)
+        except TooExpensive:
             left_out.append(rung)
         else:
-            measured[id(rung)] = judged
+            measured[id(rung)] = compared
     if not measured:  # cancelled before anything was known
         measured[id(rungs[0])] = Measured(rung=rungs[0])
     baseline = measured[id(rungs[0])]
@@ -375,11 +367,11 @@ def climb(
 def _price(budget: Budget, rung: Rung, views: int) -> float:
     """Seconds that a rung takes, as far as that is known before: as long as its renderer's defaults."""
     base = min(budget.frame.values(), default=0.0)
-    frame = budget.frame.get(rung.artist.name, UNKNOWN * base)
+    frame = budget.frame.get(rung.renderer.name, UNKNOWN * base)
     return (views + 1) * frame + LEAST_PAIRS * (frame + base)
 
 
-def _judged_within(
+def _compared_within(
     budget: Budget,
     rung: Rung,
     first: Rung,
@@ -387,8 +379,8 @@ def _judged_within(
     truths: Sequence[np.ndarray],
     moved: Callable[[int, int], Camera],
 ) -> Measured:
-    """Raises TooDear as soon as it is known that there is no time for it."""
-    base = budget.frame.get(first.artist.name, 0.0)
+    """Raises TooExpensive as soon as it is known that there is no time for it."""
+    base = budget.frame.get(first.renderer.name, 0.0)
     frames: list[float] = []
 
     def took(frame: float, left: int) -> None:
@@ -397,16 +389,16 @@ def _judged_within(
         # A second frame is worth its time where it decides.
         decided = len(frames) > 1 or not budget.reaches(2 * best)
         if rung is not first and decided and not budget.reaches(left * best + LEAST_PAIRS * (best + base)):
-            raise TooDear
+            raise TooExpensive
 
     if rung is not first and not budget.reaches(_price(budget, rung, len(views))):
-        raise TooDear
+        raise TooExpensive
     one = Measured(rung=rung)
-    judge(one, views, truths, moved(0, NUDGED), took)
+    compare(one, views, truths, moved(0, JITTERED), took)
     frame = min(frames)
     if rung.knob == "renderer":
-        budget.frame[rung.artist.name] = frame
-    budget.promised += LEAST_PAIRS * (frame + (base or frame))
+        budget.frame[rung.renderer.name] = frame
+    budget.reserved += LEAST_PAIRS * (frame + (base or frame))
     return one
 
 
@@ -432,7 +424,7 @@ def _time(
     done = frame = 0
     while rounds is None or done < rounds:
         if rounds is None and 0 < done < LEAST_PAIRS:
-            _drop_dearest(timed, spent, budget, (LEAST_PAIRS - done) / done)
+            _drop_most_expensive(timed, spent, budget, (LEAST_PAIRS - done) / done)
         fair = float(np.mean([spent[id(one)] for one in timed]))
         first = rounds is None and done == 0
         turns = list(timed) if first else [timed[place] for place in rng.permutation(len(timed))]
@@ -464,13 +456,13 @@ def _time(
             baseline.times.append(ms[id(baseline)])
             one.ratios.append(ms[id(one)] / ms[id(baseline)])
             share = max(budget.spent / budget.seconds, 0.0) if budget.seconds else done / max(rounds or 1, 1)
-            name = f"{one.rung.artist.name}, {one.rung.knob} {one.rung.value}"
+            name = f"{one.rung.renderer.name}, {one.rung.knob} {one.rung.value}"
             on_progress(min(share, 0.99), f"{name}: {ms[id(one)]:.0f} ms")
         done += 1
     return True
 
 
-def _drop_dearest(timed: list[Measured], spent: dict[int, float], budget: Budget, more: float) -> None:
+def _drop_most_expensive(timed: list[Measured], spent: dict[int, float], budget: Budget, more: float) -> None:
     """Takes rungs out of `timed`, those of highest rank first and of these the costliest, until `more` times
     what was spent on the others is within the budget."""
     left = (budget.seconds or 0.0) - budget.spent
@@ -479,27 +471,27 @@ def _drop_dearest(timed: list[Measured], spent: dict[int, float], budget: Budget
         timed.remove(order.pop())
 
 
-def judge(
+def compare(
     one: Measured,
     views: Sequence[Camera],
     truths: Sequence[np.ndarray],
-    nudged: Camera,
+    jittered: Camera,
     took: Callable[[float, int], None] = lambda frame, left: None,
 ) -> None:
-    """Draws every view and compares it with the truth; and from `nudged`, a little beside the first, for
+    """Draws every view and compares it with the truth; and from `jittered`, a little beside the first, for
     popping. `took` hears the seconds of each frame, and how many are to come."""
-    artist, plan = one.rung.artist, one.rung.plan
+    renderer, plan = one.rung.renderer, one.rung.plan
     decibels, similarities, worst = [], [], 0.0
     left = len(views) + 1
 
-    def drawn(camera: Camera, draw: Callable[[Camera, Plan], np.ndarray] = artist.draw) -> np.ndarray:
+    def drawn(camera: Camera, *, anew: bool = False) -> np.ndarray:
         nonlocal left
-        artist.prepare(camera, plan)
+        renderer.prepare(plan)
         begun = time.perf_counter()
-        picture = draw(camera, plan)
+        image, _ = renderer.draw(camera, plan, anew=True) if anew else draw_by_path(renderer, camera, plan)
         left -= 1
         took(time.perf_counter() - begun, left)
-        return picture
+        return image
 
     for number, (camera, truth) in enumerate(zip(views, truths, strict=True)):
         picture = drawn(camera)
@@ -508,20 +500,16 @@ def judge(
             similarities.append(ssim(picture, truth))
         worst = max(worst, largest_error(picture, truth))
         if number == 0:
-            one.popping = largest_error(drawn(nudged, artist.follow), picture)
+            one.popping = largest_error(drawn(jittered, anew=True), picture)
     one.psnr, one.max_error = float(np.mean(decibels)), worst
     one.ssim = float(np.mean(similarities)) if similarities else math.nan
-    one.memory = artist.memory(plan)
+    one.memory = renderer.memory()
 
 
 def timed_draw(rung: Rung, camera: Camera) -> float:
-    """ms of one frame up to its pixels in memory."""
-    rung.artist.prepare(camera, rung.plan)
-    if isinstance(rung.artist, TimedArtist):
-        return rung.artist.timed(camera, rung.plan)
-    begun = time.perf_counter()
-    rung.artist.draw(camera, rung.plan)
-    return 1e3 * (time.perf_counter() - begun)
+    """Milliseconds of one frame up to its pixels in memory."""
+    rung.renderer.prepare(rung.plan)
+    return draw_by_path(rung.renderer, camera, rung.plan)[1]
 
 
 # ---- Whether a fast float64 picture may stand for the truth: compared with `scene.reference` in sampled
@@ -552,7 +540,7 @@ def disagreement(
     blocks of SIDE² pixels chosen at random. NaN where either is."""
     footprints = project(gaussians, camera, settings, dtype=np.float64)
     shape = camera.height, camera.width, 3
-    behind = np.broadcast_to(seen(settings.background, camera), shape)
+    behind = np.broadcast_to(background_colours(settings.background, camera), shape)
     rng = np.random.default_rng(seed)
     worst = 0.0
     for _ in range(blocks):

@@ -41,14 +41,14 @@ def plot(ladder: Ladder, path: Path, *, title: str) -> None:
     _scales(axes, ladder, places, top)
     notes = _background(axes, ladder)
     knobs = [name for name in dict.fromkeys(one.rung.knob for one in known) if name != "renderer"]
-    artists = list(dict.fromkeys(one.rung.artist.name for one in known))
+    renderers = list(dict.fromkeys(one.rung.renderer.name for one in known))
     for one, (x, y) in zip(known, places, strict=True):
-        _mark(axes, one, x, y, knobs, artists)
+        _mark(axes, one, x, y, knobs, renderers)
     _front(axes, [place for one, place in zip(known, places, strict=True) if one.pareto])
-    _legend(axes, knobs, artists)
+    _legend(axes, knobs, renderers)
     base = ladder.baseline
     axes.set_xlabel(
-        f"time of a frame, of {base.rung.artist.name}'s {base.ms:.3g} ms  (bars: quartiles of the pairs)",
+        f"time of a frame, of {base.rung.renderer.name}'s {base.ms:.3g} ms  (bars: quartiles of the pairs)",
         color=INK,
     )
     axes.set_ylabel("PSNR against the float64 truth, dB", color=INK)
@@ -106,9 +106,9 @@ def _background(axes: Any, ladder: Ladder) -> list[Any]:
     return notes
 
 
-def _mark(axes: Any, one: Measured, x: float, y: float, knobs: list[str], artists: list[str]) -> None:
+def _mark(axes: Any, one: Measured, x: float, y: float, knobs: list[str], renderers: list[str]) -> None:
     colour = INK if one.rung.knob == "renderer" else f"C{knobs.index(one.rung.knob) % 10}"
-    marker = MARKERS[artists.index(one.rung.artist.name) % len(MARKERS)]
+    marker = MARKERS[renderers.index(one.rung.renderer.name) % len(MARKERS)]
     low, high = np.percentile(one.ratios, [25, 75])
     axes.plot([low, high], [y, y], color=colour, alpha=0.28, lw=2.6, solid_capstyle="round", zorder=2)
     size = 9 if one.pareto else 6.5
@@ -120,8 +120,8 @@ def _front(axes: Any, places: list[tuple[float, float]]) -> None:
         axes.step(*zip(*sorted(places), strict=True), where="post", color=FRONT, lw=1.6, alpha=0.7, zorder=3)
 
 
-def _legend(axes: Any, knobs: list[str], artists: list[str]) -> None:
-    for number, name in enumerate(artists):
+def _legend(axes: Any, knobs: list[str], renderers: list[str]) -> None:
+    for number, name in enumerate(renderers):
         axes.plot([], [], MARKERS[number % len(MARKERS)], color="0.35", label=f"drawn by {name}")
     axes.plot([], [], color=FRONT, lw=1.6, alpha=0.7, label="nothing both faster and nearer")
     for number, knob in enumerate(knobs):
@@ -131,7 +131,7 @@ def _legend(axes: Any, knobs: list[str], artists: list[str]) -> None:
         fontsize=7.5,
         loc="lower right",
         bbox_to_anchor=(1.0, 1.005),
-        ncols=min(6, len(knobs) + len(artists) + 1),
+        ncols=min(6, len(knobs) + len(renderers) + 1),
         frameon=False,
         handletextpad=0.3,
         columnspacing=1.1,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.measure.machine import describe_machine
+from splatview.measure.machine import describe_machine, finite
 
 MIB = 1 << 20
 
@@ -32,8 +32,8 @@ def as_json(ladder: Ladder, about: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "machine": describe_machine(),
         **about,
-        "baseline": {"renderer": base.artist.name, "options": list(base.options), "ms": ladder.baseline.ms},
-        "noise": ladder.noise if math.isfinite(ladder.noise) else None,
+        "baseline": {"renderer": base.renderer.name, "options": list(base.options), "ms": ladder.baseline.ms},
+        "noise": finite(ladder.noise),
         "views": ladder.views,
         "rounds": ladder.rounds,
         "complete": ladder.complete,
@@ -56,9 +56,9 @@ def _rung_json(one: Measured) -> dict[str, Any]:
     return {
         "knob": one.rung.knob,
         "value": one.rung.value,
-        "renderer": one.rung.artist.name,
+        "renderer": one.rung.renderer.name,
         "options": list(one.rung.options),
-        **{name: _finite(value) for name, value in numbers.items()},
+        **{name: finite(value) for name, value in numbers.items()},
         "pairs": len(one.times),
         "memory": one.memory,
         "clear": is_clear(one),
@@ -94,7 +94,7 @@ def left_out_text(ladder: Ladder) -> str:
     """What there was no time for, and how to get it."""
     by_renderer: dict[str, dict[str, list[str]]] = {}
     for rung in ladder.left_out:
-        knobs = by_renderer.setdefault(rung.artist.name, {})
+        knobs = by_renderer.setdefault(rung.renderer.name, {})
         knobs.setdefault("defaults" if rung.knob == "renderer" else rung.knob, []).append(rung.value)
     parts = []
     for renderer, knobs in by_renderer.items():
@@ -107,12 +107,6 @@ def left_out_text(ladder: Ladder) -> str:
         f"Left out for want of time, {len(ladder.left_out)} of {len(ladder.left_out) + len(ladder.rungs)}: "
         f"{'; '.join(parts)}. --seconds {enough} should do for all of them, --renderers and --knobs choose."
     )
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    return value if math.isfinite(value) else None
 
 
 def ratio_text(one: Measured, ladder: Ladder) -> str:
@@ -134,8 +128,8 @@ def rung_name(one: Measured) -> str:
 def full_name(one: Measured, ladder: Ladder) -> str:
     """`rung_name`, with the renderer's where it is not the baseline's."""
     name = rung_name(one)
-    own = one.rung.artist.name
-    return name if own in (ladder.baseline.rung.artist.name, name) else f"{own} {name}"
+    own = one.rung.renderer.name
+    return name if own in (ladder.baseline.rung.renderer.name, name) else f"{own} {name}"
 
 
 def cells(one: Measured, ladder: Ladder) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 from collections.abc import Mapping
@@ -23,10 +24,22 @@ def describe_machine() -> dict[str, Any]:
         pass  # not Linux: the platform's own word has to do
     return {
         "processor": processor,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": available_cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
     }
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def finite(value: Any) -> Any:
+    """A number, or numbers in a list, as JSON can hold them: None for NaN and infinities."""
+    if isinstance(value, list):
+        return [finite(part) for part in value]
+    return value if math.isfinite(value) else None
 
 
 def write_results(path: Path, results: Mapping[str, Any]) -> None:

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from splatview.measure.machine import finite
+
 STUDENT_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 """97.5 % quantiles of Student's t for 1 to 9 degrees of freedom; beyond, 2.2 is a little too wide."""
 
@@ -41,14 +43,14 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     BASELINE,
     *_rungs(
         "resolution",
-        full={"coarse": ()},
-        half_for_60_percent={"coarse": ((0.6, 2),)},
-        quarter_then_half={"coarse": ((0.2, 4), (0.5, 2))},
+        full={"resolution": ()},
+        half_for_60_percent={"resolution": ((0.6, 2),)},
+        quarter_then_half={"resolution": ((0.2, 4), (0.5, 2))},
     ),
     *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
-    *_rungs("optimiser", all_splats={"seen_only": False}),
+    *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),
     *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),
 )
@@ -153,11 +155,11 @@ def training_as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:
         {
             "knob": one.rung.knob,
             "value": one.rung.value,
-            "psnr": _finite(one.psnr[0]),
-            "psnr_half_width": _finite(one.psnr[1]),
-            "gain": _finite(one.gain(baseline)[0]),
-            "gain_half_width": _finite(one.gain(baseline)[1]),
-            "seconds_to_equal": _finite(one.seconds_to(baseline.psnr[0])[0]),
+            "psnr": finite(one.psnr[0]),
+            "psnr_half_width": finite(one.psnr[1]),
+            "gain": finite(one.gain(baseline)[0]),
+            "gain_half_width": finite(one.gain(baseline)[1]),
+            "seconds_to_equal": finite(one.seconds_to(baseline.psnr[0])[0]),
             "runs": [
                 {
                     "seconds": curve.seconds.tolist(),
@@ -170,7 +172,3 @@ def training_as_json(trained: Sequence[Trained]) -> list[dict[str, Any]]:
         }
         for one in trained
     ]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

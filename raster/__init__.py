@@ -10,7 +10,7 @@ import numpy as np
 
 from splatview.raster.camera_models import make_optics
 from splatview.raster.compiling import available_threads, will_compile
-from splatview.raster.contributions import Weights, contributions, front, weigh
+from splatview.raster.contributions import contributions, dominant_splats
 from splatview.raster.edits import edit_arrays
 from splatview.raster.forward import EARLY_STOP
 from splatview.raster.forward_per_pixel import depth_slopes
@@ -25,10 +25,10 @@ from splatview.raster.parameters import (
     parameters_of,
     used_degree,
 )
-from splatview.raster.sort import Workspace, in_kept_order
-from splatview.raster.surfels import make_discs
+from splatview.raster.sort import ReusableOrder, Workspace
+from splatview.raster.surfels import make_surfels
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.background import lay_over
+from splatview.scene.background import composite_over
 from splatview.scene.edits import SceneEdits
 from splatview.scene.order_reuse import keeps_order
 
@@ -38,25 +38,31 @@ __all__ = [
     "Gradients",
     "NonzeroBands",
     "Parameters",
-    "Weights",
+    "ReusableOrder",
     "Workspace",
     "available_threads",
     "check_parameters",
     "contributions",
     "differentiate",
+    "dominant_splats",
     "draw_frame",
     "forget_order",
-    "front",
     "nonzero_bands",
     "parameters_of",
     "render",
-    "weigh",
     "will_compile",
 ]
 
 ORDERS = ("32-bit", "16-bit", "per-pixel")
 
-_workspaces = threading.local()
+
+class _ThreadState(threading.local):
+    def __init__(self) -> None:
+        self.workspace = Workspace()
+        self.depth_order = ReusableOrder()
+
+
+_thread_state = _ThreadState()
 
 
 def render(
@@ -71,24 +77,24 @@ def render(
 ) -> np.ndarray:
     """The picture, float32 (H, W, 4): RGB over the background, alpha = 1 - T.
 
-    `edits` are seen as `scene.edits.bake` would make them, without the copy; the selection is not tinted.
+    `edits` are shown as `scene.edits.bake` would make them, without the copy; the selection is not
+    highlighted.
 
-    `threads`: how many to use, this one included; None: all cores. `stages`, if given, receives the
-    milliseconds of "project", "sort", "bin" and "forward". `on_compile` is called before the work
-    begins when kernels have to be compiled first, which takes some seconds, once per installation.
+    `threads`: number of threads, this one included; None: all cores. `stages`, if given, receives the
+    milliseconds of "project", "sort", "bin" and "forward". `on_compile` is called first when kernels have to
+    be compiled, which takes some seconds, once per installation.
 
     The picture is within 1e-4 of `scene.reference` but for pixels where an alpha lies so close to the
     cut that rounding decides.
     """
     if on_compile is not None and will_compile():
         on_compile()
-    if not hasattr(_workspaces, "of_thread"):
-        _workspaces.of_thread = Workspace()
     frame = draw_frame(
         parameters_of(gaussians),
         camera,
         settings or RenderSettings(),
-        _workspaces.of_thread,
+        _thread_state.workspace,
+        depth_order=_thread_state.depth_order,
         edits=edits,
         nonzero=nonzero_bands(gaussians),
         threads=threads,
@@ -99,10 +105,8 @@ def render(
 
 
 def forget_order() -> None:
-    """The next picture that this thread renders is sorted anew, whatever the settings' `resort_frames`."""
-    kept = _workspaces.of_thread.kept_order if hasattr(_workspaces, "of_thread") else None
-    if kept is not None:
-        kept.resort_policy.forget()
+    """Lets the next `render` of this thread sort anew, whatever the settings' `resort_frames`."""
+    _thread_state.depth_order.resort_policy.forget()
 
 
 def draw_frame(
@@ -111,6 +115,7 @@ def draw_frame(
     settings: RenderSettings,
     workspace: Workspace,
     *,
+    depth_order: ReusableOrder | None = None,
     edits: SceneEdits | None = None,
     nonzero: NonzeroBands | None = None,
     background: np.ndarray | None = None,
@@ -120,9 +125,10 @@ def draw_frame(
 ) -> Frame:
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
 
-    `edits` are seen in the picture, which then has no gradients; nor has one over more than a colour.
-    `nonzero`: which bands of the scene are, if that is known; no picture depends on it.
-    `background` (3,) stands for that of the settings. `early_stop`: the light below which a pixel ends.
+    `depth_order` serves further frames where the settings' `resort_frames` allow it; without it each frame is
+    sorted. A picture with `edits`, or over more than a colour, has no gradients. `nonzero`: the scene's SH
+    bands that are not zero, where that is known; no picture depends on it. `background` (3,) replaces that
+    of the settings. `early_stop`: transmittance below which a pixel is terminated.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -135,13 +141,13 @@ def draw_frame(
         raise ValueError(f"early_stop must be in [0, 1), got {early_stop}")
     if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
         raise ValueError(f"dtype must be float32 or float64, got {np.dtype(dtype)}")
-    # More than a colour is laid behind the finished picture: the kernels know nothing of it.
+    # Any background but a colour is composited afterwards: the kernels know nothing of it.
     plain = background is not None or isinstance(settings.background, tuple)
     if background is None:
         background = np.array(settings.background if plain else (0.0, 0.0, 0.0))
-    behind = np.array(background, dtype)
-    if behind.shape != (3,) or not np.isfinite(behind).all():
-        raise ValueError(f"background must be 3 finite numbers, got {behind}")
+    colour = np.array(background, dtype)
+    if colour.shape != (3,) or not np.isfinite(colour).all():
+        raise ValueError(f"background must be 3 finite numbers, got {colour}")
     if settings.order not in ORDERS:
         raise ValueError(f"order must be one of {', '.join(ORDERS)} on the CPU, got {settings.order}")
     view = make_view(camera, settings, np.dtype(dtype))
@@ -151,19 +157,19 @@ def draw_frame(
     slopes_of = order_of = None
     if settings.order == "per-pixel":
         slopes_of = partial(depth_slopes, splats, camera=camera, settings=settings, edits=edited)
-    if keeps_order(settings):
+    if depth_order is not None and keeps_order(settings):
         order_of = partial(
-            in_kept_order, splats, camera, settings, view, workspace, edited, key_bits, threads
+            depth_order.visible_order, splats, camera, settings, view, workspace, edited, key_bits, threads
         )
     frame = draw(
         splats,
         view,
-        behind,
+        colour,
         workspace,
         sh_degree=used_degree(splats, settings),
         early_stop=early_stop,
         optics=make_optics(camera),
-        discs=make_discs(camera, settings.model),
+        surfels=make_surfels(camera, settings.model),
         edits=edited,
         nonzero=nonzero,
         key_bits=key_bits,
@@ -172,5 +178,5 @@ def draw_frame(
         threads=threads,
     )
     if not plain:
-        lay_over(frame.image, settings.background, camera)
+        composite_over(frame.image, settings.background, camera)
     return frame

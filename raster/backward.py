@@ -1,14 +1,14 @@
 """Gradients of the blended picture by each splat's footprint, pair by pair.
 
-The tiles are walked once more, back to front. With g the gradient of the loss by a pixel, T_i the light in
-front of splat i, and the scalar
+The tiles are walked once more, back to front. With g the gradient of the loss by a pixel, T_i the
+transmittance in front of splat i, and the scalar
 
     S_i = g·(what the pixel shows of everything behind splat i, background included)
 
 one has dL/dalpha_i = T_i·(g·c_i) - S_i / (1 - alpha_i). Both are known behind the last splat, as forward
-keeps the light that each pixel ended with and when, and from there T_i = T_(i+1) / (1 - alpha_i) and
+keeps each pixel's final transmittance and last contributor, and from there T_i = T_(i+1) / (1 - alpha_i) and
 S_(i-1) = S_i + alpha_i·T_i·(g·c_i): no list of past transmittances is kept. Walked front to back, S would be
-what is left of the whole pixel after all splats in front have been taken off, with the rounding errors of
+the whole pixel less all splats in front, with the rounding errors of
 the brightest of them: gradients that cancel, as those by the camera's pose, had lost 3 digits by that.
 
 Each pair's sums over the pixels of its tile go to a row of their own, and `gather_pairs` adds them up
@@ -73,18 +73,19 @@ from splatview.raster.tiles import AHEAD, ask_ahead
 
 T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
 SUMS = 16
-"""Numbers in a row of sums; the last five are 0."""
+"""Numbers per row of sums; the last five are 0."""
 
 PIXEL_VECTORS = 6
-"""By strip and block: transmittance, S, the loss's gradient by red, green and blue, and S behind all."""
+"""Vectors per strip and block: transmittance, S, the loss's gradient by red, green and blue, and S behind
+all."""
 
 PIXELS = PIXEL_VECTORS * TILE_PIXELS
 
 
 @inline
 def start_pixels(pixels, left, top, first_pixel, background, transmittance, d_image):
-    """Fills `pixels` (PIXELS,); transmittance and S are 0 until `revive`, and all is 0 beyond the border.
-    lights as `forward` leaves them; d_image (H, W, 4)."""
+    """Fills `pixels` (PIXELS,); transmittance and S are 0 until `restore_pixels`, and all is 0 beyond the
+    border. transmittance as `forward` leaves it; d_image (H, W, 4)."""
     pixels[:] = 0
     for block in range(STRIPS * BLOCKS):
         x, y, columns, rows = block_in_image(block, left, top, d_image.shape[1], d_image.shape[0])
@@ -93,43 +94,44 @@ def start_pixels(pixels, left, top, first_pixel, background, transmittance, d_im
                 lane = row * BLOCK_WIDTH + column
                 at = block * PIXEL_VECTORS * LANES + lane
                 d_pixel = d_image[y + row, x + column]
-                # Alpha is 1 - T: a gradient by alpha is one by the light left, with its sign turned.
-                by_light = -d_pixel[3]
+                # Alpha is 1 - T: a gradient by alpha is minus one by the final transmittance.
+                by_transmittance = -d_pixel[3]
                 for channel in range(3):
                     pixels[at + (2 + channel) * LANES] = d_pixel[channel]
-                    by_light += d_pixel[channel] * background[channel]
-                pixels[at + 5 * LANES] = transmittance[first_pixel + block * LANES + lane] * by_light
+                    by_transmittance += d_pixel[channel] * background[channel]
+                final = transmittance[first_pixel + block * LANES + lane]
+                pixels[at + 5 * LANES] = final * by_transmittance
 
 
 @inline
-def most_met(first_pixel, n_contrib, below):
-    """The most splats, fewer than `below`, that a pixel of a tile met."""
+def most_contrib(first_pixel, n_contrib, below):
+    """The greatest n_contrib below `below` of a tile's pixels."""
     limit = n_contrib.dtype.type(below)
-    met = load(n_contrib, first_pixel)
-    most = keep_if_below(met, met, spread(limit))
+    counts = load(n_contrib, first_pixel)
+    most = keep_if_below(counts, counts, spread(limit))
     for at in range(first_pixel + LANES, first_pixel + TILE_PIXELS, LANES):
-        met = load(n_contrib, at)
-        most = maximum(most, keep_if_below(met, met, spread(limit)))
+        counts = load(n_contrib, at)
+        most = maximum(most, keep_if_below(counts, counts, spread(limit)))
     return np.int64(greatest_lane(most))
 
 
 @inline
-def revive(pixels, first_pixel, met, transmittance, n_contrib, alive):
-    """Gives the pixels that met just so many splats the light and S that they ended with. Widens alive
-    (2·STRIPS,) int64, the first and last block by strip with light."""
-    before, behind = pixels.dtype.type(met - 0.5), pixels.dtype.type(met + 0.5)
+def restore_pixels(pixels, first_pixel, count, final_transmittance, n_contrib, alive):
+    """Gives pixels whose n_contrib is `count` their final transmittance and S. Widens alive (2·STRIPS,)
+    int64, the first and last block by strip with such pixels."""
+    before, behind = pixels.dtype.type(count - 0.5), pixels.dtype.type(count + 0.5)
     for strip in range(STRIPS):
         for block in range(BLOCKS):
             at = (strip * BLOCKS + block) * LANES
             ended = load(n_contrib, first_pixel + at)
             if any_within(ended, before, behind):
                 base = at * PIXEL_VECTORS
-                light = load(pixels, base) + if_within(
-                    load(transmittance, first_pixel + at), ended, before, behind
+                transmittance = load(pixels, base) + if_within(
+                    load(final_transmittance, first_pixel + at), ended, before, behind
                 )
                 shown = load(pixels, base + LANES)
                 shown = shown + if_within(load(pixels, base + 5 * LANES), ended, before, behind)
-                store(pixels, base, light)
+                store(pixels, base, transmittance)
                 store(pixels, base + LANES, shown)
                 alive[2 * strip] = min(alive[2 * strip], block)
                 alive[2 * strip + 1] = max(alive[2 * strip + 1], block)
@@ -197,33 +199,31 @@ def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixel
                 abs_x = abs_x + absolute(tu)
                 abs_y = abs_y + absolute(fma(b, tu, c * tv))
                 dy = dy + step
-        total = sum_lanes(
-            (
-                t_sum,
-                tu_sum,
-                tux_sum,
-                tuy_sum,
-                tv_sum,
-                tvy_sum,
-                abs_x,
-                abs_y,
-                red_sum,
-                green_sum,
-                blue_sum,
-            )
+        totals = (
+            t_sum,
+            tu_sum,
+            tux_sum,
+            tuy_sum,
+            tv_sum,
+            tvy_sum,
+            abs_x,
+            abs_y,
+            red_sum,
+            green_sum,
+            blue_sum,
         )
-        store(sums, (first_row + j) * SUMS, total)
+        store(sums, (first_row + j) * SUMS, sum_lanes(totals))
 
 
 @inline
 def add_background(pixels, first_pixel, transmittance, d_background):
-    """Writes the sum of the light left times the gradient by colour over a tile to d_background (3,)."""
+    """Writes the sum of final transmittance times gradient by colour over a tile to d_background (3,)."""
     red = green = blue = spread(pixels.dtype.type(0))
     for at in range(0, TILE_PIXELS, LANES):
-        light, base = load(transmittance, first_pixel + at), at * PIXEL_VECTORS
-        red = fma(light, load(pixels, base + 2 * LANES), red)
-        green = fma(light, load(pixels, base + 3 * LANES), green)
-        blue = fma(light, load(pixels, base + 4 * LANES), blue)
+        final, base = load(transmittance, first_pixel + at), at * PIXEL_VECTORS
+        red = fma(final, load(pixels, base + 2 * LANES), red)
+        green = fma(final, load(pixels, base + 3 * LANES), green)
+        blue = fma(final, load(pixels, base + 4 * LANES), blue)
     total = aligned(LANES, pixels.dtype)
     store(total, 0, sum_lanes((red, green, blue)))
     for channel in range(3):
@@ -251,8 +251,8 @@ def differentiate_tiles(
     tile's gradient by the background, d_background (tiles, 3) float64.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
-    lights and n_contrib as in `forward`; records (N, RECORD), background (3,), lights, n_contrib,
-    d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
+    transmittance and n_contrib as in `forward`; records (N, RECORD), background (3,), transmittance,
+    n_contrib, d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
@@ -265,7 +265,7 @@ def differentiate_tiles(
         for strip in range(STRIPS):
             alive[2 * strip], alive[2 * strip + 1] = BLOCKS, -1
         first, end = offsets[tile] - base, offsets[tile + 1] - base
-        until = min(most_met(first_pixel, n_contrib, np.inf), end - first)
+        until = min(most_contrib(first_pixel, n_contrib, np.inf), end - first)
         walked[tile] = until
         while until > 0:
             begin = (until - 1) // CHUNK * CHUNK
@@ -285,8 +285,8 @@ def differentiate_tiles(
             )
             touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
             while until > begin:
-                revive(pixels, first_pixel, until, transmittance, n_contrib, alive)
-                before = max(most_met(first_pixel, n_contrib, until), begin)
+                restore_pixels(pixels, first_pixel, until, transmittance, n_contrib, alive)
+                before = max(most_contrib(first_pixel, n_contrib, until), begin)
                 differentiate(
                     gathered,
                     before - begin,

@@ -1,7 +1,7 @@
-"""How rays come to the picture: through a pinhole, through a lens, or in parallel.
+"""Camera models, forward and backward: pinhole, lens, and parallel rays.
 
 The kernels take an `Optics` beside the `View`. Which of its fields are None is part of their type, so numba
-compiles one variant a kind, and that for pinholes has no instruction of the others.
+compiles one variant per camera model, and that for pinholes has no instruction of the others.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ for _function in (
 
 
 class Optics(NamedTuple):
-    """All None for a pinhole; at most one is not."""
+    """All None for a pinhole; at most one is not. Functions take them one by one, as numba drops branches by
+    arguments that are None, but not by their attributes."""
 
     lens: LensForm | None = None
     parallel: bool | None = None
@@ -112,17 +113,13 @@ def magnified(form, u, v):
 @inline
 def clamped(view, x_by_z, y_by_z):
     """The slopes that the Jacobian is taken at."""
+    # guard: slope clamp := return x_by_z, y_by_z
     return min(max(x_by_z, view.min_u), view.max_u), min(max(y_by_z, view.min_v), view.max_v)
 
 
 @inline
-def image_point(view, optics, tx, ty, tz):
-    """Where a camera point is seen, px."""
-    return _image_point(optics.lens, optics.parallel, view, tx, ty, tz)
-
-
-@inline
-def _image_point(lens, parallel, view, tx, ty, tz):
+def image_point(lens, parallel, view, tx, ty, tz):
+    """Image of a camera point, px."""
     if parallel is not None:
         return tx * view.fx + view.cx, ty * view.fy + view.cy
     nearness = 1.0 / tz
@@ -134,27 +131,18 @@ def _image_point(lens, parallel, view, tx, ty, tz):
 
 
 @inline
-def within_reach(drawn, optics, tx, ty, tz):
-    """`drawn`, and 0 for camera points that are beyond the reach of the lens."""
-    return _within_reach(optics.lens, drawn, tx, ty, tz)
-
-
-@inline
-def _within_reach(lens, drawn, tx, ty, tz):
+def within_lens(lens, drawn, tx, ty, tz):
+    """`drawn`, and 0 for camera points outside the lens's field of view."""
     if lens is None:
         return drawn
     # Without dividing: where z is 0 that would be NaN.
-    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)
+    # guard: fold of the lens := return drawn
+    return keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.valid_radius_squared)
 
 
 @inline
-def image_axes(view, optics, tx, ty, tz):
+def image_axes(lens, parallel, view, tx, ty, tz):
     """P = J·W, the projection's derivative at a camera point by world position: (2, 3), row by row."""
-    return _image_axes(optics.lens, optics.parallel, view, tx, ty, tz)
-
-
-@inline
-def _image_axes(lens, parallel, view, tx, ty, tz):
     r = view.rotation
     if parallel is not None:
         return (
@@ -186,14 +174,9 @@ def _image_axes(lens, parallel, view, tx, ty, tz):
 
 
 @inline
-def viewing_direction(view, optics, ox, oy, oz):
-    """The unit direction, world axes, in which a point at this offset from the eye is seen, and how much of
-    it a move of the point changes: the inverse distance, or 0 where rays are parallel."""
-    return _viewing_direction(optics.parallel, view, ox, oy, oz)
-
-
-@inline
-def _viewing_direction(parallel, view, ox, oy, oz):
+def viewing_direction(parallel, view, ox, oy, oz):
+    """The unit viewing direction, world axes, of a point at an offset from the eye, and its rate of change
+    with the point: the inverse distance, or 0 where rays are parallel."""
     if parallel is not None:
         r = view.rotation
         return fill(ox, r[2, 0]), fill(ox, r[2, 1]), fill(ox, r[2, 2]), fill(ox, 0.0)
@@ -201,11 +184,9 @@ def _viewing_direction(parallel, view, ox, oy, oz):
     return ox * away, oy * away, oz * away, away
 
 
-# ---- The chain rule of `optics`: from gradients by the footprint to gradients by the splat's place.
-#
-# With D (2, 3) = dL/dJ, J = diag(f)·C·[1/z, 0, -u/z; 0, 1/z, -v/z], C (2, 2) the derivative of the lens at
-# the clamped slopes (u, v), 1 for a pinhole, all of it goes through E = Cᵀ·diag(f)·D, and what C itself
-# changes along u and v.
+# The chain rule: with D (2, 3) = dL/dJ, J = diag(f)·C·[1/z, 0, -u/z; 0, 1/z, -v/z], C (2, 2) the derivative
+# of the lens at the clamped slopes (u, v), 1 for a pinhole, all of it goes through E = Cᵀ·diag(f)·D, and what
+# C itself changes along u and v.
 
 
 @inline
@@ -215,14 +196,9 @@ def if_within(value, x, least, most):
 
 
 @inline
-def point_gradient(view, optics, x, y, z, d_x2, d_y2, d_j):
+def point_gradient(lens, parallel, view, x, y, z, d_x2, d_y2, d_j):
     """From dL/d(mean in the image) and D, row by row: dL/dt (3) of the camera point t = (x, y, z), and what
     turning the camera changes besides, dL/d(turn) (3): see `raster.gradients`."""
-    return _point_gradient(optics.lens, optics.parallel, view, x, y, z, d_x2, d_y2, d_j)
-
-
-@inline
-def _point_gradient(lens, parallel, view, x, y, z, d_x2, d_y2, d_j):
     fx, fy = view.fx, view.fy
     if parallel is not None:
         # J = [fx, 0, 0; 0, fy, 0] for all points.

@@ -1,4 +1,4 @@
-"""How kernels are compiled: without the GIL, cached on disk, and with a word to the user first.
+"""Kernels: compiled without the GIL, cached on disk, and run on as many threads as the caller allows.
 
 numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
 into. Here all sources of this package, of the package that a kernel is in, and what else kernels compile
@@ -109,7 +109,7 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cache_stamp() -> str:
-    """Another one for other sources: what was compiled under it is of no use to these."""
+    """Name of the kernel cache, different for other sources."""
     return "not cached" if _CACHE is None else _CACHE.name
 
 
@@ -121,15 +121,8 @@ def will_compile() -> bool:
     return _CACHE is None or not any(_CACHE.rglob("*.nbc"))
 
 
-# ---- Runs kernels on as many threads as the caller allows.
-#
-# One executor serves all threads of one priority: a viewer and a trainer that ask for one thread each get one
-# each, and the helpers of a viewer that gives way to its trainer give way as it does. The calling thread
-# always works too, so a call makes progress however busy the executor is.
-
-
 TASKS_PER_THREAD = 4
-"""Pieces a stage is cut into for each thread: enough that threads end together, few enough to be cheap."""
+"""Tasks of a stage per thread: enough that threads end together, few enough to be cheap."""
 
 SPLATS_PER_TASK = 1024
 """Tasks over splats begin at multiples of it: fewer cost less to do than to hand out."""
@@ -144,20 +137,21 @@ def available_threads() -> int:
 
 
 def niceness() -> int:
-    """Of the calling thread, 0 where threads have none of their own (they do on Linux only)."""
+    """Niceness of the calling thread; 0 where threads have none of their own (they do on Linux only)."""
     return os.getpriority(os.PRIO_PROCESS, 0) if sys.platform == "linux" else 0
 
 
 @cache
 def _executor(niceness: int) -> ThreadPoolExecutor:
-    """A thread is as nice as the one that started it, which here is one that asks for help."""
+    """Helpers for the threads of one priority: a thread is as nice as the one that started it."""
     return ThreadPoolExecutor(max(available_threads(), 2), thread_name_prefix=f"raster{niceness or ''}")
 
 
 def run(
     kernel: Callable[..., Any], tasks: Iterable[Sequence[Any]], common: Sequence[Any], threads: int
 ) -> list[Any]:
-    """Calls `kernel(*task, *common)` for every task on `threads` threads, the caller's included.
+    """Calls `kernel(*task, *common)` for every task on `threads` threads, the caller's included: a call makes
+    progress however busy the helpers are.
 
     Which thread takes which task is left to chance; results come in the order of the tasks. The first
     exception of a task is raised here, after the tasks already begun have ended.
@@ -180,7 +174,7 @@ def run(
                 results[index] = kernel(*tasks[index], *common)
             except BaseException:
                 with lock:
-                    for _ in pending:  # nobody begins another task
+                    for _ in pending:  # no other task begins
                         pass
                 raise
 

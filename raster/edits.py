@@ -1,6 +1,7 @@
-"""Edits in force, read while splats are loaded: nothing is copied, and without edits nothing is compiled in.
+"""Edits in force, read while splats are loaded: no copy of the scene, and no instruction where there are
+none.
 
-A kernel's `edits` is an `EditArrays` or None, two types and so two machine codes.
+A kernel's `edits` is an `EditArrays` or None, two types and so two kernel variants.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from splatview.scene.edits import (
     crop_rows,
 )
 
-# Columns of a row of `EditArrays.palette`, after those of `scene.adjustment.adjustment_rows`.
+# Columns of `EditArrays.palette`, after those of `scene.edits.adjustment_rows`.
 QUAT, COLOUR, OPACITY = 12, 16, 28
 LOG_FACTOR, R_INVERSE, MOVES, FADES, RECOLOURS = ROW, ROW + 1, ROW + 10, ROW + 11, ROW + 12
 COLUMNS = ROW + 13
 
-# Columns of a row of `scene.crop.crop_rows`.
+# Columns of `scene.edits.crop_rows`.
 IS_SPHERE, KEEPS_INSIDE = 12, 13
 
 
 class EditArrays(NamedTuple):
-    """A `scene.edits.SceneEdits` as the kernels take it."""
+    """`scene.edits.SceneEdits` in the kernels' form."""
 
     marks: np.ndarray
-    """(N,) uint32."""
+    """(N,) uint32, splat flags and palette index."""
     palette: np.ndarray
-    """(P, COLUMNS) float64."""
+    """(P, COLUMNS) float64, adjustments."""
     crops: np.ndarray
     """(C, CROP_ROW) float64."""
     keeps_inside: bool
-    """Whether a crop keeps its inside: then only what is in such a one is shown."""
+    """Whether a crop keeps its inside: then only splats within such a crop are shown."""
 
 
 def edit_arrays(edits: SceneEdits | None, count: int) -> EditArrays | None:

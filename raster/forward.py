@@ -5,11 +5,11 @@ tile's list is taken in chunks: the records of a chunk are gathered into columns
 the tile, the rows that each ellipse can touch in each strip are computed 16 splats at a time, and then
 only the blocks of these rows are blended.
 
-After each chunk, pixels that let less light through than the early stop are retired: their light is put
-aside together with the number of splats that they have met, and counts as 0 from there on. A chunk is cut
-short where its splats are so opaque that light could fall from the early stop to 0 within it, and so
-`backward` can follow each pixel's light from its end to its beginning. Blocks without light drop out at
-both ends of a strip; a tile ends when no block is left.
+After each chunk, pixels whose transmittance is below the early stop are terminated: their transmittance and
+the number of splats so far (n_contrib, the last contributor) are recorded, and the transmittance is 0 from
+there on. A chunk is cut short where its splats are so opaque that transmittance could fall from the early
+stop to 0 within it, so that `backward` can follow each pixel from its end to its beginning. Terminated
+blocks drop out at both ends of a strip; a tile ends when no block is left.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.parameters import TILE
-from splatview.raster.project import BLUE, FALL, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
+from splatview.raster.project import BLUE, GREEN, LOG2_DROP, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
 from splatview.raster.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
@@ -49,50 +49,61 @@ from splatview.raster.simd import (
     store,
     store_int,
 )
-from splatview.raster.surfels import DISC, FACING, LEAN_X, LEAN_Y, MOST_LEAN, UX, UY, VX, VY, disc_power
+from splatview.raster.surfels import (
+    MAX_TILT,
+    NORMAL_RAY,
+    NORMAL_X,
+    NORMAL_Y,
+    SURFEL,
+    UX,
+    UY,
+    VX,
+    VY,
+    surfel_exponent,
+)
 from splatview.raster.tiles import MARGIN
 
 STRIPS = TILE // BLOCK_WIDTH
 BLOCKS = TILE // BLOCK_HEIGHT
-"""In a strip."""
+"""Blocks of pixels per strip."""
 
 TILE_PIXELS = STRIPS * BLOCKS * LANES
 
 PIXELS = 4 * TILE_PIXELS
-"""Numbers that a tile in work is: by strip and block, a vector each of transmittance, red, green, blue."""
+"""Numbers of a tile in work: by strip and block, a vector each of transmittance, red, green and blue."""
 
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
-# Columns of `gathered`, CHUNK numbers each; discs have those of their rows besides, from G_DISC on.
-G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_DISC = range(10)
+# Columns of `gathered`, CHUNK numbers each; those of a surfel's row follow from G_SURFEL on.
+G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_SURFEL = range(10)
 GATHERED = 9
 
-LEAST_LIGHT = 1e8
-"""No pixel goes on with less light than this times the smallest normal number, however low the early stop."""
+LEAST_TRANSMITTANCE = 1e8
+"""Least early stop, in smallest normal numbers of the picture's dtype."""
 
 EARLY_STOP = 1e-5
-"""A pixel ends when less light than this comes through: what is left out is at most this times the
-brightest colour behind."""
+"""Transmittance below which a pixel is terminated: the error is at most this times the brightest colour
+behind."""
 
 
 @inline
-def gather(lists, start, count, next_start, next_stop, records, left, top, most_fall, gathered, discs):
-    """Copies the records of lists[start:start + count] to `gathered` (gathered_columns(discs)·CHUNK,), means
-    relative to the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
+def gather(lists, start, count, next_start, next_stop, records, left, top, max_log2_drop, gathered, surfels):
+    """Copies the records of lists[start:start + count] to `gathered` (gathered_columns(surfels)·CHUNK,),
+    means relative to the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
     lists[next_start:next_stop], which will be gathered next, meanwhile.
 
-    Returns how many it took: fewer than `count` where light, by these splats' opacities, could fall by more
-    than `most_fall` powers of two, a negative number.
+    Returns how many it took: fewer than `count` where these splats' opacities could let transmittance drop by
+    more than `max_log2_drop` powers of two, a negative number.
     """
     number = gathered.dtype.type
     for k in range(next_start, next_stop):
         prefetch(records, lists[k])
-    fall = number(0)
+    log2_drop = number(0)
     for j in range(count):
         record = records[lists[start + j]]
-        fall += record[FALL]
-        if fall < most_fall and j > 0:
+        log2_drop += record[LOG2_DROP]
+        if log2_drop < max_log2_drop and j > 0:
             count = j
             break
         # The corner is subtracted first: exact near the tile, and only then is there room for the rest.
@@ -105,10 +116,10 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, most_
         gathered[G_RED * CHUNK + j] = record[RED]
         gathered[G_GREEN * CHUNK + j] = record[GREEN]
         gathered[G_BLUE * CHUNK + j] = record[BLUE]
-        if discs is not None:
-            row = discs.rows[lists[start + j]]
-            for number_of in range(DISC):
-                gathered[(G_DISC + number_of) * CHUNK + j] = row[number_of]
+        if surfels is not None:
+            row = surfels.rows[lists[start + j]]
+            for number_of in range(SURFEL):
+                gathered[(G_SURFEL + number_of) * CHUNK + j] = row[number_of]
     for j in range(count, (count + LANES - 1) // LANES * LANES):
         for column in range(GATHERED):
             gathered[column * CHUNK + j] = gathered[column * CHUNK + count - 1]
@@ -131,21 +142,21 @@ def touched_blocks(gathered, count, log2_cut, log2_share, rows):
             load(gathered, G_B * CHUNK + j),
             load(gathered, G_C * CHUNK + j),
         )
-        reach = minimum(load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut), fill(x, -log2_share))
-        reach = fma(reach, fill(x, 1 + MARGIN), fill(x, MARGIN))
+        bound = minimum(load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut), fill(x, -log2_share))
+        bound = fma(bound, fill(x, 1 + MARGIN), fill(x, MARGIN))
         zero, half, margin = fill(x, 0.0), fill(x, 0.5), fill(x, MARGIN)
         inverse = divide(fill(x, 1.0), fma(b, b, c * c))
         slope = negate(a * b) * inverse
-        fall = a * a * c * c * inverse  # reach - fall·dx² is what dx leaves for dy
-        rx = sqrt(divide(reach, fall))
-        dx_bottom = negate(divide(b * sqrt(reach), a * c))
+        curvature = a * a * c * c * inverse  # bound - curvature·dx² is left for dy
+        rx = sqrt(divide(bound, curvature))
+        dx_bottom = negate(divide(b * sqrt(bound), a * c))
         for strip in range(STRIPS):
             left = maximum(fill(x, strip * BLOCK_WIDTH + 0.5) - x, negate(rx))
             right = minimum(fill(x, strip * BLOCK_WIDTH + (BLOCK_WIDTH - 0.5)) - x, rx)
             bottom = minimum(maximum(dx_bottom, left), right)
             top = minimum(maximum(negate(dx_bottom), left), right)
-            below = sqrt(maximum(reach - fall * bottom * bottom, zero) * inverse) + slope * bottom
-            above = sqrt(maximum(reach - fall * top * top, zero) * inverse) - slope * top
+            below = sqrt(maximum(bound - curvature * bottom * bottom, zero) * inverse) + slope * bottom
+            above = sqrt(maximum(bound - curvature * top * top, zero) * inverse) - slope * top
             # maximum and minimum return their second argument for NaN: then all rows are touched.
             first = maximum(ceil(y - above - half - margin), zero)
             last = minimum(floor(y + below - half + margin), fill(x, TILE - 1.0))
@@ -159,25 +170,36 @@ def touched_blocks(gathered, count, log2_cut, log2_share, rows):
             store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, zero) * per_row)
 
 
-class Retirement(NamedTuple):
-    """When pixels retire."""
+@inline
+def load_chunk(lists, position, end, records, left, top, max_log2_drop, view, gathered, surfels, rows):
+    """Gathers the chunk of lists[position:end] and finds its touched blocks; returns its number of splats."""
+    count = min(end - position, CHUNK)
+    stop = min(position + 2 * CHUNK, end)
+    count = gather(
+        lists, position, count, position + count, stop, records, left, top, max_log2_drop, gathered, surfels
+    )
+    touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
+    return count
+
+
+class Termination(NamedTuple):
+    """When pixels are terminated."""
 
     stop_below: float
-    """The light below which they do."""
-    most_fall: float
-    """By how many powers of two light may fall in a chunk and stay a normal number; negative."""
+    """Transmittance below which a pixel is terminated."""
+    max_log2_drop: float
+    """Largest log2 transmittance drop within a chunk that leaves a normal number; negative."""
 
 
-def make_retirement(early_stop: float, dtype: np.dtype) -> Retirement:
+def make_termination(early_stop: float, dtype: np.dtype) -> Termination:
     smallest = float(np.finfo(dtype).smallest_normal)
-    stop_below = max(early_stop, smallest * LEAST_LIGHT)
-    return Retirement(stop_below, math.log2(smallest / stop_below))
+    stop_below = max(early_stop, smallest * LEAST_TRANSMITTANCE)
+    return Termination(stop_below, math.log2(smallest / stop_below))
 
 
 @inline
 def start_pixels(pixels, left, top, view):
-    """Transmittance 1 and colour 0 in `pixels` (PIXELS,); transmittance 0 beyond the image's border, where
-    nothing is left to do."""
+    """Transmittance 1 and colour 0 in `pixels` (PIXELS,); transmittance 0 beyond the image's border."""
     pixels[:] = 0
     for block in range(STRIPS * BLOCKS):
         _, _, columns, rows = block_in_image(block, left, top, view.width, view.height)
@@ -195,23 +217,27 @@ def block_in_image(block, left, top, width, height):
 
 
 @inline
-def retire(pixels, first_pixel, stop_below, met, transmittance, n_contrib, alive):
-    """Retires pixels with less light than `stop_below`, after `met` splats: their transmittance moves to
-    lights and `met` to n_contrib, flat arrays where the tile begins at first_pixel. Narrows alive (2·STRIPS,)
-    int64, first and last block by strip, to blocks with light left; returns whether there is one."""
+def terminate_pixels(pixels, first_pixel, stop_below, count, final_transmittance, n_contrib, alive):
+    """Terminates pixels with a transmittance below `stop_below` after `count` splats: their transmittance
+    moves to final_transmittance and `count` to n_contrib, flat arrays where the tile begins at first_pixel.
+    Narrows alive (2·STRIPS,) int64, first and last block by strip, to blocks with pixels left; returns
+    whether there is one."""
     some = False
     zero, below = pixels.dtype.type(0), pixels.dtype.type(stop_below)
     for strip in range(STRIPS):
         first, last = np.int64(BLOCKS), np.int64(-1)
         for block in range(alive[2 * strip], alive[2 * strip + 1] + 1):
             at = (strip * BLOCKS + block) * LANES
-            light = load(pixels, 4 * at)
-            if any_within(light, zero, below):
-                retired = keep_if_below(light, light, spread(below))
-                put_aside(retired, first_pixel + at, met, transmittance, n_contrib)
-                light = light - retired
-                store(pixels, 4 * at, light)
-            if any_above(light, zero):
+            transmittance = load(pixels, 4 * at)
+            if any_within(transmittance, zero, below):
+                final = keep_if_below(transmittance, transmittance, spread(below))
+                to = first_pixel + at
+                store(final_transmittance, to, load(final_transmittance, to) + final)
+                contributors = keep_if_below(fill(final, count), fill(final, 0.0), final)
+                store(n_contrib, to, load(n_contrib, to) + contributors)
+                transmittance = transmittance - final
+                store(pixels, 4 * at, transmittance)
+            if any_above(transmittance, zero):
                 first, last = min(first, block), block
         alive[2 * strip], alive[2 * strip + 1] = first, last
         some = some or first <= last
@@ -219,53 +245,45 @@ def retire(pixels, first_pixel, stop_below, met, transmittance, n_contrib, alive
 
 
 @inline
-def put_aside(retired, at, met, transmittance, n_contrib):
-    """Notes the light of the pixels from `at` on where it is not 0, and how many splats they met."""
-    store(transmittance, at, load(transmittance, at) + retired)
-    count = keep_if_below(fill(retired, met), fill(retired, 0.0), retired)
-    store(n_contrib, at, load(n_contrib, at) + count)
+def gathered_columns(surfels):
+    return GATHERED if surfels is None else GATHERED + SURFEL
 
 
 @inline
-def gathered_columns(discs):
-    return GATHERED if discs is None else GATHERED + DISC
-
-
-@inline
-def on_disc(gathered, j, discs, dx):
-    """What `disc_power` needs of pixels dx from the j-th gathered mean, to which rows are added: parts of
-    u, v, lean and the dot by dx, then what dy adds to u, v and lean."""
-    row = (G_DISC * CHUNK) + j
+def surfel_columns(gathered, j, surfels, dx):
+    """What `surfel_exponent` needs of pixels dx from the j-th gathered mean, before rows are added: the parts
+    of u, v, tilt and the dot that depend on dx, then what dy adds to u, v and tilt."""
+    row = (G_SURFEL * CHUNK) + j
     return (
         spread(gathered[row + UX * CHUNK]) * dx,
         spread(gathered[row + VX * CHUNK]) * dx,
-        spread(gathered[row + LEAN_X * CHUNK]) * dx,
-        fill(dx, discs.sharpness) * (dx * dx),
+        spread(gathered[row + NORMAL_X * CHUNK]) * dx,
+        fill(dx, surfels.sharpness) * (dx * dx),
         spread(gathered[row + UY * CHUNK]),
         spread(gathered[row + VY * CHUNK]),
-        spread(gathered[row + LEAN_Y * CHUNK]),
+        spread(gathered[row + NORMAL_Y * CHUNK]),
     )
 
 
 @inline
-def power_on_disc(across, gathered, j, discs, dy):
-    """`disc_power` of pixels; `across` as `on_disc` made it."""
-    u, v, lean, dot, down_u, down_v, down_lean = across
-    row = (G_DISC * CHUNK) + j
-    lean = fma(down_lean, dy, lean)
-    slope = fma(fill(dy, discs.perspective), lean, spread(gathered[row + FACING * CHUNK]))
-    return disc_power(
+def surfel_exponent_at(columns, gathered, j, surfels, dy):
+    """`surfel_exponent` of pixels; `columns` as `surfel_columns` made them."""
+    u, v, tilt, dot, down_u, down_v, down_tilt = columns
+    row = (G_SURFEL * CHUNK) + j
+    tilt = fma(down_tilt, dy, tilt)
+    slope = fma(fill(dy, surfels.perspective), tilt, spread(gathered[row + NORMAL_RAY * CHUNK]))
+    return surfel_exponent(
         fma(down_u, dy, u),
         fma(down_v, dy, v),
-        lean,
+        tilt,
         slope,
-        spread(gathered[row + MOST_LEAN * CHUNK]),
-        fma(fill(dy, discs.sharpness) * dy, dy, dot),
+        spread(gathered[row + MAX_TILT * CHUNK]),
+        fma(fill(dy, surfels.sharpness) * dy, dy, dot),
     )
 
 
 @inline
-def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, discs):
+def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, surfels):
     """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
     number = gathered.dtype.type
     blocks = 0
@@ -284,24 +302,24 @@ def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, p
             x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
             dx = column_centres(red) - spread(x_mean)
             adx = spread(gathered[G_A * CHUNK + j]) * dx
-            if discs is not None:
-                across = on_disc(gathered, j, discs, dx)
+            if surfels is not None:
+                across = surfel_columns(gathered, j, surfels, dx)
             dy = y_centres + fill(red, first * BLOCK_HEIGHT)
             blocks += max(last - first + 1, 0)
             for block in range(first, last + 1):
-                if discs is None:
+                if surfels is None:
                     u, v = fma(b, dy, adx), c * dy
                     power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
                 else:
                     plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - power_on_disc(plane, gathered, j, discs, dy)
+                    power = log2_opacity - surfel_exponent_at(plane, gathered, j, surfels, dy)
                 dy = dy + step
                 alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
                 base = (strip * BLOCKS + block) * 4 * LANES
-                light = load(pixels, base)
-                weight = alpha * light
-                # Not light - weight, whose rounding would be that of the light in front.
-                store(pixels, base, fma(negate(alpha), light, light))
+                transmittance = load(pixels, base)
+                weight = alpha * transmittance
+                # Not transmittance - weight, whose rounding would be that of the transmittance in front.
+                store(pixels, base, fma(negate(alpha), transmittance, transmittance))
                 store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
                 store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
                 store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
@@ -317,12 +335,12 @@ def write_pixels(pixels, left, top, first_pixel, background, transmittance, imag
             for column in range(columns):
                 lane = row * BLOCK_WIDTH + column
                 at = block * 4 * LANES + lane
-                light = transmittance[first_pixel + block * LANES + lane]
+                T = transmittance[first_pixel + block * LANES + lane]
                 pixel = image[y + row, x + column]
-                pixel[0] = pixels[at + LANES] + light * background[0]
-                pixel[1] = pixels[at + 2 * LANES] + light * background[1]
-                pixel[2] = pixels[at + 3 * LANES] + light * background[2]
-                pixel[3] = 1 - light
+                pixel[0] = pixels[at + LANES] + T * background[0]
+                pixel[1] = pixels[at + 2 * LANES] + T * background[1]
+                pixel[2] = pixels[at + 3 * LANES] + T * background[2]
+                pixel[3] = 1 - T
 
 
 @kernel
@@ -333,10 +351,10 @@ def draw_tiles(
     base,
     lists,
     records,
-    discs,
+    surfels,
     view,
     background,
-    retirement,
+    termination,
     image,
     transmittance,
     n_contrib,
@@ -344,13 +362,13 @@ def draw_tiles(
     """Draws tiles [start, stop), numbered by rows, into image (H, W, 4). Returns the number of blocks that
     were blended, of LANES pixels each.
 
-    offsets (tiles + 1,) int64 and lists (pairs,) int32 as `bins` makes them, lists[0] being place `base`;
-    discs is a `DiscArrays` or None, retirement a `Retirement`. transmittance and n_contrib
-    (tiles·TILE_PIXELS,) receive per pixel the transmittance and how many splats of its tile's list it met,
-    one vector per block, strip by strip; both are 0 beyond the image. records (N, RECORD), background (3,),
-    image, transmittance and n_contrib share one dtype.
+    offsets (tiles + 1,) int64 and lists (pairs,) int32 as `tiles` makes them, lists[0] being place `base`;
+    surfels is a `SurfelArrays` or None, termination a `Termination`. transmittance and n_contrib
+    (tiles·TILE_PIXELS,) receive each pixel's final transmittance and last contributor, a place in its tile's
+    list, one vector per block, strip by strip; both are 0 beyond the image. records (N, RECORD), background
+    (3,), image, transmittance and n_contrib share one dtype.
     """
-    gathered = aligned(gathered_columns(discs) * CHUNK, image.dtype)
+    gathered = aligned(gathered_columns(surfels) * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, image.dtype)
     alive = np.empty(2 * STRIPS, np.int64)
@@ -366,29 +384,15 @@ def draw_tiles(
         first, end = offsets[tile] - base, offsets[tile + 1] - base
         position, some = first, True
         while position < end and some:
-            count = min(end - position, CHUNK)
-            next_stop = min(position + 2 * CHUNK, end)
-            count = gather(
-                lists,
-                position,
-                count,
-                position + count,
-                next_stop,
-                records,
-                left,
-                top,
-                retirement.most_fall,
-                gathered,
-                discs,
-            )
-            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
+            drop = termination.max_log2_drop
+            count = load_chunk(lists, position, end, records, left, top, drop, view, gathered, surfels, rows)
             blocks += blend_chunk(
-                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, discs
+                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, surfels
             )
             position += count
-            some = retire(
-                pixels, first_pixel, retirement.stop_below, position - first, transmittance, n_contrib, alive
+            some = terminate_pixels(
+                pixels, first_pixel, termination.stop_below, position - first, transmittance, n_contrib, alive
             )
-        retire(pixels, first_pixel, np.inf, position - first, transmittance, n_contrib, alive)
+        terminate_pixels(pixels, first_pixel, np.inf, position - first, transmittance, n_contrib, alive)
         write_pixels(pixels, left, top, first_pixel, background, transmittance, image)
     return blocks

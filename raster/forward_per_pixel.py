@@ -3,7 +3,7 @@
 In the global order a splat is in front of another everywhere, and a small turn of the camera changes that
 everywhere at once: it pops. Here each pixel has its own depth of a splat, where the splat is densest along
 the pixel's ray (Radl et al. 2024, StopThePop), and holds back the NEAREST nearest splats of the global order
-that it has met, blending the nearest of them whenever another one comes.
+met so far, blending the nearest of them whenever another one comes.
 
 Under the affine projection of `scene.image_model`, depth and place in the image are one three-dimensional
 Gaussian, so the depth along a ray is linear in the pixel: z(d) = t.z + g·d, g = S'⁻¹·cov(image, depth).
@@ -17,15 +17,15 @@ from splatview.raster.compiling import inline, kernel
 from splatview.raster.edits import LOG_FACTOR, QUAT, EditArrays
 from splatview.raster.parameters import TILE, Parameters
 from splatview.raster.project import BLUE, GREEN, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
-from splatview.raster.surfels import met_at
+from splatview.raster.surfels import exponent_and_depth
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.edits import PALETTE_SHIFT
 from splatview.scene.projection import projection_jacobians, rotation_matrices
 
 NEAREST = 16
-"""Splats that a pixel holds back: more than that out of order, and it blends them as it meets them."""
+"""Splats that a pixel holds back: splats further out of order are blended out of order."""
 
-# Columns of what a pixel holds back.
+# Columns of the splats that a pixel holds back.
 HELD_DEPTH, HELD_ALPHA, HELD_SPLAT = range(3)
 
 
@@ -63,7 +63,7 @@ def depth_slopes(
             ],
             axis=1,
         )
-    # What a determinant without digits says is not used: such a splat keeps the depth of its mean.
+    # A splat with a determinant without digits keeps the depth of its mean.
     good = np.isfinite(found).all(axis=1) & (det > 1e-9 * xx * yy)
     slopes[visible[good]] = found[good]
     return slopes
@@ -71,7 +71,7 @@ def depth_slopes(
 
 @inline
 def take_nearest(held, count, records, pixel):
-    """Blends the first of `held` into pixel (4,), light and colour, and moves the others up."""
+    """Blends the first of `held` into pixel (4,), transmittance and colour, and moves the others up."""
     record = records[np.int64(held[HELD_SPLAT, 0])]
     weight = held[HELD_ALPHA, 0] * pixel[0]
     pixel[1] += weight * record[RED]
@@ -96,12 +96,12 @@ def hold_back(held, count, depth, alpha, splat):
 
 @kernel
 def draw_tiles_by_pixel(
-    start, stop, offsets, base, lists, records, discs, view, depths, slopes, background, stop_below, image
+    start, stop, offsets, base, lists, records, surfels, view, depths, slopes, background, stop_below, image
 ):
     """Draws tiles [start, stop) into image (H, W, 4); returns how many alphas were evaluated.
 
-    depths (N,) float64 of the means and slopes (N, 2) float64 as `depth_slopes`; discs do without slopes, as
-    a plane is met at a depth of its own. The others as in `forward`.
+    depths (N,) float64 of the means and slopes (N, 2) float64 as `depth_slopes`; surfels take their planes'
+    depths instead. The others as in `forward`.
     """
     held = np.empty((3, NEAREST + 1))
     pixel = np.empty(4)
@@ -121,12 +121,12 @@ def draw_tiles_by_pixel(
                     dx = (x + 0.5 - np.float64(record[X])) - record[X_REST]
                     dy = (y + 0.5 - np.float64(record[Y])) - record[Y_REST]
                     depth = depths[splat]
-                    if discs is None:
+                    if surfels is None:
                         u, v = record[A] * dx + record[B] * dy, record[C] * dy
                         power = record[LOG2_OPACITY] - u * u - v * v
                         depth += slopes[splat, 0] * dx + slopes[splat, 1] * dy
                     else:
-                        distance, depth = met_at(discs, splat, dx, dy, depth)
+                        distance, depth = exponent_and_depth(surfels, splat, dx, dy, depth)
                         power = record[LOG2_OPACITY] - distance
                     evaluated += 1
                     if not power >= max(view.log2_cut, record[LOG2_OPACITY] + view.log2_share):

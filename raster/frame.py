@@ -14,29 +14,28 @@ import numpy as np
 from splatview.raster.camera_models import PINHOLE, Optics, make_optics
 from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, cache_stamp, even_ranges, run
 from splatview.raster.edits import EditArrays
-from splatview.raster.forward import TILE_PIXELS, Retirement, draw_tiles, make_retirement
+from splatview.raster.forward import TILE_PIXELS, Termination, draw_tiles, make_termination
 from splatview.raster.forward_per_pixel import draw_tiles_by_pixel
 from splatview.raster.parameters import NonzeroBands, Parameters, View, nonzero_bands
 from splatview.raster.project import RECORD, project
 from splatview.raster.simd import LANES
-from splatview.raster.sort import Workspace, key_scale, make_keys, radix_sort
-from splatview.raster.surfels import DISC, DiscArrays, DiscModel, make_discs
+from splatview.raster.sort import Workspace, sorted_by_depth
+from splatview.raster.surfels import SURFEL, SurfelArrays, SurfelModel, make_surfels
 from splatview.raster.tiles import count_pairs, count_rows, find_spans, place_lists, write_pairs
 from splatview.scene import Camera, Gaussians, RenderSettings
 
 TILE_COST = 16
-"""What a tile costs besides its list, in units of pairs; for sharing tiles out evenly."""
+"""Cost of a tile besides its list, in pairs; for sharing tiles out evenly."""
 
 MAX_LISTED_PAIRS = 1 << 27
 """Pairs whose lists are in memory at once, 4 bytes each; a picture with more is drawn band by band."""
-
 
 Runs = list[tuple[int, int]]
 """(start, stop) each."""
 
 
 class StageClock:
-    """Adds up wall-clock milliseconds by stage."""
+    """Wall-clock milliseconds by stage, added up."""
 
     def __init__(self) -> None:
         self.milliseconds: dict[str, float] = {}
@@ -51,26 +50,26 @@ class StageClock:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bins:
-    """Lists of splats by tile; arrays live in a workspace. See `bins`."""
+    """Lists of splats by tile, see `tiles`. The arrays live in the workspace."""
 
     order: np.ndarray
     """(V,) int32, visible splats front to back."""
     spans_of: np.ndarray
-    """(N, 2) int32"""
+    """(N, 2) int32, first and one past the last span of each visible splat."""
     spans: np.ndarray
-    """(S, 2) int32"""
-    pieces: list[tuple[int, int]]
-    """Runs of `order` that are binned together, and..."""
+    """(S, 2) int32, first and one past the last tile of each span."""
+    pieces: Runs
+    """Parts of `order` that are binned together."""
     positions: np.ndarray
-    """(pieces, tiles) int64: ... where each begins to write in each tile's list."""
+    """(pieces, tiles) int64, where each piece begins to write in each tile's list."""
     offsets: np.ndarray
     """(tiles + 1,) int64, where the tiles' lists begin; the last is the number of pairs."""
-    bands: list[tuple[int, int]]
-    """Runs of tiles whose lists are in memory at once; nearly always there is one."""
+    bands: Runs
+    """Tiles whose lists are in memory at once; nearly always there is one band."""
     threads: int
 
     def write(self, band: tuple[int, int], workspace: Workspace) -> np.ndarray:
-        """The lists of a band's tiles: (pairs,) int32, the first being place `offsets[band[0]]`."""
+        """The lists of a band's tiles: (pairs,) int32, the first at place `offsets[band[0]]`."""
         first, end = band
         base = int(self.offsets[first])
         lists = workspace.take("lists", (int(self.offsets[end]) - base,), np.int32)
@@ -87,54 +86,49 @@ class Bins:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Arrangement:
-    """Projected, sorted and binned; fields as in `Frame`."""
+    """A picture's splats, projected, sorted and binned. The arrays live in the workspace until its next
+    picture."""
 
     records: np.ndarray
+    """(N, RECORD), see `project`; only rows of visible splats mean anything."""
     depths: np.ndarray
-    """(N,) float64, of the means of visible splats."""
-    discs: DiscArrays | None
+    """(N,) float64, camera depths of the means of visible splats, world units."""
+    surfels: SurfelArrays | None
+    """Footprints of flat splats, where the image model has surfels."""
     pieces: Runs
+    """Splats that were projected together."""
     runs: Runs
+    """By piece, the part of `visible` that lists its visible splats."""
     visible: np.ndarray
+    """(N,) int32, indices of visible splats; see `runs`."""
     bins: Bins
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Frame:
-    """What drawing leaves behind. All but the image lives in the workspace until its next picture."""
+class Frame(Arrangement):
+    """A drawn picture and all that `differentiate` needs of it."""
 
     view: View
     optics: Optics
     background: np.ndarray
     """(3,) in the picture's dtype."""
-    retirement: Retirement
+    termination: Termination
     sh_degree: int
     threads: int
     edited: bool
-    """Drawn with edits in force: not what `differentiate` can take."""
+    """Whether edits were in force: such a picture cannot be differentiated."""
     by_pixel: bool
-    """Drawn in per-pixel order: nor this."""
+    """Whether the depth order was per pixel: such a picture cannot be differentiated either."""
     image: np.ndarray
     """(H, W, 4), the caller's to keep."""
     transmittance: np.ndarray
-    """(tiles·TILE_PIXELS,), the light that got through each pixel, and..."""
+    """(tiles·TILE_PIXELS,), final transmittance of each pixel, in the order of `forward.draw_tiles`."""
     n_contrib: np.ndarray
-    """... how many splats of its tile's list it met: see `forward.draw_tiles`."""
-    records: np.ndarray
-    """(N, RECORD), see `project`; only rows of visible splats mean anything."""
-    discs: DiscArrays | None
-    """Where splats are flat: then `differentiate` cannot take it either."""
-    pieces: Runs
-    """(start, stop) of the splats that were projected together, and..."""
-    runs: Runs
-    """... (start, stop) in `visible` of what was found visible in each."""
-    visible: np.ndarray
-    """(N,) int32, see `runs`."""
-    bins: Bins
+    """(tiles·TILE_PIXELS,), last contributor of each pixel: splats of its tile's list up to its end."""
     lists: np.ndarray
     """(pairs,) int32 of the last band."""
     pixel_splats: int
-    """Alphas evaluated: of a splat, those of all pixels of the blocks that it reaches."""
+    """Alphas evaluated: for each splat, all pixels of the blocks that its footprint touches."""
     workspace: Workspace
     milliseconds: dict[str, float]
     """Wall-clock time by stage."""
@@ -150,7 +144,7 @@ def draw(
     early_stop: float,
     threads: int,
     optics: Optics = PINHOLE,
-    discs: DiscModel | None = None,
+    surfels: SurfelModel | None = None,
     edits: EditArrays | None = None,
     nonzero: NonzeroBands | None = None,
     key_bits: int = 32,
@@ -159,8 +153,7 @@ def draw(
 ) -> Frame:
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid.
 
-    `order_of` puts what is found visible (N,), in runs, in order, where no new order is to be made.
-    `nonzero`: the bands that are, where that is known. `slopes_of` makes `per_pixel.depth_slopes` of visible
+    See `arrange` for `nonzero` and `order_of`. `slopes_of` makes `forward_per_pixel.depth_slopes` of visible
     splats, for a picture in per-pixel order.
     """
     clock = StageClock()
@@ -173,7 +166,7 @@ def draw(
         sh_degree=sh_degree,
         threads=threads,
         optics=optics,
-        discs=discs,
+        surfels=surfels,
         edits=edits,
         nonzero=nonzero,
         clock=clock,
@@ -181,14 +174,14 @@ def draw(
         order_of=order_of,
     )
     bins, image = arranged.bins, np.empty((view.height, view.width, 4), dtype)
-    retirement = make_retirement(early_stop, dtype)
+    termination = make_termination(early_stop, dtype)
     slopes = None
     if slopes_of is not None:
         with clock.stage("slopes"):
-            # Discs are met at depths of their own.
-            slopes = slopes_of(bins.order) if arranged.discs is None else np.empty((0, 2))
+            # The plane of a surfel has depths of its own.
+            slopes = slopes_of(bins.order) if arranged.surfels is None else np.empty((0, 2))
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS if slopes is None else 0
-    transmittance = workspace.take("lights", (pixels,), dtype)
+    transmittance = workspace.take("transmittance", (pixels,), dtype)
     n_contrib = workspace.take("n_contrib", (pixels,), dtype)
     lists = np.empty(0, np.int32)
     evaluated = 0
@@ -196,19 +189,21 @@ def draw(
         with clock.stage("bin"):
             lists = bins.write(band, workspace)
         with clock.stage("forward"):
-            shared = (bins.offsets, int(bins.offsets[band[0]]), lists, arranged.records, arranged.discs, view)
+            base = int(bins.offsets[band[0]])
+            shared = (bins.offsets, base, lists, arranged.records, arranged.surfels, view)
             ranges = tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
             if slopes is None:
-                more = (background, retirement, image, transmittance, n_contrib)
+                more = (background, termination, image, transmittance, n_contrib)
                 evaluated += LANES * sum(run(draw_tiles, ranges, (*shared, *more), threads))
             else:
-                more = (arranged.depths, slopes, background, retirement.stop_below, image)
+                more = (arranged.depths, slopes, background, termination.stop_below, image)
                 evaluated += sum(run(draw_tiles_by_pixel, ranges, (*shared, *more), threads))
     return Frame(
+        **vars(arranged),
         view=view,
         optics=optics,
         background=background,
-        retirement=retirement,
+        termination=termination,
         sh_degree=sh_degree,
         threads=threads,
         edited=edits is not None,
@@ -216,12 +211,6 @@ def draw(
         image=image,
         transmittance=transmittance,
         n_contrib=n_contrib,
-        records=arranged.records,
-        discs=arranged.discs,
-        pieces=arranged.pieces,
-        runs=arranged.runs,
-        visible=arranged.visible,
-        bins=bins,
         lists=lists,
         pixel_splats=evaluated,
         workspace=workspace,
@@ -238,86 +227,57 @@ def arrange(
     sh_degree: int,
     threads: int,
     optics: Optics,
-    discs: DiscModel | None,
+    surfels: SurfelModel | None,
     edits: EditArrays | None,
     clock: StageClock,
     nonzero: NonzeroBands | None = None,
     key_bits: int = 32,
     order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
 ) -> Arrangement:
-    """All that comes before pixels: project, sort, bin."""
+    """All that comes before pixels: project, sort, bin.
+
+    `nonzero`: the SH bands that are not zero, where that is known. `order_of` gives visible splats (N,), in
+    runs, in depth order; None: they are sorted by keys of `key_bits` bits.
+    """
     with clock.stage("project"):
-        pieces = even_ranges(len(splats.means), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
-        rows = None
-        if discs is not None:
-            rows = DiscArrays(workspace.take("discs", (len(splats.means), DISC), dtype), *discs)
-        records, depths, visible, runs, bounds = _project(
-            splats, pieces, view, optics, rows, dtype, workspace, sh_degree, threads, edits, nonzero
+        count = len(splats.means)
+        pieces = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+        records = workspace.take("records", (count, RECORD), dtype)
+        depths = workspace.take("depths", (count,), np.float64)
+        visible = workspace.take("visible", (count,), np.int32)
+        bounds = np.empty((len(pieces), 2))
+        footprints = own_degrees = None
+        if surfels is not None:
+            footprints = SurfelArrays(workspace.take("surfels", (count, SURFEL), dtype), *surfels)
+        if nonzero is not None:
+            sh_degree, own_degrees = min(sh_degree, nonzero.in_use), nonzero.own_degrees
+        found = run(
+            project,
+            [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
+            (*splats, sh_degree, view, optics, records, depths, visible, edits, footprints, own_degrees),
+            threads,
         )
+        if min(found) < 0:
+            raise ValueError("edits.marks names an adjustment that is not in edits.palette")
+        runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
     with clock.stage("sort"):
         if order_of is None:
-            order = _sort(runs, bounds, visible, depths, workspace, threads, key_bits)
+            order = workspace.take("order", (sum(found),), np.int32)
+            span = float(bounds[:, 0].min()), float(bounds[:, 1].max())
+            order = sorted_by_depth(visible, runs, depths, span, key_bits, order, workspace, threads)
         else:
             order = order_of(visible, runs)
     with clock.stage("bin"):
         bins = _bin(order, runs, visible, records, view, workspace, threads)
     return Arrangement(
-        records=records, depths=depths, discs=rows, pieces=pieces, runs=runs, visible=visible, bins=bins
+        records=records,
+        depths=depths,
+        surfels=footprints,
+        pieces=pieces,
+        runs=runs,
+        visible=visible,
+        bins=bins,
     )
-
-
-def _project(
-    splats: Parameters,
-    pieces: Runs,
-    view: View,
-    optics: Optics,
-    discs: DiscArrays | None,
-    dtype: np.dtype,
-    workspace: Workspace,
-    sh_degree: int,
-    threads: int,
-    edits: EditArrays | None,
-    nonzero: NonzeroBands | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Runs, tuple[float, float]]:
-    count = len(splats.means)
-    records = workspace.take("records", (count, RECORD), dtype)
-    depths = workspace.take("depths", (count,), np.float64)
-    visible = workspace.take("visible", (count,), np.int32)
-    bounds = np.empty((len(pieces), 2))
-    own_degrees = None
-    if nonzero is not None:
-        sh_degree, own_degrees = min(sh_degree, nonzero.in_use), nonzero.own_degrees
-    found = run(
-        project,
-        [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
-        (*splats, sh_degree, view, optics, records, depths, visible, edits, discs, own_degrees),
-        threads,
-    )
-    if min(found) < 0:
-        raise ValueError("edits.marks names an adjustment that is not in edits.palette")
-    runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
-    return records, depths, visible, runs, (float(bounds[:, 0].min()), float(bounds[:, 1].max()))
-
-
-def _sort(
-    runs: Runs,
-    bounds: tuple[float, float],
-    visible: np.ndarray,
-    depths: np.ndarray,
-    workspace: Workspace,
-    threads: int,
-    key_bits: int,
-) -> np.ndarray:
-    count = sum(stop - start for start, stop in runs)
-    keys = workspace.take("keys", (count,), np.uint32)
-    order = workspace.take("order", (count,), np.int32)
-    if count == 0:
-        return order
-    base, shift, bits = key_scale(*bounds, key_bits)
-    ends = np.cumsum([stop - start for start, stop in runs]).tolist()
-    tasks = [(end - (stop - start), end, start) for (start, stop), end in zip(runs, ends, strict=True)]
-    run(make_keys, tasks, (visible, depths.view(np.int64), base, shift, keys, order), threads)
-    return radix_sort(keys, order, bits, threads, workspace)[1]
 
 
 def _bin(
@@ -362,8 +322,8 @@ def _bin(
     )
 
 
-def bands_of(offsets: np.ndarray, most_pairs: int) -> list[tuple[int, int]]:
-    """Runs of tiles that together have at most so many pairs, or are one tile."""
+def bands_of(offsets: np.ndarray, most_pairs: int) -> Runs:
+    """Runs of tiles with at most `most_pairs` pairs together, or of one tile."""
     bands, first, tiles = [], 0, len(offsets) - 1
     while first < tiles:
         end = int(np.searchsorted(offsets, offsets[first] + most_pairs, side="right")) - 1
@@ -373,7 +333,7 @@ def bands_of(offsets: np.ndarray, most_pairs: int) -> list[tuple[int, int]]:
     return bands
 
 
-def tile_ranges(offsets: np.ndarray, band: tuple[int, int], pieces: int) -> list[tuple[int, int]]:
+def tile_ranges(offsets: np.ndarray, band: tuple[int, int], pieces: int) -> Runs:
     """Runs of a band's tiles of about equal cost."""
     first, end = band
     cost = offsets[first : end + 1] - offsets[first] + np.arange(end - first + 1) * TILE_COST
@@ -382,22 +342,18 @@ def tile_ranges(offsets: np.ndarray, band: tuple[int, int], pieces: int) -> list
     return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
-# ---- Which machine code a picture needs: kernels are compiled by the kinds of their arguments.
-
-
-def kind_of(gaussians: Gaussians, camera: Camera, settings: RenderSettings, *, edited: bool = False) -> str:
-    """Pictures of one kind take the same machine code; different for other versions of this program.
-
-    `edited`: edits are in force.
-    """
-    own_degrees = nonzero_bands(gaussians).own_degrees is not None
+def specialisation_key(
+    gaussians: Gaussians, camera: Camera, settings: RenderSettings, *, edited: bool = False
+) -> str:
+    """Name of the kernel variants that a picture takes, one for each combination of argument types and
+    version of this program. `edited`: edits are in force."""
     parts = (
         cache_stamp(),
         gaussians.means.dtype.name,
         str(numba.typeof(make_optics(camera))),
-        make_discs(camera, settings.model) is not None,
+        make_surfels(camera, settings.model) is not None,
         edited,
-        own_degrees,
+        nonzero_bands(gaussians).own_degrees is not None,
         settings.order == "per-pixel",
     )
     return "cpu " + " ".join(str(part) for part in parts)

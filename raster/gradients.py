@@ -14,7 +14,7 @@ from splatview.raster.project_backward import POSE_BLOCK, project_backward
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for
-the compiler too beside 5 million splats in 4 GiB."""
+the compiler beside 5 million splats in 4 GiB."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,14 +23,16 @@ class Gradients:
 
     parameters: Parameters
     means2d: np.ndarray
-    """(N, 2) by the mean in the image, px."""
+    """(N, 2), gradient by the mean in the image, px."""
     abs_means2d: np.ndarray
-    """(N, 2) the same, but added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+    """(N, 2), px: sums over pixels of the absolute gradient by the mean in the image (Ye et al. 2024,
+    AbsGS)."""
     background: np.ndarray
     """(3,)"""
     pose: np.ndarray
-    """(6,) float64 by a small motion of the camera, (shift, turn) in camera axes: a point at t in camera
-    axes moves to t + shift + turn x t, so world_to_camera becomes exp([turn, shift])·world_to_camera."""
+    """(6,) float64, gradient by a small motion of the camera, (shift, turn) in camera axes: a point at t in
+    camera axes moves to t + shift + turn x t, so world_to_camera becomes exp([turn,
+    shift])·world_to_camera."""
     milliseconds: dict[str, float]
     """Wall-clock time by stage."""
 
@@ -55,7 +57,7 @@ def differentiate(
         raise ValueError("gradients need an image model with max_alpha below 1")
     if frame.edited:
         raise ValueError("a picture drawn with edits in force has no gradients: bake the edits first")
-    if frame.discs is not None:
+    if frame.surfels is not None:
         raise ValueError("a picture of discs has no gradients: draw it with ellipsoids")
     if frame.by_pixel:
         raise ValueError("a picture in per-pixel order has no gradients: draw it in the 32-bit order")
@@ -94,42 +96,20 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
         base, end = int(bins.offsets[band[0]]), int(bins.offsets[band[1]])
         sums = workspace.take("pair_sums", ((end - base) * SUMS,), dtype)
         with clock.stage("backward"):
+            picture = (frame.records, frame.view, frame.background, frame.transmittance, frame.n_contrib)
             run(
                 differentiate_tiles,
                 tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD),
-                (
-                    bins.offsets,
-                    base,
-                    lists,
-                    frame.records,
-                    frame.view,
-                    frame.background,
-                    frame.transmittance,
-                    frame.n_contrib,
-                    d_image,
-                    sums,
-                    walked,
-                    d_background,
-                ),
+                (bins.offsets, base, lists, *picture, d_image, sums, walked, d_background),
                 threads,
             )
         with clock.stage("gather"):
             cursors[:] = bins.positions
+            splats = (bins.order, bins.spans_of, bins.spans)
             run(
                 gather_pairs,
                 [(*piece, row) for piece, row in zip(bins.pieces, cursors, strict=True)],
-                (
-                    bins.order,
-                    bins.spans_of,
-                    bins.spans,
-                    *band,
-                    bins.offsets,
-                    base,
-                    walked,
-                    sums,
-                    splat_sums,
-                    number > 0,
-                ),
+                (*splats, *band, bins.offsets, base, walked, sums, splat_sums, number > 0),
                 threads,
             )
     return splat_sums.reshape(-1, SUMS), d_background.sum(axis=0)
@@ -150,21 +130,11 @@ def _parameters(
         means2d = np.empty((count, 2), splats.quats.dtype)
         abs_means2d = np.empty_like(means2d)
     pose_sums = np.zeros((-(-count // POSE_BLOCK), 6))
+    drawn = (frame.visible, *splats, frame.sh_degree, frame.view, frame.optics)
     run(
         project_backward,
         [(*piece, *found) for piece, found in zip(frame.pieces, frame.runs, strict=True)],
-        (
-            frame.visible,
-            *splats,
-            frame.sh_degree,
-            frame.view,
-            frame.optics,
-            splat_sums,
-            *gradients,
-            means2d,
-            abs_means2d,
-            pose_sums,
-        ),
+        (*drawn, splat_sums, *gradients, means2d, abs_means2d, pose_sums),
         frame.threads,
     )
     return gradients, means2d, abs_means2d, pose_sums.sum(axis=0)

@@ -1,4 +1,5 @@
-"""The arrays of a scene as the kernels take them, checked once."""
+"""Arguments of the kernels: the arrays of a scene, checked once, and camera and image model as flat
+numbers."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def check_parameters(means: Any, quats: Any, log_scales: Any, opacity_logits: An
 
 
 def parameters_of(gaussians: Gaussians) -> Parameters:
-    """The arrays of a scene, which has checked them itself."""
+    """The arrays of a scene."""
     g = gaussians
     return check_parameters(g.means, g.quats, g.log_scales, g.opacity_logits, g.sh)
 
@@ -75,7 +76,7 @@ def used_degree(splats: Parameters, settings: RenderSettings) -> int:
 
 
 def describe(value: Any) -> str:
-    """What was given instead, for an error message."""
+    """Dtype and shape of an array, the type of anything else: for error messages."""
     return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
 
 
@@ -83,36 +84,33 @@ def _checked(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[Any, .
     if not isinstance(array, np.ndarray) or array.shape != shape:
         raise ValueError(f"{name} must be an array of shape {shape}, got {describe(array)}")
     if array.dtype not in dtypes:
-        wanted = " or ".join(str(dtype) for dtype in dtypes)
-        raise ValueError(f"{name} must be {wanted}, got {array.dtype}")
+        expected = " or ".join(str(dtype) for dtype in dtypes)
+        raise ValueError(f"{name} must be {expected}, got {array.dtype}")
     return np.require(array, requirements=("C", "ALIGNED"))
 
 
-# ---- Which coefficients of spherical harmonics a scene has that are not zero: the others need not be summed.
-#
-# That changes no picture, in no bit. It takes no second layout of them either: rows that are longer than what
-# is read of them cost nothing that can be measured (projecting 500,000 splats of degree 0: 8.6 ms, padded to
-# degree 3: 8.7 ms, and 14.0 where zeros are summed). Training reads and writes all that it has unlocked.
-
-
 class NonzeroBands(NamedTuple):
+    """The SH bands of a scene that are not all zero: the others need not be summed, which changes no bit of
+    any picture.
+
+    Reading only the beginning of a row costs nothing measurable, so no second layout is kept (projecting
+    500,000 splats of degree 0: 8.6 ms, padded to degree 3: 8.7 ms, and 14.0 where zeros are summed).
+    """
+
     in_use: int
     """Degree of the highest band that is not all zero."""
     own_degrees: np.ndarray | None
-    """(N,) uint8: the same splat by splat, where that pays."""
+    """(N,) uint8: degree of each splat's highest band that is not all zero, where knowing it pays."""
 
 
 _known: WeakKeyDictionary[Gaussians, NonzeroBands] = WeakKeyDictionary()
 
 
 def nonzero_bands(gaussians: Gaussians) -> NonzeroBands:
-    """Looked at once a scene: its arrays never change."""
+    """The nonzero bands of a scene, found once, as its arrays never change."""
     if gaussians not in _known:
         _known[gaussians] = NonzeroBands(degree_in_use(gaussians.sh), own_degrees(gaussians.sh))
     return _known[gaussians]
-
-
-# ---- Camera and image model as the kernels take them: one flat tuple of float64 numbers.
 
 
 TILE = 16
@@ -126,7 +124,7 @@ NO_SHARE = -1e30
 
 
 class View(NamedTuple):
-    """Lengths in px or world units as the name says; what each does is told in `scene.image_model`."""
+    """Camera and image model, see `scene.image_model`; float64, lengths in px or world units."""
 
     rotation: np.ndarray
     """(3, 3) float64, world axes to camera axes."""
@@ -137,7 +135,7 @@ class View(NamedTuple):
     cx: float
     cy: float
     min_u: float
-    """Clamp of t.x/t.z in the Jacobian; -inf where there is none."""
+    """Lower clamp of t.x/t.z in the Jacobian; -inf: none."""
     max_u: float
     min_v: float
     max_v: float
@@ -147,7 +145,7 @@ class View(NamedTuple):
     blur: float
     antialiased: bool
     alpha_cut: float
-    """As the model has it; may be 0."""
+    """Alpha below which a splat is not drawn, as in the model; may be 0."""
     log2_cut: float
     """log2 of the cut that the kernels use: never below the smallest normal power of two."""
     log2_share: float

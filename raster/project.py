@@ -12,7 +12,7 @@ A record is one row of RECORD numbers, a cache line in float32, in the dtype of 
     LOG2_OPACITY    after the antialiasing factor
     RED, GREEN, BLUE
     RX, RY          px, half extents: beyond mean ± this, alpha is below the cut
-    FALL            log2(1 - alpha) at its most: by how many powers of two the light behind can be less
+    LOG2_DROP       log2(1 - alpha) at its most: the greatest log2 transmittance drop behind the splat
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from splatview.raster.camera_models import image_axes, image_point, viewing_direction, within_reach
+from splatview.raster.camera_models import image_axes, image_point, viewing_direction, within_lens
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.edits import (
     FADES,
@@ -48,19 +48,19 @@ from splatview.raster.simd import (
     log2_lanes,
     store,
 )
-from splatview.raster.surfels import DISC, project_discs
+from splatview.raster.surfels import SURFEL, project_surfels
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
-X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, FALL = range(14)
+X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, LOG2_DROP = range(14)
 RECORD = 16
-"""Numbers in a record; the last two are padding to a cache line."""
+"""Numbers per record; the last two are padding to a cache line."""
 
 CONIC_SCALE = math.sqrt(HALF_LOG2_E)
 
 MOST_ALPHA = 1 - 2.0**-24
-"""What FALL counts an alpha of 1 as."""
+"""Alpha that LOG2_DROP takes in place of 1."""
 
 
 @inline
@@ -145,9 +145,9 @@ def camera_axes(view, r):
 
 
 @inline
-def reach_of(view, log2_opacity):
-    """The squared distance from the mean, in standard deviations, at which alpha falls below the cut: that of
-    what the kernels evaluate, which is never quite 0."""
+def squared_extent(view, log2_opacity):
+    """The squared distance from the mean, in standard deviations, at which alpha falls below the cut that the
+    kernels use, which is never quite 0."""
     return min(log2_opacity - view.log2_cut, -view.log2_share) * (1 / HALF_LOG2_E)
 
 
@@ -187,13 +187,14 @@ def sh_sum(sh, splat, basis, count):
     return red, green, blue
 
 
-# A group of LANES splats is worked on in columns of LANES float64 numbers each: first what is loaded, ...
+# A group of LANES splats is worked on in columns of LANES float64 numbers each: first the loaded parameters,
+# ...
 OFFSET, QUAT, LOG_SCALE, LOGIT = 0, 3, 7, 10
-# ... then what `project_group` makes of it: the order of a record, the direction, the depth, and 1 or 0 for
+# ... then the results of `project_group`: the order of a record, the direction, the depth, and 1 or 0 for
 # whether the splat is drawn, its colour apart.
 FOOTPRINT, TOWARDS, DEPTH, DRAWN = 11, 25, 28, 29
-DISC_ROW = 30  # and a row of `discs`, where there are discs
-COLUMNS = DISC_ROW + DISC
+SURFEL_ROW = 30  # and a row of `surfels`, if any
+COLUMNS = SURFEL_ROW + SURFEL
 
 
 @inline
@@ -275,20 +276,22 @@ def if_three_finite(drawn, x, y, z):
 
 
 @inline
-def project_group(view, optics, discs, lanes):
+def project_group(view, optics, surfels, lanes):
     """Fills the columns from FOOTPRINT on from the loaded ones."""
+    lens, parallel = optics
     ox, oy, oz = three_columns(lanes, OFFSET)
     tx, ty, tz = camera_point(view, ox, oy, oz)
     nothing, one = fill(tx, 0.0), fill(tx, 1.0)
-    drawn = keep_if_at_least(one, tz, fill(tz, view.near))
+    drawn = keep_if_at_least(one, tz, fill(tz, view.near))  # guard: near plane := drawn = one
     drawn = if_three_finite(if_three_finite(drawn, ox, oy, oz), tx, ty, tz)
-    drawn = within_reach(drawn, optics, tx, ty, tz)
+    drawn = within_lens(lens, drawn, tx, ty, tz)
     set_column(lanes, DEPTH, tz)
-    towards_x, towards_y, towards_z, _ = viewing_direction(view, optics, ox, oy, oz)
+    towards_x, towards_y, towards_z, _ = viewing_direction(parallel, view, ox, oy, oz)
     set_three(lanes, TOWARDS, towards_x, towards_y, towards_z)
 
     qw, qx, qy, qz = four_columns(lanes, QUAT)
     largest = max(max(abs(qw), abs(qx)), max(abs(qy), abs(qz)))  # noqa: PLW3301 vectors come in twos
+    # guard: zero quaternions
     drawn = keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))
     drawn = if_finite(if_three_finite(drawn, qw, qx, qy), qz)
     shrink = one / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
@@ -298,18 +301,18 @@ def project_group(view, optics, discs, lanes):
 
     rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
     opacity = sigmoid_lanes(column(lanes, LOGIT))
-    if discs is None:
-        axes = splat_axes(image_axes(view, optics, tx, ty, tz), rotation, sx, sy, sz)
+    if surfels is None:
+        axes = splat_axes(image_axes(lens, parallel, view, tx, ty, tz), rotation, sx, sy, sz)
     else:
-        reach = reach_of(view, log2_lanes(opacity))
+        bound = squared_extent(view, log2_lanes(opacity))
         turned_axes = camera_axes(view, rotation)
-        seen, axes = project_discs(
-            view, discs.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), reach, lanes, DISC_ROW
+        can_show, axes = project_surfels(
+            view, surfels.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), bound, lanes, SURFEL_ROW
         )
-        drawn = keep_if_below(drawn, nothing, seen)
+        drawn = keep_if_below(drawn, nothing, can_show)
     xx, xy, yy, det, unblurred = covariance(axes, view.blur)
     drawn = if_three_finite(keep_if_below(drawn, nothing, det), xx, xy, yy)
-    if discs is None and view.antialiased:
+    if surfels is None and view.antialiased:
         opacity = opacity * math.sqrt(unblurred / det)
     drawn = keep_if_below(drawn, nothing, opacity)
     drawn = keep_if_at_least(drawn, opacity, fill(opacity, view.alpha_cut))
@@ -318,11 +321,11 @@ def project_group(view, optics, discs, lanes):
     a, c = math.sqrt(yy / det), math.sqrt(inverse_yy)
     b = -(xy * inverse_yy * a)
     drawn = if_three_finite(drawn, a, b, c)
-    x, y = image_point(view, optics, tx, ty, tz)
+    x, y = image_point(lens, parallel, view, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
-    reach = reach_of(view, log2_opacity)
-    rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
+    extent = squared_extent(view, log2_opacity)
+    rx, ry = math.sqrt(extent * xx), math.sqrt(extent * yy)
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
     drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))
     drawn = keep_if_at_least(drawn, fill(x, view.width - 0.5), x - rx)
@@ -338,7 +341,7 @@ def project_group(view, optics, discs, lanes):
     set_column(lanes, FOOTPRINT + RX, rx)
     set_column(lanes, FOOTPRINT + RY, ry)
     most_alpha = min(view.max_alpha, MOST_ALPHA)
-    set_column(lanes, FOOTPRINT + FALL, log2_lanes(one - min(opacity, most_alpha)))
+    set_column(lanes, FOOTPRINT + LOG2_DROP, log2_lanes(one - min(opacity, most_alpha)))
 
 
 @kernel
@@ -358,17 +361,17 @@ def project(
     depths,
     visible,
     edits,
-    discs,
+    surfels,
     own_degrees,
 ):
-    """Projects splats [start, stop) and returns how many can be seen; their indices, ascending, go to
-    `visible` from `start` on. Or -1, if one's mark names what is not in the palette of the edits.
+    """Projects splats [start, stop) and returns how many are visible; their indices, ascending, go to
+    `visible` from `start` on. Or -1, if a mark names an entry that is not in the palette of the edits.
 
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
-    float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written
-    for visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written;
-    edits an `EditArrays` or None; discs `DiscArrays`, whose rows are written too, or None; own_degrees (N,)
-    uint8, the SH degree beyond which each splat has only zeros, or None.
+    float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written for
+    visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written; edits an
+    `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or None; own_degrees (N,) uint8,
+    the SH degree beyond which each splat has only zeros, or None.
     """
     basis = np.empty(16, np.float64)
     number = records.dtype.type
@@ -381,7 +384,7 @@ def project(
             load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
-        project_group(view, optics, discs, lanes)
+        project_group(view, optics, surfels, lanes)
         for lane in range(min(LANES, stop - first)):
             if not lanes[DRAWN * LANES + lane] > 0:
                 continue
@@ -395,25 +398,27 @@ def project(
                 own = min(degree, np.int64(own_degrees[i]))
             sh_basis(dx, dy, dz, own, basis)
             red, green, blue = sh_sum(sh, i, basis, (own + 1) * (own + 1))
+            # guard: finite colours := if False:
             if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
                 continue
             if edits is not None:
                 row = edits.palette[palette_row(edits, i)]
                 if row[RECOLOURS] > 0:
                     red, green, blue = recoloured(row, red, green, blue)
-            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)  # guard: colours at least 0
+            # guard: finite colours := if False:
             if not (is_finite(red) and is_finite(green) and is_finite(blue)):
                 continue
 
             record = records[i]
-            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY, FALL):
+            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY, LOG2_DROP):
                 record[field] = number(lanes[(FOOTPRINT + field) * LANES + lane])
             record[X_REST] = number(lanes[(FOOTPRINT + X) * LANES + lane] - record[X])
             record[Y_REST] = number(lanes[(FOOTPRINT + Y) * LANES + lane] - record[Y])
             record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
-            if discs is not None:
-                for field in range(DISC):
-                    discs.rows[i, field] = number(lanes[(DISC_ROW + field) * LANES + lane])
+            if surfels is not None:
+                for field in range(SURFEL):
+                    surfels.rows[i, field] = number(lanes[(SURFEL_ROW + field) * LANES + lane])
             depth = lanes[DEPTH * LANES + lane]
             depths[i] = depth
             least, greatest = min(least, depth), max(greatest, depth)

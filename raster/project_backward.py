@@ -144,6 +144,7 @@ COLUMNS = 36
 @inline
 def differentiate_group(view, optics, sums, lanes):
     """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too."""
+    lens, parallel = optics
     ox, oy, oz = three_columns(lanes, OFFSET)
     x, y, z = camera_point(view, ox, oy, oz)
     qw, qx, qy, qz = four_columns(lanes, QUAT)
@@ -152,7 +153,7 @@ def differentiate_group(view, optics, sums, lanes):
     r = rotation_matrix(qw, qx, qy, qz)
     sx, sy, sz = three_columns(lanes, LOG_SCALE)
     sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
-    p = image_axes(view, optics, x, y, z)
+    p = image_axes(lens, parallel, view, x, y, z)
     m = splat_axes(p, r, sx, sy, sz)
     _, xy, yy, det, unblurred = covariance(m, view.blur)
 
@@ -212,13 +213,13 @@ def differentiate_group(view, optics, sums, lanes):
 
     # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
     d_j = *camera_point(view, d_p[0], d_p[1], d_p[2]), *camera_point(view, d_p[3], d_p[4], d_p[5])
-    tx, ty, tz, turn_x, turn_y, turn_z = point_gradient(view, optics, x, y, z, d_x2, d_y2, d_j)
+    tx, ty, tz, turn_x, turn_y, turn_z = point_gradient(lens, parallel, view, x, y, z, d_x2, d_y2, d_j)
     wx, wy, wz = camera_to_world(view, tx, ty, tz)
     set_three(lanes, D_POSITION, wx, wy, wz)
     # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
     set_three(lanes, D_SHIFT, tx, ty, tz)
     set_three(lanes, D_TURN, turn_x, turn_y, turn_z)
-    nx, ny, nz, away = viewing_direction(view, optics, ox, oy, oz)
+    nx, ny, nz, away = viewing_direction(parallel, view, ox, oy, oz)
     set_three(lanes, DIRECTION, nx, ny, nz)
     set_column(lanes, AWAY, away)
 
@@ -279,8 +280,8 @@ def project_backward(
                 d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
             for component in range(4):
                 # By a quaternion of length 1e-30 the derivative can be more than float32 holds.
-                steep = lanes[(D_QUAT + component) * LANES + lane]
-                d_quats[i, component] = min(max(steep, -FLOAT32_MAX), FLOAT32_MAX)
+                gradient = lanes[(D_QUAT + component) * LANES + lane]
+                d_quats[i, component] = min(max(gradient, -FLOAT32_MAX), FLOAT32_MAX)
             d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
             for axis in range(2):
                 d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]

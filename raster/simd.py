@@ -270,31 +270,28 @@ def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 @inline
 def load(array, index):
     """LANES floats of a flat, C-contiguous array from `index` on. 0 <= index <= size - LANES."""
-    if BOUNDSCHECK:
-        _touch(array, index)
+    _check_bounds(array, index)
     return _load(array, index)
 
 
 @inline
 def store(array, index, value):
     """Writes a vector to a flat array of its element type from `index` on."""
-    if BOUNDSCHECK:
-        _touch(array, index)
+    _check_bounds(array, index)
     _store(array, index, value)
 
 
 @inline
 def store_int(array, index, value):
     """Writes a vector, rounded towards zero, to a flat int32 array. The values must fit."""
-    if BOUNDSCHECK:
-        _touch(array, index)
+    _check_bounds(array, index)
     _store_int(array, index, value)
 
 
 @inline
-def _touch(array, index):
-    """With bounds checking on, numba's own: vectors reach memory by address and would escape it."""
-    if index < 0 or index + LANES > array.size:
+def _check_bounds(array, index):
+    """Bounds checking as numba's own, if that is on, which vectors escape as they are loaded by address."""
+    if BOUNDSCHECK and (index < 0 or index + LANES > array.size):
         raise IndexError("a vector reaches beyond its array")
 
 
@@ -306,6 +303,11 @@ def aligned(count, dtype):
     return whole[skip : skip + count]
 
 
+def _any(builder: Any, mask: Any) -> Any:
+    bits = builder.bitcast(mask, ir.IntType(LANES))
+    return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+
 @intrinsic
 def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
     """Whether a lane of `vector` is above `scalar` (same float type)."""
@@ -313,9 +315,7 @@ def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        mask = builder.fcmp_ordered(">", args[0], _spread(builder, args[1]))
-        bits = builder.bitcast(mask, ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+        return _any(builder, builder.fcmp_ordered(">", args[0], _spread(builder, args[1])))
 
     return types.boolean(vector, scalar), codegen
 
@@ -327,12 +327,9 @@ def any_within(typingctx: Any, vector: Any, above: Any, below: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        mask = builder.and_(
-            builder.fcmp_ordered(">", args[0], _spread(builder, args[1])),
-            builder.fcmp_ordered("<", args[0], _spread(builder, args[2])),
-        )
-        bits = builder.bitcast(mask, ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+        above = builder.fcmp_ordered(">", args[0], _spread(builder, args[1]))
+        below = builder.fcmp_ordered("<", args[0], _spread(builder, args[2]))
+        return _any(builder, builder.and_(above, below))
 
     return types.boolean(vector, above, below), codegen
 
@@ -408,9 +405,6 @@ def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp), codegen
-
-
-# ---- Exponentials and logarithms of vectors, by polynomials: no call, no table, no branch.
 
 
 def exp2_coefficients(degree: int) -> list[float]:

@@ -8,6 +8,7 @@ they spend no bits on depths that do not occur, they tell apart depths that agre
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,174 +18,16 @@ from splatview.raster.parameters import Parameters, View
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.order_reuse import ResortPolicy
 
-# ---- An order by depth that serves more frames than the one it was made for.
-#
-# It is one of all splats, seen or not, so that those that come into view have their place: a frame takes from
-# it the splats that it sees.
-
-
-class KeptOrder:
-    """Of the scene drawn last; part of a workspace."""
-
-    def __init__(self) -> None:
-        self.resort_policy = ResortPolicy()
-        self._of: tuple[object, ...] = ()
-        self._order = np.empty(0, np.int32)
-        self._centre, self._radius = np.zeros(3), 0.0
-
-    def begin(
-        self,
-        splats: Parameters,
-        camera: Camera,
-        settings: RenderSettings,
-        view: View,
-        workspace: Workspace,
-        *,
-        edits: EditArrays | None,
-        key_bits: int,
-        threads: int,
-    ) -> None:
-        """Makes the order anew where that is due for the frame that comes."""
-        scene = (splats.means, None if edits is None else edits.marks)
-        if len(self._of) != len(scene) or any(a is not b for a, b in zip(scene, self._of, strict=True)):
-            self._of = scene
-            self._centre, self._radius = box_of(splats.means)
-            self.resort_policy.forget()
-        key = (settings.model.near, key_bits, None if edits is None else edits.palette.tobytes())
-        if self.resort_policy.due(camera, settings, key=key, centre=self._centre, radius=self._radius):
-            self._order = depth_order(
-                splats, view, workspace, edits=edits, key_bits=key_bits, threads=threads
-            )
-
-    def seen(
-        self, visible: np.ndarray, runs: list[tuple[int, int]], workspace: Workspace, threads: int
-    ) -> np.ndarray:
-        """The splats of `visible` (N,) in `runs` of it, front to back as they are kept: (V,) int32."""
-        count = len(self._order)
-        shown = workspace.take("shown", (count,), np.bool_)
-        shown[:] = False
-        run(_show, runs, (visible, shown), threads)
-        pieces = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
-        found = run(_count_shown, pieces, (self._order, shown), threads)
-        ends = np.cumsum(found).tolist()
-        order = workspace.take("order", (ends[-1] if ends else 0,), np.int32)
-        tasks = [(*piece, end - number) for piece, end, number in zip(pieces, ends, found, strict=True)]
-        run(_take_shown, tasks, (self._order, shown, order), threads)
-        return order
-
-
-def in_kept_order(
-    splats: Parameters,
-    camera: Camera,
-    settings: RenderSettings,
-    view: View,
-    workspace: Workspace,
-    edits: EditArrays | None,
-    key_bits: int,
-    threads: int,
-    visible: np.ndarray,
-    runs: list[tuple[int, int]],
-) -> np.ndarray:
-    """The splats of `visible` (N,) in `runs` of it, (V,) int32, in the workspace's order, made anew first
-    where that is due."""
-    if workspace.kept_order is None:
-        workspace.kept_order = KeptOrder()
-    kept = workspace.kept_order
-    kept.begin(splats, camera, settings, view, workspace, edits=edits, key_bits=key_bits, threads=threads)
-    return kept.seen(visible, runs, workspace, threads)
-
-
-def depth_order(
-    splats: Parameters,
-    view: View,
-    workspace: Workspace,
-    *,
-    edits: EditArrays | None,
-    key_bits: int,
-    threads: int,
-) -> np.ndarray:
-    """All splats front to back, those behind the near plane first and such without a depth anywhere: (N,)
-    int32, not the workspace's."""
-    count = len(splats.means)
-    if not count:
-        return np.empty(0, np.int32)
-    depths = workspace.take("all_depths", (count,), np.float64)
-    pieces = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
-    farthest = max(run(depths_of, pieces, (splats.means, view, edits, depths), threads))
-    keys = workspace.take("all_keys", (count,), np.uint32)
-    order = np.empty(count, np.int32)
-    base, shift, bits = key_scale(view.near, max(farthest, view.near), key_bits)
-    everything = np.arange(count, dtype=np.int32)
-    tasks = [(start, stop, start) for start, stop in pieces]
-    run(make_keys, tasks, (everything, depths.view(np.int64), base, shift, keys, order), threads)
-    return radix_sort(keys, order, bits, threads, workspace)[1].copy()
-
-
-def box_of(means: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and half diagonal of the box of the finite among means (N, 3)."""
-    finite = means[np.isfinite(means).all(axis=1)].astype(np.float64)
-    if not len(finite):
-        return np.zeros(3), 0.0
-    low, high = finite.min(axis=0), finite.max(axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-
-
-@kernel
-def depths_of(start, stop, means, view, edits, depths):
-    """Writes depths[start:stop] (float64) of all splats, at least the near plane's; returns the greatest."""
-    greatest = view.near
-    r = view.rotation
-    for splat in range(start, stop):
-        x, y, z = np.float64(means[splat, 0]), np.float64(means[splat, 1]), np.float64(means[splat, 2])
-        if edits is not None:
-            entry = palette_row(edits, splat)
-            if entry < edits.palette.shape[0]:
-                x, y, z = moved(edits.palette[entry], x, y, z)
-        x, y, z = x - view.eye[0], y - view.eye[1], z - view.eye[2]
-        depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
-        # Neither NaN nor infinity is ever drawn.
-        depth = depth if view.near <= depth < 1e300 else view.near
-        depths[splat] = depth
-        greatest = max(greatest, depth)
-    return greatest
-
-
-@kernel
-def _show(start, stop, visible, shown):
-    for place in range(start, stop):
-        shown[visible[place]] = True
-
-
-@kernel
-def _count_shown(start, stop, order, shown):
-    found = 0
-    for place in range(start, stop):
-        found += shown[order[place]]
-    return found
-
-
-@kernel
-def _take_shown(start, stop, first, order, shown, taken):
-    for place in range(start, stop):
-        if shown[order[place]]:
-            taken[first] = order[place]
-            first += 1
-
-
-# ---- Buffers that are used again from picture to picture: fresh memory costs a page fault every 4 KiB.
-
-
 GROWTH = 1.25
-"""A buffer that has become too small is replaced by one so much larger than asked for."""
+"""Size of a buffer that replaces one too small, relative to the size asked for."""
 
 
 class Workspace:
-    """Named buffers that only grow. Belongs to one picture at a time; not for two threads at once."""
+    """Named buffers that only grow, as fresh memory costs a page fault every 4 KiB. For one picture at a
+    time; not for two threads at once."""
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
-        self.kept_order: KeptOrder | None = None
-        """Of the picture before, where `RenderSettings.resort_frames` lets it serve more than one."""
 
     def take(self, name: str, shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
         """An array with any contents, aligned to a cache line; the one taken before by this name is lost."""
@@ -206,27 +49,27 @@ class Workspace:
         return sum(buffer.nbytes for buffer in self._buffers.values())
 
 
-DIGIT_BITS = 11
-"""At most so many bits a pass: 2048 write positions stay in the first-level caches."""
+class DepthKeys(NamedTuple):
+    """Mapping of depths to keys: (ordered bits - base) >> shift, below 2^bits."""
 
-PARALLEL_FROM = 1 << 15
-"""Below so many keys one thread is faster than sharing the work."""
+    base: int
+    shift: int
+    bits: int
+
+    @classmethod
+    def spanning(cls, least: float, greatest: float, most_bits: int = 32) -> DepthKeys:
+        """Keys of at most `most_bits` bits for depths in [least, greatest]."""
+        low, high = (int(np.float64(depth).view(np.int64)) for depth in (least, greatest))
+        low, high = (value ^ ((value >> 63) & 0x7FFFFFFFFFFFFFFF) for value in (low, high))
+        span = (high - low).bit_length()
+        shift = max(span - most_bits, 0)
+        return cls(low, shift, span - shift)
 
 
 @inline
 def _ordered_bits(bits):
     """Bits of a float64 as an int64 that sorts like the float, negative ones included."""
     return bits ^ ((bits >> 63) & 0x7FFFFFFFFFFFFFFF)
-
-
-def key_scale(least: float, greatest: float, most_bits: int = 32) -> tuple[int, int, int]:
-    """(base, shift, bits) for depths in [least, greatest]: key = (ordered bits - base) >> shift < 2^bits,
-    bits being at most `most_bits`."""
-    low, high = (int(np.float64(depth).view(np.int64)) for depth in (least, greatest))
-    low, high = (value ^ ((value >> 63) & 0x7FFFFFFFFFFFFFFF) for value in (low, high))
-    span = (high - low).bit_length()
-    shift = max(span - most_bits, 0)
-    return low, shift, span - shift
 
 
 @kernel
@@ -241,6 +84,13 @@ def make_keys(start, stop, source, visible, depth_bits, base, shift, keys, order
         keys[k] = np.uint32((_ordered_bits(depth_bits[splat]) - base) >> shift)
 
 
+DIGIT_BITS = 11
+"""Most bits per pass: 2048 write positions stay in the first-level caches."""
+
+PARALLEL_FROM = 1 << 15
+"""Number of keys below which one thread is faster than several."""
+
+
 @kernel
 def _count(start, stop, histogram, keys, shift, mask):
     histogram[:] = 0
@@ -250,7 +100,7 @@ def _count(start, stop, histogram, keys, shift, mask):
 
 @kernel
 def _positions(histograms):
-    """Turns counts (pieces, digits) int64 into where each piece writes its first key of each digit."""
+    """Turns counts (pieces, digits) int64 into the first write position of each piece and digit."""
     total = 0
     for digit in range(histograms.shape[1]):
         for piece in range(histograms.shape[0]):
@@ -294,3 +144,136 @@ def radix_sort(
         run(_scatter, tasks, (keys, values, shift, mask, keys_out, values_out), threads)
         keys, keys_out, values, values_out = keys_out, keys, values_out, values
     return keys, values
+
+
+def sorted_by_depth(
+    visible: np.ndarray,
+    runs: list[tuple[int, int]],
+    depths: np.ndarray,
+    bounds: tuple[float, float],
+    key_bits: int,
+    order: np.ndarray,
+    workspace: Workspace,
+    threads: int,
+) -> np.ndarray:
+    """The splats in `runs` (start, stop) of `visible` (N,) int32 front to back by depths (N,) float64, which
+    are within `bounds`: `order` (V,) int32 or a buffer of the workspace."""
+    if not len(order):
+        return order
+    keys = workspace.take("keys", order.shape, np.uint32)
+    base, shift, bits = DepthKeys.spanning(*bounds, key_bits)
+    ends = np.cumsum([stop - start for start, stop in runs]).tolist()
+    tasks = [(end - (stop - start), end, start) for (start, stop), end in zip(runs, ends, strict=True)]
+    run(make_keys, tasks, (visible, depths.view(np.int64), base, shift, keys, order), threads)
+    return radix_sort(keys, order, bits, threads, workspace)[1]
+
+
+class ReusableOrder:
+    """Depth order of all splats of a scene, visible or not, which serves as many frames as the settings'
+    `resort_frames` and `resort_degrees` allow; a frame takes its visible splats from it."""
+
+    def __init__(self) -> None:
+        self.resort_policy = ResortPolicy()
+        self._scene: tuple[object, ...] = ()
+        self._order = np.empty(0, np.int32)
+        self._centre, self._radius = np.zeros(3), 0.0
+
+    def visible_order(
+        self,
+        splats: Parameters,
+        camera: Camera,
+        settings: RenderSettings,
+        view: View,
+        workspace: Workspace,
+        edits: EditArrays | None,
+        key_bits: int,
+        threads: int,
+        visible: np.ndarray,
+        runs: list[tuple[int, int]],
+    ) -> np.ndarray:
+        """The splats in `runs` (start, stop) of `visible` (N,) int32, front to back: (V,) int32. All splats
+        are sorted first where that is due."""
+        scene = (splats.means, None if edits is None else edits.marks)
+        if len(self._scene) != len(scene) or any(a is not b for a, b in zip(scene, self._scene, strict=True)):
+            self._scene = scene
+            self._centre, self._radius = bounding_sphere(splats.means)
+            self.resort_policy.forget()
+        key = (settings.model.near, key_bits, None if edits is None else edits.palette.tobytes())
+        if self.resort_policy.due(camera, settings, key=key, centre=self._centre, radius=self._radius):
+            self._order = _scene_order(splats.means, view, workspace, edits, key_bits, threads)
+        count = len(self._order)
+        shown = workspace.take("shown", (count,), np.bool_)
+        shown[:] = False
+        run(_show, runs, (visible, shown), threads)
+        pieces = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+        found = run(_count_shown, pieces, (self._order, shown), threads)
+        ends = np.cumsum(found).tolist()
+        order = workspace.take("order", (ends[-1] if ends else 0,), np.int32)
+        tasks = [(*piece, end - number) for piece, end, number in zip(pieces, ends, found, strict=True)]
+        run(_take_shown, tasks, (self._order, shown, order), threads)
+        return order
+
+
+def _scene_order(
+    means: np.ndarray, view: View, workspace: Workspace, edits: EditArrays | None, key_bits: int, threads: int
+) -> np.ndarray:
+    """All splats front to back, those behind the near plane first and those without a depth anywhere: (N,)
+    int32, not the workspace's."""
+    count = len(means)
+    depths = workspace.take("all_depths", (count,), np.float64)
+    pieces = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+    farthest = max(run(_depths, pieces, (means, view, edits, depths), threads))
+    every, order = np.arange(count, dtype=np.int32), np.empty(count, np.int32)
+    bounds = view.near, max(farthest, view.near)
+    return sorted_by_depth(every, pieces, depths, bounds, key_bits, order, workspace, threads).copy()
+
+
+def bounding_sphere(means: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and half diagonal of the box of the finite among means (N, 3)."""
+    finite = means[np.isfinite(means).all(axis=1)].astype(np.float64)
+    if not len(finite):
+        return np.zeros(3), 0.0
+    low, high = finite.min(axis=0), finite.max(axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+
+
+@kernel
+def _depths(start, stop, means, view, edits, depths):
+    """Writes depths[start:stop] (float64) of all splats, at least the near plane's; returns the greatest."""
+    greatest = view.near
+    r = view.rotation
+    for splat in range(start, stop):
+        x, y, z = np.float64(means[splat, 0]), np.float64(means[splat, 1]), np.float64(means[splat, 2])
+        if edits is not None:
+            entry = palette_row(edits, splat)
+            if entry < edits.palette.shape[0]:
+                x, y, z = moved(edits.palette[entry], x, y, z)
+        x, y, z = x - view.eye[0], y - view.eye[1], z - view.eye[2]
+        depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+        # Neither NaN nor infinity is ever drawn.
+        depth = depth if view.near <= depth < 1e300 else view.near
+        depths[splat] = depth
+        greatest = max(greatest, depth)
+    return greatest
+
+
+@kernel
+def _show(start, stop, visible, shown):
+    for place in range(start, stop):
+        shown[visible[place]] = True
+
+
+@kernel
+def _count_shown(start, stop, order, shown):
+    found = 0
+    for place in range(start, stop):
+        found += shown[order[place]]
+    return found
+
+
+@kernel
+def _take_shown(start, stop, first, order, shown, taken):
+    for place in range(start, stop):
+        if shown[order[place]]:
+            taken[first] = order[place]
+            first += 1

@@ -1,4 +1,4 @@
-"""Which splats each 16x16 tile has to look at: lists in depth order, by counting, without a second sort.
+"""Lists of splats by 16x16 tile, in depth order: made by counting, without a second sort.
 
 A splat belongs to a tile when its ellipse, the set where its alpha is at least the cut, meets the box
 of the tile's pixel centres. For a row of tiles the ellipse leaves an interval of x: convex sets meet so,
@@ -22,12 +22,11 @@ from splatview.raster.project import LOG2_OPACITY, RX, RY, A, B, C, X, Y
 from splatview.raster.simd import prefetch
 
 MARGIN = 2e-3
-"""By how much, in powers of two of alpha and relative to it, the ellipse is enlarged."""
-
+"""Enlargement of the ellipse, relative and in powers of two of alpha."""
 
 AHEAD = 8
-"""Splats by which memory is asked for ahead of its use, where splats are taken in depth order: that is
-any order in memory, and the processor cannot guess ahead where loops are as short as here."""
+"""Splats by which memory is prefetched, where splats are taken in depth order: that is any order in memory,
+and the processor cannot guess ahead where loops are as short as here."""
 
 
 @inline
@@ -55,11 +54,11 @@ def tile_rows(record, tiles_y):
 
 @inline
 def ellipse(record, log2_cut, log2_share):
-    """What `tile_span` needs of a splat, float64: x, y, then a, b, c, the reach of (a·dx + b·dy)² + (c·dy)²,
+    """What `tile_span` needs of a splat, float64: x, y, then a, b, c, the bound of (a·dx + b·dy)² + (c·dy)²,
     the half extent in y and the dy at which the ellipse is farthest right."""
     a, b, c = np.float64(record[A]), np.float64(record[B]), np.float64(record[C])
-    reach = min(np.float64(record[LOG2_OPACITY]) - log2_cut, -log2_share) * (1 + MARGIN) + MARGIN
-    root = math.sqrt(reach)
+    bound = min(np.float64(record[LOG2_OPACITY]) - log2_cut, -log2_share) * (1 + MARGIN) + MARGIN
+    root = math.sqrt(bound)
     slope = b / c
     return (
         np.float64(record[X]),
@@ -67,7 +66,7 @@ def ellipse(record, log2_cut, log2_share):
         a,
         b,
         c,
-        reach,
+        bound,
         root / c,
         -slope * root / (math.sqrt(1 + slope * slope) * c),
     )
@@ -76,13 +75,13 @@ def ellipse(record, log2_cut, log2_share):
 @inline
 def tile_span(shape, row, tiles_x):
     """First and last tile of a row that the ellipse meets; first > last where none."""
-    x, y, a, b, c, reach, ry, dy_right = shape
+    x, y, a, b, c, bound, ry, dy_right = shape
     low = max(row * TILE + 0.5 - y, -ry)
     high = min(row * TILE + (TILE - 0.5) - y, ry)
     # Farthest right and left within the rows low..high, at the ellipse's own extreme where that is inside.
     at_right, at_left = min(max(dy_right, low), high), min(max(-dy_right, low), high)
-    right = x + (math.sqrt(max(reach - c * c * at_right * at_right, 0.0)) - b * at_right) / a
-    left = x - (math.sqrt(max(reach - c * c * at_left * at_left, 0.0)) + b * at_left) / a
+    right = x + (math.sqrt(max(bound - c * c * at_right * at_right, 0.0)) - b * at_right) / a
+    left = x - (math.sqrt(max(bound - c * c * at_left * at_left, 0.0)) + b * at_left) / a
     first = max(math.ceil((left - (TILE - 0.5) - MARGIN) / TILE), 0.0)
     last = min(math.floor((right - 0.5 + MARGIN) / TILE), tiles_x - 1.0)
     return np.int64(first), np.int64(last)
@@ -159,7 +158,7 @@ def place_lists(counts, offsets):
 def write_pairs(start, stop, positions, order, spans_of, spans, first_tile, end_tile, base, lists):
     """Writes the splats order[start:stop] into the lists of tiles [first_tile, end_tile): lists (pairs,)
     int32, of which place `base` is the first. positions (tiles,) int64 says where each list goes on, and
-    ends up behind what was written."""
+    ends up behind the last entry."""
     for k in range(start, stop):
         ask_ahead(k, stop, order, spans_of, spans)
         splat = order[k]

@@ -7,7 +7,6 @@ import hashlib
 import inspect
 import shutil
 import tempfile
-from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from splatview.scene.captures.demo import demo_capture
 from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.user_dirs import cache_folder
 
 PATTERN = "demo-*.ply"
@@ -35,20 +35,18 @@ def demo_stamp() -> str:
     return digest.hexdigest()[:16]
 
 
-def cached_demo(
-    *, progress: Callable[[float], None] | None = None, cancelled: Callable[[], bool] | None = None
-) -> Gaussians:
+def cached_demo(*, progress: Progress = NO_PROGRESS) -> Gaussians:
     """`demo_scene()`, bit for bit, from the user's cache folder where it was made before.
 
     A cache that cannot be read or written costs only time. Earlier versions' files are removed.
 
     Raises:
-        LoadCancelled: `cancelled` turned true while the cached file was read.
+        Cancelled: nobody waited any more while the cached file was read.
     """
     path = cache_folder() / PATTERN.replace("*", demo_stamp())
     if path.exists():
         with contextlib.suppress(InputError):
-            return load_scene(path, progress=progress, cancelled=cancelled)
+            return load_scene(path, progress=progress)
     gaussians = demo_scene()
     with contextlib.suppress(OSError, InputError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -67,10 +65,10 @@ PHOTOS, WIDTH, HEIGHT = 40, 400, 300
 """Enough to show the scene from all the places on its arcs, and few enough to be drawn in seconds."""
 
 
-def cached_demo_capture(*, progress: Callable[[float], None] = lambda share: None) -> Path:
+def cached_demo_capture(*, progress: Progress = NO_PROGRESS) -> Path:
     """A folder with pictures of the demo scene, their poses and points, as `load_capture` reads it.
 
-    It appears whole or not at all; earlier versions' folders are removed. `progress` gets the share done.
+    It appears whole or not at all; earlier versions' folders are removed.
 
     Raises:
         InputError: the folder cannot be written.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from splatview.raster.compiling import kernel
-from splatview.renderers.types import TINT_COUNT, Highlight, Tint
+from splatview.renderers.request import TINT_COUNT, Highlight, Tint
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, SceneEdits
 
 # ---- Tints as colour maps of further adjustments: for renderers that know adjustments and no overlay.
@@ -83,11 +83,6 @@ class EditSnapshot:
     kept: SceneEdits
     """Likewise, with marks of its own."""
 
-    @cached_property
-    def drawn(self) -> SceneEdits:
-        """What a renderer shows that knows no overlay."""
-        return self.kept if self.highlight is None else tinted(self.kept, self.highlight)
-
     def shows(self, edits: SceneEdits, highlight: Highlight | None) -> bool:
         """Whether these give the same picture, as far as can be told without reading marks."""
         mine = self.source
@@ -108,7 +103,7 @@ def edit_snapshot(
     marks (a third of a millisecond for a million splats) where they have changed."""
     if edits is None:
         return None
-    lit = highlight if highlight is not None and highlight.transmittance(edits) else None
+    lit = highlight if highlight is not None and highlight.applies_to(edits) else None
     if lit is None and not edits.in_force:
         return None
     if before is not None and before.shows(edits, lit):

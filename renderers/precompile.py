@@ -23,8 +23,8 @@ import numpy as np
 
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.programs import Variant, Variants, load
-from splatview.renderers.types import Highlight, VisualMode
-from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.renderers.request import FrameRequest, Highlight
+from splatview.scene import Gaussians
 from splatview.scene.background import Panorama
 from splatview.scene.edits import IDENTITY, Crop, SceneEdits
 from splatview.scene.framing import frame_camera
@@ -54,20 +54,15 @@ NICENESS = 5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PrecompileJob:
-    """What is drawn, and by what."""
+    """A small picture, and what must have been compiled for it."""
 
-    renderer: str
+    backend: str
     """"quads", "tiles" or "cpu"."""
-    gaussians: Gaussians
-    camera: Camera
-    settings: RenderSettings
-    mode: VisualMode = "splats"
-    edits: SceneEdits | None = None
-    highlight: Highlight | None = None
+    request: FrameRequest
     variants: frozenset[Variant] = field(default_factory=frozenset)
     """Programs that must have been compiled in the end."""
     gl_version: tuple[int, int] | None = None
-    """Of a hidden window that is drawn in; None: without one."""
+    """Version of a hidden window that is drawn in; None: without one."""
 
 
 def few_splats() -> Gaussians:
@@ -83,18 +78,15 @@ def few_splats() -> Gaussians:
 
 
 def precompile_job(
-    renderer: str,
-    gaussians: Gaussians,
-    camera: Camera,
-    settings: RenderSettings,
+    backend: str,
+    request: FrameRequest,
     *,
-    mode: VisualMode = "splats",
-    edits: SceneEdits | None = None,
-    highlight: Highlight | None = None,
     variants: frozenset[Variant] = frozenset(),
     gl_version: tuple[int, int] | None = None,
 ) -> PrecompileJob:
-    """Of the picture that these would give: few splats and pixels, with the same effects."""
+    """A job with the effects of `request`, which names its scene, in few splats and pixels."""
+    gaussians, settings, edits = request.gaussians, request.settings, request.edits
+    assert gaussians is not None
     few = gaussians.take(np.arange(min(len(gaussians), SPLATS)))
     count = len(few)
     rng = np.random.default_rng(0)
@@ -116,51 +108,32 @@ def precompile_job(
             crops=(Crop(half_extents=(9.0, 9.0, 9.0)),) if edits.crops_in_force else (),
             flags=edits.flags,
         )
-    return PrecompileJob(
-        renderer=renderer,
-        gaussians=few,
-        camera=replace(camera.resized(*SIZE), world_to_camera=placed.world_to_camera),
-        settings=settings,
-        mode=mode,
-        edits=edits,
-        highlight=highlight,
-        variants=variants,
-        gl_version=gl_version,
-    )
+    camera = replace(request.camera.resized(*SIZE), world_to_camera=placed.world_to_camera)
+    small = replace(request, gaussians=few, camera=camera, settings=settings, edits=edits, resolution=1.0)
+    return PrecompileJob(backend=backend, request=small, variants=variants, gl_version=gl_version)
 
 
 def perform(job: PrecompileJob) -> None:
-    if job.renderer == "cpu":
-        draw_by_cpu(job)
+    if job.backend == "cpu":
+        draw_by_cpu(job.request)
     else:
         draw_by_gl(job)
 
 
-def draw_by_cpu(job: PrecompileJob) -> None:
-    from splatview import raster
-    from splatview.renderers.edit_snapshot import tinted
-
-    edits = job.edits
-    if edits is not None:
+def draw_by_cpu(request: FrameRequest) -> None:
+    """Compiles the kernels of the request's kind, and those that tint marked splats."""
+    renderer = make_renderer("cpu")
+    renderer.render(replace(request, highlight=None))
+    if request.edits is not None:
+        edits = request.edits
         lit = replace(edits, marks=np.full_like(edits.marks, edits.flags))
-        tinted(lit, job.highlight or Highlight())
-    raster.render(job.gaussians, job.camera, job.settings, edits=edits)
+        renderer.render(replace(request, edits=lit, highlight=request.highlight or Highlight()))
 
 
 def draw_by_gl(job: PrecompileJob) -> None:
-    from splatview.renderers import make_renderer
-
     ctx = hidden_context(job.gl_version)
     variants = Variants(ctx)
-    renderer = make_renderer(ctx, job.renderer, variants)
-    renderer.render(
-        job.gaussians,
-        job.camera,
-        job.settings,
-        mode=job.mode,
-        edits=job.edits,
-        highlight=job.highlight,
-    )
+    make_renderer(job.backend, ctx, variants).render(job.request)
     # So few splats may be stored otherwise than the scene they stand for.
     for variant in job.variants - variants.made:
         load(ctx, variant)
@@ -264,7 +237,7 @@ class ShaderPrecompiler:
                 return
             self._asked |= missing
             task = _Task(missing, title, job())
-            by_cpu = task.job.renderer == "cpu"
+            by_cpu = task.job.backend == "cpu"
             if by_cpu not in self._tasks:
                 self._tasks[by_cpu] = queue.SimpleQueue()
                 threading.Thread(
@@ -416,17 +389,17 @@ class CacheProbe:
 
 def probe_cache(ctx: moderngl.Context) -> CacheProbe:
     """Compiles a program here, and one here after another process has compiled it; takes two seconds."""
-    few, settings = few_splats(), RenderSettings()
-    camera = frame_camera(few, *SIZE)
+    few = few_splats()
+    request = FrameRequest(few, frame_camera(few, *SIZE))
     variants = Variants(ctx)
-    renderer = make_renderer(ctx, "quads", variants)
-    renderer.render(few, camera, settings)
+    renderer = make_renderer("quads", ctx, variants)
+    renderer.render(request)
     known = next(variant for variant in variants.made if "project" in variant.files[-1])
-    renderer.release()
+    renderer.close()
     unknown, elsewhere = (never_seen(known) for _ in range(2))
     alone = compile_ms(ctx, unknown)
     try:
-        in_a_process(precompile_job("quads", few, camera, settings, variants=frozenset({elsewhere})))
+        in_a_process(precompile_job("quads", request, variants=frozenset({elsewhere})))
     except RuntimeError as error:
         return CacheProbe(works=False, why=f"a second process cannot draw: {error}")
     after = compile_ms(ctx, elsewhere)

@@ -26,7 +26,7 @@ FORMATS: tuple[Attributes, ...] = ("float32", "float16", "8-bit-sh")
 LARGEST_HALF = 65504.0
 
 LEVELS = 127
-"""Of an 8-bit coefficient on each side of 0."""
+"""Levels of an 8-bit coefficient on each side of 0."""
 
 
 def stored(gaussians: Gaussians, attributes: Attributes) -> Gaussians:

@@ -78,7 +78,9 @@ def pixel_rays(camera: Camera) -> np.ndarray | None:
     return camera.R_world_camera @ inverse
 
 
-def seen(background: Background, camera: Camera, dtype: type[np.floating] = np.float64) -> np.ndarray:
+def background_colours(
+    background: Background, camera: Camera, dtype: type[np.floating] = np.float64
+) -> np.ndarray:
     """What `camera` sees of it, in `dtype`: (H, W, 3), or (3,) where it is one colour.
 
     Black where a lens shows nothing, so far out that no ray comes there."""
@@ -97,10 +99,10 @@ def seen(background: Background, camera: Camera, dtype: type[np.floating] = np.f
     return picture
 
 
-def lay_over(image: np.ndarray, background: Background, camera: Camera) -> None:
+def composite_over(image: np.ndarray, background: Background, camera: Camera) -> None:
     """Blends `background` behind a picture (H, W, 4), premultiplied over black, in place. Image model: the
     last part of step 7, with T = 1 - alpha."""
-    behind = seen(background, camera, image.dtype.type)
+    behind = background_colours(background, camera, image.dtype.type)
     image[..., :3] += (1 - image[..., 3:]) * behind
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from splatview.scene.lens import Lens, distort, seen_through, undistort
+from splatview.scene.lens import Lens, distort, slopes_through, undistort
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -111,18 +111,19 @@ class Camera:
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy
 
     @property
-    def seen_slopes(self) -> tuple[float, float, float, float]:
+    def visible_slopes(self) -> tuple[float, float, float, float]:
         """Least x/z, least y/z, greatest x/z, greatest y/z of the rays that the picture sees."""
         if self.lens is not None:
-            return seen_through(self.lens, *self._intrinsics)
+            return slopes_through(self.lens, *self._intrinsics)
         left, top = -self.cx / self.fx, -self.cy / self.fy
         return left, top, (self.width - self.cx) / self.fx, (self.height - self.cy) / self.fy
 
     def slope_limits(self, margin: float | None) -> tuple[float, float, float, float]:
-        """`seen_slopes`, wider by `margin` times half their range (image model, step 2). None: no limits."""
+        """`visible_slopes`, wider by `margin` times half their range (image model, step 2). None: no
+        limits."""
         if margin is None:
             return -math.inf, -math.inf, math.inf, math.inf
-        left, top, right, bottom = self.seen_slopes
+        left, top, right, bottom = self.visible_slopes
         beside, above = margin * (right - left) / 2, margin * (bottom - top) / 2
         return left - beside, top - above, right + beside, bottom + above
 
@@ -133,7 +134,7 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             flat = t[..., :2] if self.orthographic else t[..., :2] / t[..., 2:]
             if self.lens is not None:
-                beyond = ~((flat * flat).sum(axis=-1) < self.lens.form.reach_squared)
+                beyond = ~((flat * flat).sum(axis=-1) < self.lens.form.valid_radius_squared)
                 flat = distort(flat, self.lens)
                 flat[beyond] = np.nan
             return flat * (self.fx, self.fy) + (self.cx, self.cy)
@@ -215,9 +216,6 @@ def look_at(
     )
 
 
-# ---- The same view with other rays: in parallel, or through a lens.
-
-
 ROOM = 10.0
 """Scene radii before the scene at which the eye of parallel rays stands at least: what is behind it is cut
 off, and where it stands changes nothing else."""
@@ -246,19 +244,16 @@ def through_lens(camera: Camera, lens: Lens) -> Camera:
     """
     slope = camera.height / (2 * camera.fy)
     angle = math.degrees(2 * math.atan(slope))
-    if not slope < lens.reach:
+    if not slope < lens.valid_radius:
         raise ValueError(
-            f"the lens {lens} sees at most {math.degrees(2 * math.atan(lens.reach)):.4g} degrees, "
+            f"the lens {lens} sees at most {math.degrees(2 * math.atan(lens.valid_radius)):.4g} degrees, "
             f"not the {angle:.4g} asked for"
         )
     factor = slope / float(distort(np.array([0.0, slope]), lens)[1])
     return replace(camera, lens=lens, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
-# ---- Cameras that go round something.
-
-
-def turned_about(camera: Camera, target: np.ndarray, up: np.ndarray, degrees: float) -> Camera:
+def orbited(camera: Camera, target: np.ndarray, up: np.ndarray, degrees: float) -> Camera:
     """The eye turned about the axis `up` (3,) through `target` (3,); what it sees turns along."""
     angle, axis = math.radians(degrees), up / np.linalg.norm(up)
     K = np.cross(np.eye(3), axis)

@@ -36,7 +36,7 @@ class Aperture:
     """
 
     diameter: float
-    """Of the opening, world units."""
+    """Diameter of the opening, world units."""
     focus: float
     """Depth t.z of the plane that is sharp, world units."""
 

@@ -146,9 +146,6 @@ def adjustment_rows(palette: tuple[Adjustment, ...], centre: np.ndarray | None =
     return rows
 
 
-# ---- Crop boxes and spheres: objects of the scene that decide what is shown, without touching a splat.
-
-
 CROP_ROW = 16
 """Numbers in a row of `crop_rows`."""
 

@@ -28,7 +28,7 @@ SPLAT_SIGMAS = 3.0
 def frame_camera(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 50.0) -> Camera:
     """A camera that has the bulk of the scene in view, with -y up. `fov_y` in degrees, 0 to 180.
 
-    Works for any scene, none or ill splats included: see `bulk`.
+    Works for any scene, none or invalid splats included: see `bulk`.
     """
     centre, radius = bulk(gaussians)
     tan_y = math.tan(math.radians(fov_y) / 2)

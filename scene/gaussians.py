@@ -8,7 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
-"""Coefficients a colour channel has at SH degree 0, 1, 2, 3."""
+"""Coefficients per colour channel at SH degree 0, 1, 2, 3."""
+
+ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")
+"""Fields of `Gaussians` with a row per splat."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,27 +72,15 @@ class Gaussians:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays, extras included."""
-        arrays = (
-            self.means,
-            self.quats,
-            self.log_scales,
-            self.opacity_logits,
-            self.sh,
-            *self.extras.values(),
+        return sum(
+            array.nbytes for array in (*(getattr(self, name) for name in ARRAYS), *self.extras.values())
         )
-        return sum(array.nbytes for array in arrays)
 
     def take(self, indices: np.ndarray) -> Gaussians:
         """The splats at `indices` (integer or boolean array), in that order, with comments and extras."""
-        return replace(
-            self,
-            means=self.means[indices],
-            quats=self.quats[indices],
-            log_scales=self.log_scales[indices],
-            opacity_logits=self.opacity_logits[indices],
-            sh=self.sh[indices],
-            extras={name: values[indices] for name, values in self.extras.items()},
-        )
+        arrays = {name: getattr(self, name)[indices] for name in ARRAYS}
+        extras = {name: values[indices] for name, values in self.extras.items()}
+        return replace(self, **arrays, extras=extras)
 
 
 def concatenate(parts: list[Gaussians]) -> Gaussians:
@@ -101,10 +92,7 @@ def concatenate(parts: list[Gaussians]) -> Gaussians:
     coefficients = max(part.sh.shape[1] for part in parts)
     shared = set.intersection(*(set(part.extras) for part in parts))
     return Gaussians(
-        means=np.concatenate([part.means for part in parts]),
-        quats=np.concatenate([part.quats for part in parts]),
-        log_scales=np.concatenate([part.log_scales for part in parts]),
-        opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS if name != "sh"},
         sh=np.concatenate(
             [np.pad(part.sh, ((0, 0), (0, coefficients - part.sh.shape[1]), (0, 0))) for part in parts]
         ),

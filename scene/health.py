@@ -1,4 +1,4 @@
-"""Which splats of a scene are ill or extreme: named findings with the splats they concern."""
+"""Which splats of a scene are invalid or extreme: named findings with the splats they concern."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def check(gaussians: Gaussians) -> list[Finding]:
         extreme = (np.abs(gaussians.log_scales) > EXTREME_LOG_SCALE).any(axis=1)
         _, radius = robust_bounds(gaussians.means)
         giants = largest > math.log(GIANT_RADII * radius)
-        bright = sh_reach(gaussians.sh).sum(axis=1).max(axis=1) > BRIGHT
+        bright = sh_bound(gaussians.sh).sum(axis=1).max(axis=1) > BRIGHT
         no_scale_nan = ~np.isnan(gaussians.log_scales).any(axis=1)
     drawn_shape = scales_finite & no_scale_nan
     ratio = f"{NEEDLE_RATIO:g}:1"
@@ -130,7 +130,7 @@ def check(gaussians: Gaussians) -> list[Finding]:
     ]
 
 
-def sh_reach(sh: np.ndarray) -> np.ndarray:
+def sh_bound(sh: np.ndarray) -> np.ndarray:
     """How far each SH band can move a colour, (N, K, 3) -> (N, degree + 1, 3) float32.
 
     Over all directions the basis functions of band l have the constant sum of squares (2l + 1) / 4π (the

@@ -151,7 +151,7 @@ class RenderSettings:
     """While the camera moves, the order is made anew in every so many frames only: pictures then depend on
     those before. At rest it is that of the view."""
     resort_degrees: float = 0.0
-    """Above 0: instead, when the camera has turned or moved by so much, by `resort_policy.turned_by`."""
+    """Above 0: instead, when the camera has turned or moved by so much, by `resort_policy.view_change`."""
     sigma_cut: float | None = None
     """Alpha is also 0 beyond so many standard deviations of the footprint; None: the alpha cut decides."""
 

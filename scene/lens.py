@@ -42,12 +42,12 @@ COUNTS = {
 }
 """Parameters of each model beside focal lengths and principal point."""
 
-FISHEYE_REACH = 1e3
+FISHEYE_RADIUS = 1e3
 """Largest r of a ray that a fisheye shows, 89.94 degrees from the axis: beyond it float32 has no digits left
 in the plane one unit ahead, where all of this is computed."""
 
 LEAST_OMEGA = 1e-6
-"""Of FOV: below it the lens is a pinhole to the last digit."""
+"""Angle of a FOV lens, radians, below which it is a pinhole to the last digit."""
 
 NEWTON_STEPS = 30
 NEWTON_TOLERANCE = 1e-13
@@ -90,15 +90,15 @@ class Lens:
     @cached_property
     def form(self) -> LensForm:
         """The numbers of `lens_formula`."""
-        return _form_of(self)._replace(reach_squared=self.reach**2)
+        return _form_of(self)._replace(valid_radius_squared=self.valid_radius**2)
 
     @cached_property
-    def reach(self) -> float:
+    def valid_radius(self) -> float:
         """The radius r within which the lens keeps rays in order; inf where it always does.
 
         Polynomials fitted to a photo turn back outside it, and would show parts of the scene again there.
         """
-        return _reach(_form_of(self))
+        return _valid_radius(_form_of(self))
 
     def __str__(self) -> str:
         return f"{self.model}: {', '.join(f'{value:.4g}' for value in self.parameters)}"
@@ -133,7 +133,7 @@ def _form_of(lens: Lens) -> LensForm:
             changes = {**fisheye, **_stretched(k[:6]), "p2": k[6], "p1": k[7], "skew_last": True}
             changes |= {"s1": k[8], "s2": k[9], "s3": k[10], "s4": k[11]}
     numbers: dict[str, Any] = dict.fromkeys(LensForm._fields, 0.0)
-    numbers |= {"unit": 1.0, "reach_squared": math.inf, "skew_last": False}
+    numbers |= {"unit": 1.0, "valid_radius_squared": math.inf, "skew_last": False}
     return LensForm(**{**numbers, **changes})
 
 
@@ -204,15 +204,16 @@ def undistort(points: Points, lens: Lens) -> Points:
         wrong = ~(
             np.abs(distort(rays, lens) - target).max(axis=-1) <= 1e-9 * (1 + np.abs(target).max(axis=-1))
         )
-        wrong |= ~(np.linalg.norm(rays, axis=-1) < lens.reach)
+        wrong |= ~(np.linalg.norm(rays, axis=-1) < lens.valid_radius)
     rays[wrong] = np.nan
     return rays
 
 
 @lru_cache(maxsize=256)
-def _reach(form: LensForm) -> float:
-    """See `Lens.reach`: the least r at which the determinant of the derivative is no longer above 0."""
-    most = FISHEYE_REACH if form.slope else math.inf
+def _valid_radius(form: LensForm) -> float:
+    """See `Lens.valid_radius`: the least r at which the determinant of the derivative is no longer above
+    0."""
+    most = FISHEYE_RADIUS if form.slope else math.inf
     if not any(form[2:17]):
         return most
     angle = np.linspace(0, 2 * np.pi, FOLD_DIRECTIONS, endpoint=False)
@@ -229,7 +230,7 @@ def _reach(form: LensForm) -> float:
         return (det > 0) & (divisor > 0)
 
     # By angle from the axis: even steps of u crowd where a fisheye has nothing.
-    radius = np.tan(np.linspace(0, math.atan(FISHEYE_REACH), FOLD_STEPS + 1))
+    radius = np.tan(np.linspace(0, math.atan(FISHEYE_RADIUS), FOLD_STEPS + 1))
     good = in_order(np.broadcast_to(radius[:, None], (len(radius), FOLD_DIRECTIONS)))
     first_bad = np.where(good.all(axis=0), len(radius), good.argmin(axis=0))
     if (first_bad == len(radius)).all():
@@ -244,7 +245,7 @@ def _reach(form: LensForm) -> float:
 
 
 @lru_cache(maxsize=256)
-def seen_through(
+def slopes_through(
     lens: Lens, width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> tuple[float, float, float, float]:
     """Least u, least v, greatest u, greatest v that a picture of width x height px sees through the lens.
@@ -264,7 +265,7 @@ def seen_through(
     rays = undistort((border - (cx, cy)) / (fx, fy), lens)
     seen = np.isfinite(rays).all(axis=1)
     if not seen.all():
-        reach = min(lens.reach, FISHEYE_REACH)
+        reach = min(lens.valid_radius, FISHEYE_RADIUS)
         rays = np.concatenate([rays[seen], [[-reach, -reach], [reach, reach]]])
     (u_min, v_min), (u_max, v_max) = rays.min(axis=0), rays.max(axis=0)
     return float(u_min), float(v_min), float(u_max), float(v_max)

@@ -44,7 +44,7 @@ class LensForm(NamedTuple):
     s2: float
     s3: float
     s4: float
-    reach_squared: float
+    valid_radius_squared: float
     """r² from which on the lens no longer keeps rays in order; inf where it always does."""
     skew_last: bool
     """Whether w = b."""

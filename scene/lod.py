@@ -2,13 +2,14 @@
 
 Moments are kept (as in Zwicker et al. 2001, and in hierarchies of Gaussians since): a merged splat has
 the mean, the covariance and the colour of its members, each weighted with the light that it takes, which
-is its opacity times its area. Splats larger than a cell stay as they are, and so do lone ones and ill ones.
+is its opacity times its area. Splats larger than a cell stay as they are, and so do lone and invalid ones.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +20,7 @@ MEMBER_SIZE = 1.5
 """A splat is merged when its largest standard deviation is below so many cells."""
 
 GROWTH = 1.5
-"""Of the cell's side from one level to the next."""
+"""Factor of the cell's side from one level to the next."""
 
 FIRST_CELL = 1.4
 """The first level's cell, in units of the median of the splats' largest standard deviation."""
@@ -75,16 +76,7 @@ def merge_in_cells(gaussians: Gaussians, cell: float) -> Gaussians:
         _merged(gaussians, members[first:end], starts[begin:stop] - first)
         for begin, stop, first, end in _batches(starts, len(members))
     ]
-    kept = gaussians.take(alone)
-    kept = Gaussians(
-        means=kept.means,
-        quats=kept.quats,
-        log_scales=kept.log_scales,
-        opacity_logits=kept.opacity_logits,
-        sh=kept.sh,
-        comments=gaussians.comments,
-    )
-    return concatenate([*parts, kept])
+    return concatenate([*parts, replace(gaussians, extras={}).take(alone)])
 
 
 def chances(finer: Gaussians, cell: float, gaussians: Gaussians) -> np.ndarray:
@@ -173,13 +165,13 @@ def _merged(gaussians: Gaussians, members: np.ndarray, starts: np.ndarray) -> Ga
     # So many layers lie over one another where the members' light meets the merged splat's area. ...
     layers = sums / (scales[:, 1] * scales[:, 2])
     # ... From two on it is opaque, and half transparent only where 1 - exp(-layers·g) is: further out.
-    reach = np.sqrt(np.maximum(np.log(2 * np.maximum(layers, 1)) / math.log(2), 1))
+    spread_out = np.sqrt(np.maximum(np.log(2 * np.maximum(layers, 1)) / math.log(2), 1))
     opacity = np.clip(layers, _TINY, FULL_OPACITY)
     sh = gaussians.sh[members].reshape(len(members), -1)
     return Gaussians(
         means=(origin + centre).astype(gaussians.means.dtype),
         quats=quaternions(axes).astype(np.float32),
-        log_scales=np.log(scales * reach[:, None]).astype(np.float32),
+        log_scales=np.log(scales * spread_out[:, None]).astype(np.float32),
         opacity_logits=np.log(opacity / (1 - opacity)).astype(np.float32),
         sh=total(share[:, None].astype(np.float32) * sh).reshape(len(starts), -1, 3),
     )

@@ -61,7 +61,7 @@ class ResortPolicy:
     ) -> bool:
         if settings.resort_degrees > 0:
             # A hair less, so that a path in steps of whole degrees is not at the mercy of rounding.
-            return turned_by(before, camera, centre, radius) >= settings.resort_degrees - 1e-6
+            return view_change(before, camera, centre, radius) >= settings.resort_degrees - 1e-6
         return self._since >= settings.resort_frames
 
 
@@ -70,7 +70,7 @@ def keeps_order(settings: RenderSettings) -> bool:
     return settings.resort_frames > 1 or settings.resort_degrees > 0
 
 
-def turned_by(before: Camera, now: Camera, centre: np.ndarray, radius: float) -> float:
+def view_change(before: Camera, now: Camera, centre: np.ndarray, radius: float) -> float:
     """Degrees by which a camera has changed: those of its turn, or those by which its eye's way appears from
     the scene, whichever are more. NaN counts as all around."""
     R = now.R_camera_world @ before.R_camera_world.T

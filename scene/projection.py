@@ -23,7 +23,7 @@ from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import MIN_QUAT_COMPONENT, RenderSettings
 from splatview.scene.lens import distort, distortion_jacobians
 from splatview.scene.sh import sh_colours
-from splatview.scene.surfels import Discs, check_discs, project_discs
+from splatview.scene.surfels import Surfels, check_surfels, project_surfels
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -48,7 +48,7 @@ class Footprints:
     """(V, 3) RGB, at least 0."""
     half_extents: np.ndarray
     """(V, 2) px: beyond mean ± this, alpha is below the cut; inf where there is no cut."""
-    discs: Discs | None = None
+    surfels: Surfels | None = None
     """Where the image model has discs, what decides alpha; the conic is around it."""
 
 
@@ -56,6 +56,7 @@ def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     """(N, 4) wxyz of any length but zero -> (N, 3, 3) in the same float dtype. Zero gives NaN."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
+        # guard: largest component first := scaled = quats
         scaled = quats / np.abs(quats).max(axis=1, keepdims=True)
         w, x, y, z = (scaled / np.linalg.norm(scaled, axis=1, keepdims=True)).T
         return np.stack(
@@ -101,7 +102,7 @@ def project(
         InputError: the model has discs and the camera a lens.
     """
     model = settings.model
-    check_discs(camera, model)
+    check_surfels(camera, model)
     degree = min(gaussians.sh_degree, 3 if settings.sh_degree is None else settings.sh_degree)
     used_sh = gaussians.sh[:, : (degree + 1) ** 2]
 
@@ -111,25 +112,28 @@ def project(
         quats = gaussians.quats.astype(dtype)
         scales = np.exp(gaussians.log_scales.astype(dtype))
         opacities = sigmoid(gaussians.opacity_logits.astype(dtype))
-        keep = t[:, 2] >= model.near
+        keep = t[:, 2] >= model.near  # guard: near plane := keep = t[:, 2] > -np.inf
         if camera.lens is not None:
             with np.errstate(divide="ignore"):
-                keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.reach_squared
-        keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT
+                # guard: fold of the lens := pass
+                keep &= ((t[:, :2] / t[:, 2:]) ** 2).sum(axis=1) < camera.lens.form.valid_radius_squared
+        keep &= np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT  # guard: zero quaternions
+        # guard: finite SH := for values in (offsets, t, quats, scales, opacities[:, None]):
         for values in (offsets, t, quats, scales, opacities[:, None], used_sh):
             keep &= _finite(values)
         keep &= opacities > 0 if model.alpha_cut == 0 else opacities >= model.alpha_cut
 
     indices = np.flatnonzero(keep)
+    # guard: order of ties := indices = indices[np.argsort(t[indices, 2], kind="stable")[::-1]]
     indices = indices[np.argsort(t[indices, 2], kind="stable")]
     t, offsets, opacities = t[indices], offsets[indices], opacities[indices]
 
-    discs = None
+    surfels = None
     if model.footprint == "disc":
         axes = camera.R_camera_world.astype(dtype) @ rotation_matrices(quats[indices])
         with np.errstate(divide="ignore"):
             reach = 2 * np.log(opacities / model.alpha_cut)
-        discs, M = project_discs(t, axes, scales[indices], reach, camera, model)
+        surfels, M = project_surfels(t, axes, scales[indices], reach, camera, model)
     else:
         axes_world = rotation_matrices(quats[indices]) * scales[indices][:, None, :]
         # Scales just within float32's range leave it here; what does is dropped below.
@@ -138,7 +142,7 @@ def project(
                 camera.R_camera_world.astype(dtype) @ axes_world
             )
     covariances, det, det_unblurred, spread = footprint_covariances(M, model.blur)
-    if model.antialiased and discs is None:
+    if model.antialiased and surfels is None:
         with np.errstate(invalid="ignore", divide="ignore"):
             opacities = opacities * np.sqrt(det_unblurred / det)
 
@@ -157,11 +161,12 @@ def project(
         else:
             half_extents = np.full((len(indices), 2), np.inf, dtype=dtype)
             drawn = opacities > 0
-    drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d) & _finite(real_covariances)
+    drawn &= (det > 0) & _finite(conic_factors) & _finite(means2d)
+    drawn &= _finite(real_covariances)  # guard: finite footprints
 
     directions = viewing_directions(offsets, camera)
     colours = sh_colours(used_sh[indices], directions, degree)
-    drawn &= _finite(colours)
+    drawn &= _finite(colours)  # guard: finite colours
     return Footprints(
         indices=indices[drawn],
         depths=t[drawn, 2],
@@ -171,7 +176,7 @@ def project(
         opacities=opacities[drawn],
         colours=colours[drawn],
         half_extents=half_extents[drawn],
-        discs=None if discs is None else discs.take(drawn),
+        surfels=None if surfels is None else surfels.take(drawn),
     )
 
 
@@ -188,6 +193,7 @@ def viewing_directions(offsets: np.ndarray, camera: Camera) -> np.ndarray:
     if camera.orthographic:
         return np.broadcast_to(camera.forward.astype(offsets.dtype), offsets.shape)
     # By the largest component first: the squares of 1e20 leave float32's range.
+    # guard: largest offset first := directions = offsets * 1.0
     directions = offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
@@ -203,6 +209,7 @@ def projection_jacobians(t: np.ndarray, camera: Camera, margin: float | None) ->
         return J
     x, y, z = t.T
     u_min, v_min, u_max, v_max = camera.slope_limits(margin)
+    # guard: slope clamp := u, v = x / z, y / z
     u, v = np.clip(x / z, u_min, u_max), np.clip(y / z, v_min, v_max)
     if camera.lens is None:
         J[:, 0, 0] = camera.fx / z

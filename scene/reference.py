@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatview.scene.background import seen
+from splatview.scene.background import background_colours
 from splatview.scene.camera import Camera
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import RenderSettings
@@ -29,7 +29,9 @@ def render(
     settings = settings or RenderSettings()
     footprints = project(gaussians, camera, settings, dtype=dtype)
     image = np.empty((camera.height, camera.width, 4), dtype=dtype)
-    behind = np.broadcast_to(seen(settings.background, camera, dtype), (camera.height, camera.width, 3))
+    behind = np.broadcast_to(
+        background_colours(settings.background, camera, dtype), (camera.height, camera.width, 3)
+    )
     for top in range(0, camera.height, BLOCK):
         for left in range(0, camera.width, BLOCK):
             block = image[top : top + BLOCK, left : left + BLOCK]
@@ -60,13 +62,14 @@ def alphas(footprints: Footprints, which: np.ndarray, x: np.ndarray, y: np.ndarr
     """Alpha of splats `which` (R,) at pixel centres x, y (P,) px -> (R, P). Image model: step 4 or 4d."""
     dx = x - footprints.means2d[which, 0:1]
     dy = y - footprints.means2d[which, 1:2]
-    if footprints.discs is not None:
-        q = squared_distances(footprints.discs, which, np.stack([dx, dy], axis=-1), settings.model.blur)
+    if footprints.surfels is not None:
+        q = squared_distances(footprints.surfels, which, np.stack([dx, dy], axis=-1), settings.model.blur)
     else:
         a, b, c = (footprints.conic_factors[which, i : i + 1] for i in range(3))
         # Far outside a tiny splat the square overflows to inf: exp gives the right 0.
         with np.errstate(over="ignore"):
             q = (a * dx + b * dy) ** 2 + (c * dy) ** 2
+    # guard: cap of alpha := alpha = footprints.opacities[which, None] * np.exp(-q / 2)
     alpha = np.minimum(settings.model.max_alpha, footprints.opacities[which, None] * np.exp(-q / 2))
     return np.where(alpha >= settings.model.alpha_cut, alpha, 0)
 

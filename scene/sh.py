@@ -72,9 +72,6 @@ def rgb_to_sh(rgb: np.ndarray) -> np.ndarray:
     return (rgb - 0.5) / SH_C0
 
 
-# ---- Turning spherical harmonics with the splats that carry them.
-
-
 _DIRECTIONS = 64
 """More than enough to determine 16 coefficients, well spread: rounding stays at a few 1e-16."""
 

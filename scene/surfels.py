@@ -38,32 +38,32 @@ float32, and no mean in front of the eye is seen as far from the picture."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Discs:
+class Surfels:
     """How pixels meet the planes of V splats; d is px from the projected mean."""
 
-    rows: np.ndarray
+    uv_rows: np.ndarray
     """(V, 2, 2) 1/px: u and v are rows·d / slope."""
-    facing: np.ndarray
+    normal_dot: np.ndarray
     """(V,) n·p of the ray to the mean, at least 0."""
-    leaning: np.ndarray
+    normal_gradient: np.ndarray
     """(V, 2) 1/px: n·δ = leaning·d."""
-    most_leaning: np.ndarray
+    max_normal_change: np.ndarray
     """(V,) n·δ beyond which the plane is met nearer than the near plane."""
     perspective: bool
     """Rays come from the eye: slope = facing + n·δ. Parallel ones: slope = facing."""
 
-    def take(self, which: np.ndarray) -> Discs:
+    def take(self, which: np.ndarray) -> Surfels:
         """Those at `which` (integers or booleans)."""
-        return Discs(
-            rows=self.rows[which],
-            facing=self.facing[which],
-            leaning=self.leaning[which],
-            most_leaning=self.most_leaning[which],
+        return Surfels(
+            uv_rows=self.uv_rows[which],
+            normal_dot=self.normal_dot[which],
+            normal_gradient=self.normal_gradient[which],
+            max_normal_change=self.max_normal_change[which],
             perspective=self.perspective,
         )
 
 
-def check_discs(camera: Camera, model: ImageModel) -> None:
+def check_surfels(camera: Camera, model: ImageModel) -> None:
     """Raises InputError where `model` has discs and `camera` a lens."""
     if model.footprint == "disc" and camera.lens is not None:
         raise InputError(
@@ -72,9 +72,9 @@ def check_discs(camera: Camera, model: ImageModel) -> None:
         )
 
 
-def project_discs(
+def project_surfels(
     t: np.ndarray, axes: np.ndarray, scales: np.ndarray, reach: np.ndarray, camera: Camera, model: ImageModel
-) -> tuple[Discs, np.ndarray]:
+) -> tuple[Surfels, np.ndarray]:
     """Discs at camera points t (V, 3) in front of the eye, with unit axes (V, 3, 3), columns in camera axes,
     and scales (V, 3), world units. All have one dtype, float32 or float64, which the results have too.
 
@@ -95,12 +95,12 @@ def project_discs(
     least = dtype.type(DISC_LEAST_WIDTH / camera.fx) * distance
     s_u, s_v = np.maximum(scales[each, first], least), np.maximum(scales[each, second], least)
 
-    facing = (n * r).sum(axis=1)
-    turn = np.where(facing < 0, dtype.type(-1), dtype.type(1))
-    facing, n = facing * turn, n * turn[:, None]
+    normal_dot = (n * r).sum(axis=1)
+    turn = np.where(normal_dot < 0, dtype.type(-1), dtype.type(1))
+    normal_dot, n = normal_dot * turn, n * turn[:, None]
     # Huge scales make numbers of no size at all, and of infinite ones: both are right.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        rows = np.stack(
+        uv_rows = np.stack(
             [
                 np.cross(e_v, r)[:, :2] * (distance / s_u)[:, None] / focal,
                 np.cross(e_u, r)[:, :2] * (distance / s_v)[:, None] / focal,
@@ -111,32 +111,32 @@ def project_discs(
         for column, (e, s) in enumerate(((e_u, s_u), (e_v, s_v))):
             M[:, :, column] = (e[:, :2] - r[:, :2] * e[:, 2:]) * (s / distance)[:, None] * focal
         if camera.orthographic:
-            most_leaning = facing * (z - near)
+            max_normal_change = normal_dot * (z - near)
         else:
             # Of what is nearer than the mean an affine picture is too small, by t.z over its depth.
             deepest = np.hypot(s_u * e_u[:, 2], s_v * e_v[:, 2])
             M *= (z / np.fmax(z - np.sqrt(reach) * deepest, near))[:, None, None]
-            most_leaning = facing * (z / near - 1)
+            max_normal_change = normal_dot * (z / near - 1)
         widest = ~(np.abs(M).max(axis=(1, 2), initial=0) <= WIDEST)
         M[widest] = WIDEST * np.eye(2, 3)
-    discs = Discs(
-        rows=rows,
-        facing=facing,
-        leaning=n[:, :2] / focal,
-        most_leaning=most_leaning.astype(dtype),
+    surfels = Surfels(
+        uv_rows=uv_rows,
+        normal_dot=normal_dot,
+        normal_gradient=n[:, :2] / focal,
+        max_normal_change=max_normal_change.astype(dtype),
         perspective=not camera.orthographic,
     )
-    return discs, M
+    return surfels, M
 
 
-def squared_distances(discs: Discs, which: np.ndarray, d: np.ndarray, blur: float) -> np.ndarray:
+def squared_distances(surfels: Surfels, which: np.ndarray, d: np.ndarray, blur: float) -> np.ndarray:
     """q (R, P) with exp(-q/2) = max(G_plane, G_screen), of discs `which` (R,) at d (R, P, 2) px from their
     means. Image model: step 4d."""
     x, y = d[..., 0], d[..., 1]
-    (ux, uy), (vx, vy) = (discs.rows[which, i].T[:, :, None] for i in range(2))
-    lean = discs.leaning[which, 0:1] * x + discs.leaning[which, 1:2] * y
-    slope = discs.facing[which, None] + (lean if discs.perspective else 0)
-    met = (slope >= DISC_LEAST_SLOPE) & (lean <= discs.most_leaning[which, None])
+    (ux, uy), (vx, vy) = (surfels.uv_rows[which, i].T[:, :, None] for i in range(2))
+    lean = surfels.normal_gradient[which, 0:1] * x + surfels.normal_gradient[which, 1:2] * y
+    slope = surfels.normal_dot[which, None] + (lean if surfels.perspective else 0)
+    met = (slope >= DISC_LEAST_SLOPE) & (lean <= surfels.max_normal_change[which, None])
     # Far outside a tiny splat squares overflow to inf: exp gives the right 0.
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         on_plane = ((ux * x + uy * y) / slope) ** 2 + ((vx * x + vy * y) / slope) ** 2

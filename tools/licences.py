@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import tomllib
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, metadata, requires
@@ -151,4 +152,5 @@ def filled(notice: str) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     NOTICE.write_text(filled(NOTICE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -37,41 +37,44 @@ class Rates(NamedTuple):
     sh_others: float
 
 
-class Pull(NamedTuple):
-    """Weights of losses that need no picture (Kheradmand et al. 2024, MCMC): means over all splats."""
+class Regularisation(NamedTuple):
+    """Weights of losses on opacity and scale, means over all splats (Kheradmand et al. 2024, MCMC)."""
 
     opacity: float = 0.0
     scale: float = 0.0
     least_scale: float = 0.0
-    """Scales below this, world units, are not pulled: no photo tells them from 0, so that nothing else moves
+    """World units; smaller scales are left alone: no photo tells them from 0, so that nothing else moves
     them, and Adam would take them down at full speed for ever."""
+
+
+NO_REGULARISATION = Regularisation()
 
 
 def adam_step(
     splats: Splats,
     gradients: Parameters,
-    seen: Sequence[np.ndarray],
+    visible: Sequence[np.ndarray],
     rates: Rates,
     step: int,
     *,
-    pull: Pull | None = None,
-    elongation: float = math.inf,
+    regularisation: Regularisation = NO_REGULARISATION,
+    max_aspect: float = math.inf,
     threads: int,
 ) -> None:
-    """Moves the splats named by `seen`, arrays of distinct indices (int32) that may be worked on apart.
+    """Moves the splats named by `visible`, arrays of distinct indices (int32) that may be worked on apart.
 
     `step` counts from 1. `gradients` have the shapes of the parameters; rows not named are not read.
-    No moved splat is left longer than `elongation` times its middle axis: the longest is cut.
+    No moved splat is left longer than `max_aspect` times its middle axis: the longest is cut.
     """
     correction = np.sqrt(1 - BETA2**step)
     factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
     epsilon = np.float32(EPSILON * correction)
-    pull = pull or Pull()
+    opacity_weight, scale_weight, least_scale = regularisation
     count = max(len(splats), 1)
-    limits = np.array([pull.opacity / count, pull.scale / 3 / count, pull.least_scale, math.log(elongation)])
+    limits = np.array([opacity_weight / count, scale_weight / 3 / count, least_scale, math.log(max_aspect)])
     run(
         move,
-        [(indices,) for indices in seen if len(indices)],
+        [(indices,) for indices in visible if len(indices)],
         (
             *splats.parameters,
             *splats.first,

@@ -30,13 +30,10 @@ from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
 
-# ---- What a training thread shows of itself, and the share of the machine that it keeps to.
-
-
 State = Literal["training", "paused", "done", "failed"]
 
 LEAST_SHARE = 0.02
-"""Of the cores: less would look like a program that hangs."""
+"""Smallest share of the cores: less would look like a program that hangs."""
 
 
 class Pace(NamedTuple):
@@ -44,7 +41,7 @@ class Pace(NamedTuple):
 
     threads: int
     duty: float
-    """Of the time, that the threads work; they sleep in between."""
+    """Share of the time in which the threads work; they sleep in between."""
 
 
 def pace_of(share: float, cores: int) -> Pace:
@@ -60,7 +57,7 @@ class Snapshot:
 
     gaussians: Gaussians
     ids: np.ndarray
-    """(N,) int64: who is who, see `Splats.ids`."""
+    """(N,) int64: numbers of the splats, see `Splats.ids`."""
     iteration: int
     seconds: float
 
@@ -75,18 +72,18 @@ class Status:
     progress: float
     """Share of the run that is over, 0 to 1."""
     seconds: float
-    """Of the run, pauses left out."""
+    """Seconds of the run, pauses left out."""
     gaussians: int
     sh_degree: int
-    """In training by now."""
+    """SH degree in training by now."""
     loss: float
-    """Of the latest step; NaN before the first."""
+    """Loss of the latest step; NaN before the first."""
     rate: float = 0.0
     """Steps a second, sleep included; 0 while not known."""
     evaluation: Evaluation | None = None
-    """The latest one, and..."""
+    """Latest scores on the held-out photos."""
     evaluated_at: int = 0
-    """... its step."""
+    """Step of `evaluation`."""
     failure: str | None = None
     """One line on what ended the training."""
     activity: str = ""
@@ -96,16 +93,13 @@ class Status:
 
     @property
     def seconds_left(self) -> float | None:
-        """Of the run at the present pace; None where that cannot be told."""
+        """Seconds left of the run at the present pace; None where that cannot be told."""
         left = []
         if self.settings.iterations is not None and self.rate > 0:
             left.append((self.settings.iterations - self.iteration) / self.rate)
         if self.settings.minutes is not None:
             left.append(60 * self.settings.minutes - self.seconds)
         return max(min(left), 0.0) if left else None
-
-
-# ---- Curves of a run for plots: bounded, written by one thread and read by any, neither ever waiting.
 
 
 LIMIT = 4096
@@ -162,7 +156,7 @@ class History:
 Answer = TypeVar("Answer")
 
 PUBLISH_SHARE = 0.02
-"""Of the time, that making snapshots may take: a large scene is shown less often, not trained slower."""
+"""Share of the time that making snapshots may take: a large scene is shown less often, not trained slower."""
 
 RATE_SECONDS = 3.0
 """Over about so long are steps a second averaged."""
@@ -185,7 +179,7 @@ class BackgroundTraining:
         changed. It waits for `begin`, but has the priority of the thread that makes this: a window may lower
         its own in between."""
         self.share = share
-        """Of the cores, 0 to 1. May be set at any time."""
+        """Share of the cores, 0 to 1. May be set at any time."""
         self.cores = cores or available_threads()
         self.snapshot_seconds = snapshot_seconds
         """May be set at any time."""

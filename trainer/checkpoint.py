@@ -14,10 +14,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from splatview.raster import Parameters, check_parameters
-from splatview.scene import ImageModel, InputError
-from splatview.scene.edits import Crop
+from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.splats import Splats
 from splatview.trainer.trainer import Counters, Trainer
 
@@ -61,11 +60,11 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     arrays |= {f"control.{name}": array for name, array in trainer.control.state().items()}
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     description = {
-        "settings": asdict(trainer.settings),
+        "settings": recorded(trainer.settings),
         "counters": asdict(trainer.counters),
         "extent": trainer.extent,
         "next_id": splats.next_id,
-        "photos": trainer.shots.names(),
+        "photos": trainer.views.names(),
         "notes": notes or {},
     }
     _remove_leftovers(path)
@@ -106,7 +105,7 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     Raises:
         InputError: the photos are others.
     """
-    ours, theirs = trainer.shots.names(), checkpoint.photos
+    ours, theirs = trainer.views.names(), checkpoint.photos
     if ours != theirs:
         different = next((a for a, b in zip(ours, theirs, strict=False) if a != b), None)
         about = f"{different[0]} is {different[1]}x{different[2]}" if different else f"there are {len(ours)}"
@@ -116,7 +115,7 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
         )
     trainer.splats = checkpoint.splats
     trainer.counters = checkpoint.counters
-    trainer.extent = checkpoint.extent
+    trainer.extent = trainer.control.extent = checkpoint.extent
     trainer.control.restore(checkpoint.control)
     trainer.exposures.restore(checkpoint.exposure)
 
@@ -126,20 +125,7 @@ def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
-def _crop(region: dict[str, Any]) -> Crop:
-    values: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in region.items()
-    }
-    return Crop(**values)
-
-
 def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
-    settings = dict(run["settings"])
-    settings["model"] = ImageModel(**settings["model"])
-    settings["no_growth"] = tuple(_crop(region) for region in settings["no_growth"])
-    settings["cut"] = tuple(tuple(_crop(crop) for crop in crops) for crops in settings["cut"])
-    settings["background"] = tuple(settings["background"])
-    settings["coarse"] = tuple((float(until), int(factor)) for until, factor in settings["coarse"])
     groups = [
         check_parameters(**{name: arrays[f"{group}.{name}"] for name in Parameters._fields})
         for group in GROUPS
@@ -153,7 +139,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     if ids.dtype != np.int64 or len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
         raise ValueError("its splats are not numbered as they should be")
     return Checkpoint(
-        settings=TrainSettings(**settings),
+        settings=from_recorded(run["settings"]),
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
         splats=Splats(groups[0], groups[1], groups[2], ids, next_id),

@@ -29,7 +29,7 @@ class Group(Protocol):
     """The processes of a run, as one of them sees them. All must make the same calls in the same order."""
 
     rank: int
-    """Of this process, 0 to size - 1; 0 is the one that writes."""
+    """Number of this process, 0 to size - 1; 0 is the one that writes."""
     size: int
     stopping: bool
     """Whether this process was asked to stop; see `agreed`."""
@@ -171,7 +171,7 @@ def share_of_cores() -> int:
 
 
 def digest(*parts: Any) -> str:
-    """Of arrays and plain values; equal digests mean equal parts."""
+    """SHA-256 of arrays and plain values; equal digests mean equal parts."""
     made = hashlib.sha256()
     for part in parts:
         made.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
@@ -204,24 +204,24 @@ class BatchSum:
         self._gradients = Parameters(
             *(piece.reshape(array.shape) for piece, array in zip(pieces, parameters, strict=True))
         )
-        self._seen = np.zeros(len(parameters.means), np.int32)
+        self._visible = np.zeros(len(parameters.means), np.int32)
         self._loss = np.zeros(1)
 
-    def add(self, gradients: Parameters, seen: Sequence[np.ndarray], loss: float) -> None:
+    def add(self, gradients: Parameters, visible: Sequence[np.ndarray], loss: float) -> None:
         """One photo's."""
         for total, array in zip(self._gradients, gradients, strict=True):
             total += array
-        for indices in seen:
-            self._seen[indices] = 1
+        for indices in visible:
+            self._visible[indices] = 1
         self._loss += loss
 
     def means(self, photos: int, group: Group, threads: int) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over `photos` of all processes, who was seen in any (int32), and the mean loss."""
-        group.add_up([self._flat, self._seen, self._loss])
+        """Mean gradients over `photos` of all processes, splats visible in any (int32), and the mean loss."""
+        group.add_up([self._flat, self._visible, self._loss])
         self._flat *= np.float32(1 / photos)
-        seen = np.flatnonzero(self._seen).astype(np.int32)
+        visible = np.flatnonzero(self._visible).astype(np.int32)
         return (
             self._gradients,
-            np.array_split(seen, threads * TASKS_PER_THREAD),
+            np.array_split(visible, threads * TASKS_PER_THREAD),
             float(self._loss[0]) / photos,
         )

@@ -1,11 +1,12 @@
 """Which effects a training needs, decided from its capture, with the evidence; and what the others save.
 
-Training antialiased (kernel 0.1) gains where photos show the scene at scales that differ, and hardly anything
-where they do not. On pictures of the demo scene, 400x300, 6,000 splats, 1,500 steps, held-out photos have
-25.78 dB without and 25.79 dB with it. With every other photo half as large 25.82 and 25.88 dB, with a quarter
-25.41 and 25.85 dB, and at that size 28.48 and 29.16 dB. Those of `miku` (84 to train on, 1,000 steps) have
-25.70 and 25.79 dB, with a quarter 24.90 and 25.45 dB, and at that size 26.17 and 26.84 dB. So it is on from a
-ratio of SCALE_RATIO: below, a scene that every viewer shows alike is worth more than a tenth of a decibel.
+Training antialiased (kernel MIP_BLUR, in these runs by 0.0 to 0.5 dB better than 0.3) gains where photos show
+the scene at scales that differ, and hardly anything where they do not. On pictures of the demo scene,
+400x300, 6,000 splats, 1,500 steps, held-out photos have 25.78 dB without and 25.79 dB with it. With every
+other photo half as large 25.82 and 25.88 dB, with a quarter 25.41 and 25.85 dB, and at that size 28.48 and
+29.16 dB. Those of `miku` (84 to train on, 1,000 steps) have 25.70 and 25.79 dB, with a quarter 24.90 and
+25.45 dB, and at that size 26.17 and 26.84 dB. So it is on from a ratio of SCALE_RATIO: below, a scene that
+every viewer shows alike is worth more than a tenth of a decibel.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from splatview.scene import Camera, ImageModel
 from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects import Effect, Saving
+from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.trainer.exposure import DECIDED_AT, LEAST_SPREAD, Exposures
 from splatview.trainer.settings import TrainSettings
 
@@ -29,11 +31,8 @@ SCALE_RATIO = 3.0
 OUTERMOST = 5
 """Percent of the photos at either end that do not decide."""
 
-MIP_BLUR = 0.1
-"""px²: the kernel of Mip-Splatting (Yu et al. 2024), in the runs above by 0.0 to 0.5 dB better than 0.3."""
-
 POINTS = 2000
-"""Of the capture's, that depths are measured by."""
+"""Points of the capture that depths are measured by."""
 
 EXPOSURE = "exposure of each photo"
 
@@ -132,34 +131,34 @@ def _exposure(settings: TrainSettings) -> Effect:
 
 
 def _masks(capture: Capture) -> Effect:
-    evidence = capture.evidence
-    why = f"{evidence.masks} of {len(capture.photos)} photos have a mask"
-    if evidence.hidden > 0:
-        what = " or beyond what their lens saw" if evidence.lenses else ""
-        why += f"; {evidence.hidden:.2%} of all pixels are masked{what}, and not compared"
-    return Effect(name="masks", on=evidence.hidden > 0, why=why, saving=Saving(what="a look at each pixel"))
+    statistics = capture.statistics
+    why = f"{statistics.masks} of {len(capture.photos)} photos have a mask"
+    if statistics.hidden > 0:
+        what = " or beyond what their lens saw" if statistics.lenses else ""
+        why += f"; {statistics.hidden:.2%} of all pixels are masked{what}, and not compared"
+    return Effect(name="masks", on=statistics.hidden > 0, why=why, saving=Saving(what="a look at each pixel"))
 
 
 def _lens(capture: Capture) -> Effect:
-    evidence, photos = capture.evidence, len(capture.photos)
+    statistics, photos = capture.statistics, len(capture.photos)
     through = any(photo.camera.lens is not None for photo in capture.photos)
-    if evidence.lenses:
-        bent = f"{evidence.lenses} of {photos} photos have a lens that moves points by up to"
-        why = f"{bent} {evidence.displacement:.3g} px: " + (
+    if statistics.lenses:
+        bent = f"{statistics.lenses} of {photos} photos have a lens that moves points by up to"
+        why = f"{bent} {statistics.displacement:.3g} px: " + (
             "pictures are drawn through them" if through else "taken out of the photos"
         )
-    elif evidence.lenses_left_out:
-        most = f"lenses move no point by more than {evidence.displacement:.2g} px"
+    elif statistics.lenses_left_out:
+        most = f"lenses move no point by more than {statistics.displacement:.2g} px"
         why = f"{most}, of {LEAST_DISPLACEMENT:g} that could show: photos are used as they are"
     else:
         why = f"all {photos} cameras are pinholes"
     return Effect(
         name="lens distortion",
-        on=evidence.lenses > 0,
+        on=statistics.lenses > 0,
         why=why,
         saving=Saving(what="the resampling of each photo"),
         # Where a photo goes from black to white within a pixel.
-        bound=min(evidence.displacement, 1.0),
+        bound=min(statistics.displacement, 1.0),
     )
 
 
@@ -183,7 +182,7 @@ def _antialiased(capture: Capture, settings: TrainSettings, asked: Antialiased) 
 
 
 def _background(capture: Capture, settings: TrainSettings) -> Effect:
-    transparent = capture.evidence.transparent
+    transparent = capture.statistics.transparent
     colour = ", ".join(f"{part:g}" for part in settings.background)
     why = f"{transparent} of {len(capture.photos)} photos have transparency"
     return Effect(

@@ -12,7 +12,7 @@ from splatview.measure.metrics import psnr, ssim
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
 from splatview.trainer.exposure import fitted_by_halves
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 
 DIFFERENCE_GAIN = 4
 """By how much differences are brightened in side-by-side pictures."""
@@ -43,12 +43,12 @@ class Evaluation(NamedTuple):
 
 def evaluate(
     parameters: Parameters,
-    shots: Sequence[Shot],
+    views: Sequence[TrainView],
     settings: RenderSettings,
     *,
     threads: int | None = None,
     exposures_differ: bool = False,
-    on_picture: Callable[[Shot, np.ndarray], None] | None = None,
+    on_picture: Callable[[TrainView, np.ndarray], None] | None = None,
 ) -> Evaluation:
     """Draws every photo's view and measures it. PSNR is over the pixels that the mask leaves; for SSIM, whose
     windows reach over its edge, the others are grey in picture and photo.
@@ -59,25 +59,25 @@ def evaluate(
     """
     workspace = Workspace()
     scores = []
-    for shot in shots:
-        picture = draw_frame(parameters, shot.camera, settings, workspace, threads=threads).image[..., :3]
+    for view in views:
+        picture = draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
         if exposures_differ:
-            picture = fitted_by_halves(picture, shot)
+            picture = fitted_by_halves(picture, view)
         if on_picture is not None:
-            on_picture(shot, picture)
-        truth = shot.pixels.astype(np.float32) / 255
-        if shot.mask is None:
-            scores.append(Score(shot.camera.name, psnr(picture, truth), ssim(picture, truth)))
+            on_picture(view, picture)
+        truth = view.pixels.astype(np.float32) / 255
+        if view.mask is None:
+            scores.append(Score(view.camera.name, psnr(picture, truth), ssim(picture, truth)))
             continue
-        decibels = psnr(picture[shot.mask][None], truth[shot.mask][None]) if shot.mask.any() else np.nan
-        masked = [np.where(shot.mask[..., None], pixels, np.float32(0.5)) for pixels in (picture, truth)]
-        scores.append(Score(shot.camera.name, decibels, ssim(*masked)))
+        decibels = psnr(picture[view.mask][None], truth[view.mask][None]) if view.mask.any() else np.nan
+        masked = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in (picture, truth)]
+        scores.append(Score(view.camera.name, decibels, ssim(*masked)))
     return Evaluation(tuple(scores))
 
 
-def side_by_side(shot: Shot, picture: np.ndarray) -> Image.Image:
+def side_by_side(view: TrainView, picture: np.ndarray) -> Image.Image:
     """Photo, picture, and the size of their difference, next to one another."""
     shown = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
-    difference = np.abs(shown.astype(np.int16) - shot.pixels) * DIFFERENCE_GAIN
-    columns = [shot.pixels, shown, np.minimum(difference, 255).astype(np.uint8)]
+    difference = np.abs(shown.astype(np.int16) - view.pixels) * DIFFERENCE_GAIN
+    columns = [view.pixels, shown, np.minimum(difference, 255).astype(np.uint8)]
     return Image.fromarray(np.concatenate(columns, axis=1))

@@ -25,7 +25,7 @@ import numpy as np
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
 from splatview.trainer.adam import BETA1, BETA2
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 
 Mode = Literal["auto", "on", "off"]
 
@@ -73,12 +73,12 @@ class Exposures:
     """The exposures of a run's photos. Nothing is computed where it is off."""
 
     names: Sequence[str]
-    """Of the photos, by camera."""
+    """Names of the photos, by camera."""
     mode: Mode = "auto"
     is_decided: bool = False
     is_on: bool = False
     evidence: Evidence | None = None
-    """Of the decision, where it was made by evidence in this process."""
+    """Evidence of the decision, where it was made by that in this process."""
 
     def __post_init__(self) -> None:
         shape = (len(self.names), 3, 2)
@@ -97,41 +97,41 @@ class Exposures:
     def decide(
         self,
         parameters: Parameters,
-        shots: Sequence[Shot],
+        views: Sequence[TrainView],
         settings: RenderSettings,
         workspace: Workspace,
         threads: int,
     ) -> None:
         """Compares photos, one for each name and in any size, to the scene as it stands."""
 
-        def picture(shot: Shot) -> np.ndarray:
-            return draw_frame(parameters, shot.camera, settings, workspace, threads=threads).image[..., :3]
+        def picture(view: TrainView) -> np.ndarray:
+            return draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
 
         self.is_decided, self.is_on = True, self.mode == "on"
         if self.mode == "auto":
-            some = shots[:: -(-len(shots) // MOST_PHOTOS)]
-            self.evidence = measured_evidence([log_gain(picture(shot), shot) for shot in some])
+            some = views[:: -(-len(views) // MOST_PHOTOS)]
+            self.evidence = measured_evidence([log_gain(picture(view), view) for view in some])
             self.is_on = self.evidence.calls_for_correction
         if self.is_on:
-            for row, shot in enumerate(shots):
-                self.table[row, :, 0] = np.nan_to_num(log_gain(picture(shot), shot)[0])
+            for row, view in enumerate(views):
+                self.table[row, :, 0] = np.nan_to_num(log_gain(picture(view), view)[0])
             self.table -= self.table.mean(axis=0)
 
-    def applied(self, image: np.ndarray, shot: Shot, workspace: Workspace) -> np.ndarray:
+    def applied(self, image: np.ndarray, view: TrainView, workspace: Workspace) -> np.ndarray:
         """The picture (H, W, 4) as the photo's exposure shows it; lives in the workspace."""
-        gain, offset = self._of(shot, image.dtype)
+        gain, offset = self._of(view, image.dtype)
         exposed = workspace.take("exposed", image.shape, image.dtype)
         np.multiply(image, np.append(gain, image.dtype.type(1)), out=exposed)
         exposed[..., :3] += offset
         return exposed
 
-    def differentiate(self, image: np.ndarray, d_exposed: np.ndarray, shot: Shot) -> None:
+    def differentiate(self, image: np.ndarray, d_exposed: np.ndarray, view: TrainView) -> None:
         """Adds to `gradients`, and turns dL/d(exposed picture) into dL/d(picture), in place.
 
         `image` and `d_exposed` are (H, W, 4), the first as it was before `applied`.
         """
-        gain, _ = self._of(shot, image.dtype)
-        row, d = self._rows[shot.camera.name], d_exposed[..., :3]
+        gain, _ = self._of(view, image.dtype)
+        row, d = self._rows[view.camera.name], d_exposed[..., :3]
         self.gradients[row, :, 0] += gain * np.einsum("hwc,hwc->c", d, image[..., :3], dtype=np.float64)
         self.gradients[row, :, 1] += d.sum(axis=(0, 1), dtype=np.float64)
         d *= gain
@@ -171,19 +171,19 @@ class Exposures:
         ):
             ours[:] = state[name]
 
-    def _of(self, shot: Shot, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+    def _of(self, view: TrainView, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
         """Gain (3,) and offset (3,)."""
-        log_gain, offset = self.table[self._rows[shot.camera.name]].T
+        log_gain, offset = self.table[self._rows[view.camera.name]].T
         return np.exp(log_gain).astype(dtype), offset.astype(dtype)
 
 
-def log_gain(picture: np.ndarray, shot: Shot) -> np.ndarray:
+def log_gain(picture: np.ndarray, view: TrainView) -> np.ndarray:
     """Of the gain that takes a picture (H, W, 3) nearest to its photo: (1 + PARTS², 3), first that of the
     whole, then those of its parts; NaN where a part shows nothing."""
     pictures = picture.astype(np.float64)
-    photo = shot.pixels / 255.0
-    if shot.mask is not None:
-        pictures[~shot.mask] = photo[~shot.mask] = 0
+    photo = view.pixels / 255.0
+    if view.mask is not None:
+        pictures[~view.mask] = photo[~view.mask] = 0
     over, under = pictures * photo, pictures * pictures
     rows, columns = (np.arange(PARTS) * size // PARTS for size in picture.shape[:2])
     parts = [
@@ -226,13 +226,13 @@ def fitted(
     return gain, np.where(flat, 0.0, mean_y - gain * mean_x)
 
 
-def fitted_by_halves(picture: np.ndarray, shot: Shot) -> np.ndarray:
+def fitted_by_halves(picture: np.ndarray, view: TrainView) -> np.ndarray:
     """The picture (H, W, 3) with each half at the exposure that fits the other half best."""
     middle = picture.shape[1] // 2
     halves = slice(None, middle), slice(middle, None)
     out = np.empty_like(picture)
     for here, there in (halves, halves[::-1]):
-        mask = None if shot.mask is None else shot.mask[:, there]
-        gain, offset = fitted(picture[:, there], shot.pixels[:, there], mask)
+        mask = None if view.mask is None else view.mask[:, there]
+        gain, offset = fitted(picture[:, there], view.pixels[:, there], mask)
         out[:, here] = picture[:, here] * gain.astype(picture.dtype) + offset.astype(picture.dtype)
     return out

@@ -1,7 +1,7 @@
 """A whole run, whoever drives it: budgets, metrics, checkpoints, Ctrl-C, and what is written at the end.
 
-Without a window `run` does it all; with one, `thread.BackgroundTraining` calls the parts between which a user
-may pause.
+Without a window `run` does it all; with one, `background.BackgroundTraining` calls the parts between which a
+user may pause.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects import Effect
-from splatview.scene.formats import save_scene
+from splatview.scene.formats import check_format, save_scene
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
 from splatview.trainer.trainer import StepReport, Trainer
-from splatview.trainer.views import Shot
+from splatview.trainer.views import TrainView
 
 CHECKPOINT_SECONDS = 60.0
 """A kill costs at most about so much of the work."""
@@ -37,7 +37,7 @@ METRICS_STEPS = 50
 """Steps between lines of metrics, besides those of evaluations."""
 
 EVALUATION_SHARE = 0.05
-"""Of the time, that evaluations by the clock may take."""
+"""Share of the time that evaluations by the clock may take."""
 
 MOST_PICTURES = 8
 """Side-by-side pictures that are written."""
@@ -59,8 +59,7 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
-        if self.scene.suffix.lower() != ".ply":
-            raise InputError(f"{self.scene}: scenes are saved as .ply; give it that suffix")
+        check_format(self.scene)
         for path in (self.scene, self.checkpoint, self.metrics):
             if path is not None:
                 check_writable(path)
@@ -68,13 +67,13 @@ class Outputs:
             raise InputError(f"{self.pictures}: is in the way of the folder for pictures; move it")
 
 
-class Progress(NamedTuple):
+class RunProgress(NamedTuple):
     """What a progress bar shows."""
 
     step: StepReport
     seconds: float
     evaluation: Evaluation | None
-    """Of this step, if it was evaluated."""
+    """Scores of this step, if it was evaluated."""
 
 
 def check_writable(path: Path) -> None:
@@ -120,7 +119,7 @@ class TrainingRun:
     def __init__(
         self,
         trainer: Trainer,
-        held_out: Sequence[Shot],
+        held_out: Sequence[TrainView],
         outputs: Outputs,
         *,
         started: float,
@@ -128,7 +127,7 @@ class TrainingRun:
         eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
         effects: tuple[Effect, ...] = (),
-        on_progress: Callable[[Progress], None] = lambda progress: None,
+        on_progress: Callable[[RunProgress], None] = lambda progress: None,
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
@@ -142,9 +141,9 @@ class TrainingRun:
         """What the run computes and why; replaced once exposures are decided."""
         self._effects_told: tuple[Effect, ...] = ()
         self.evaluation: Evaluation | None = None
-        """The last one."""
+        """Latest scores on the held-out photos."""
         self.evaluated_at = 0
-        """Step of the last one."""
+        """Step of `evaluation`."""
         self.stopwatch = Stopwatch(started - trainer.counters.seconds)
         # The first is due at once: a run killed in its first minute can be resumed too.
         self._checkpointed = -math.inf
@@ -190,7 +189,7 @@ class TrainingRun:
         self.keep()
         return completed
 
-    def step(self) -> Progress:
+    def step(self) -> RunProgress:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures = self.trainer.exposures
         undecided = not exposures.is_decided
@@ -207,11 +206,11 @@ class TrainingRun:
             self._write_metrics(report, evaluation)
         if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
             self.checkpoint()
-        progress = Progress(report, self.seconds, evaluation)
+        progress = RunProgress(report, self.seconds, evaluation)
         self.on_progress(progress)
         return progress
 
-    def evaluate(self, on_picture: Callable[[Shot, np.ndarray], None] | None = None) -> Evaluation:
+    def evaluate(self, on_picture: Callable[[TrainView, np.ndarray], None] | None = None) -> Evaluation:
         """Measures the scene as it is on the held-out photos, of which there must be some."""
         trainer, begun = self.trainer, time.perf_counter()
         self.evaluation = evaluate(
@@ -264,12 +263,12 @@ class TrainingRun:
         if not self.held_out:
             return None
         folder = self.outputs.pictures
-        wanted = {shot.camera.name for shot in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
+        wanted = {view.camera.name for view in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
 
-        def write(shot: Shot, picture: np.ndarray) -> None:
-            if shot.camera.name in wanted:
-                name = Path(shot.camera.name.replace("/", "_").replace("\\", "_")).stem
-                side_by_side(shot, picture).save(folder / f"{name}.png")
+        def write(view: TrainView, picture: np.ndarray) -> None:
+            if view.camera.name in wanted:
+                name = Path(view.camera.name.replace("/", "_").replace("\\", "_")).stem
+                side_by_side(view, picture).save(folder / f"{name}.png")
 
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -7,17 +7,17 @@ paper's numbers are those of a run of 30,000 (Kerbl et al. 2023, section 7 and i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.adam import Pull, Rates
+from splatview.trainer.adam import Rates
 from splatview.trainer.loss import SSIM_WEIGHT
-
-PAPER_ITERATIONS = 30_000
-
+from splatview.trainer.strategies import PAPER_ITERATIONS, STRATEGIES, StrategySettings
+from splatview.trainer.strategies.mcmc import LEAST_REG
 
 PIXELS_PER_SPLAT = 30
 """With more splats, few photos are learnt by heart: on `banana` at a quarter of its size, 12,000 splats
@@ -37,31 +37,30 @@ def automatic_limit(pixels: int, minutes: float | None = None) -> int:
     return limit
 
 
-LEAST_PULL, MOST_PULL = 0.01, 0.1
-"""The first is that of Kheradmand et al. 2024."""
+MOST_REG = 0.1
 
 
-def automatic_pull(photos: int) -> float:
-    """Sensible `opacity_pull` and `scale_pull` for so many photos: the fewer, the stronger.
+def automatic_regularisation(photos: int) -> float:
+    """Sensible `opacity_reg` and `scale_reg` for so many photos: the fewer, the stronger.
 
     Splats that serve few views then fade. On held-out photos of `banana` (13 to train on) 0.1 scores
     0.6 dB more than 0.01, on those of `miku` (84) 0.6 dB less.
     """
-    return min(max(1.3 / max(photos, 1), LEAST_PULL), MOST_PULL)
+    return min(max(1.3 / max(photos, 1), LEAST_REG), MOST_REG)
 
 
-LEAST_DROP, MOST_DROP = 0.05, 0.2
+LEAST_DROPOUT, MOST_DROPOUT = 0.05, 0.2
 """The second is that of Park et al. 2025, for 3 to 24 photos."""
 
 
-def automatic_drop(photos: int) -> float:
-    """A sensible `drop` for so many photos: the fewer, the more; none from about fifty on.
+def automatic_dropout(photos: int) -> float:
+    """A sensible `dropout` for so many photos: the fewer, the more; none from about fifty on.
 
     On held-out photos of `banana` (13 to train on) after 8,000 steps at half size 0.2 scores 0.2 dB more
     than none, and 0.6 dB more after 4,000 at a quarter.
     """
-    share = min(2.6 / max(photos, 1), MOST_DROP)
-    return share if share >= LEAST_DROP else 0.0
+    share = min(2.6 / max(photos, 1), MOST_DROPOUT)
+    return share if share >= LEAST_DROPOUT else 0.0
 
 
 FEW_PHOTOS = 50
@@ -69,8 +68,8 @@ FEW_PHOTOS = 50
 LONGEST_OF_FEW = 6.0
 
 
-def automatic_elongation(photos: int) -> float:
-    """A sensible `elongation` for so many photos: where they are few, needles make out a texture in the
+def automatic_max_aspect(photos: int) -> float:
+    """A sensible `max_aspect` for so many photos: where they are few, needles make out a texture in the
     photos, and streaks in between.
 
     On held-out photos of `banana` (13 to train on) after 8,000 steps at half size 6 scores 0.24 dB and 0.02
@@ -86,18 +85,14 @@ def automatic_steps(photos: int) -> int | None:
     """Steps after which a run on so few photos should be over; None: they are not few.
 
     On held-out photos of `banana` (13 to train on, half size) runs of 8,000 and of 16,000 steps both score
-    28.74 dB; without a limit to elongation they score 28.8 and 28.2 dB, and one of 67,000 steps, with neither
-    dropping nor fading pulls, 26.6 dB: what is left to learn by then is single photos.
+    28.74 dB; without a limit to the aspect they score 28.8 and 28.2 dB, and one of 67,000 steps, with neither
+    dropout nor fading regularisers, 26.6 dB: what is left to learn by then is single photos.
     """
     return max(STEPS_PER_PHOTO * photos, LEAST_STEPS) if photos < FEW_PHOTOS else None
 
 
-LEAST_PULLED = 0.1
-"""Pixels, seen from as far as the extent: thinner splats are not pulled to be thinner still."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class TrainSettings:
+class TrainSettings(StrategySettings):
     """The recipe. Equal settings, photos, points and threads train equal scenes.
 
     Raises:
@@ -108,7 +103,6 @@ class TrainSettings:
     """Steps of the whole run; None: as many as the minutes allow."""
     minutes: float | None = None
     """Wall-clock length of the whole run; with both, the one that ends first."""
-    seed: int = 0
     batch: int = 1
     """Photos a step, whose gradients are averaged."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -116,7 +110,7 @@ class TrainSettings:
     ssim_weight: float = SSIM_WEIGHT
     exposure: Literal["auto", "on", "off"] = "auto"
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
-    coarse: tuple[tuple[float, int], ...] = ((0.3, 2),)
+    resolution: tuple[tuple[float, int], ...] = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order."""
 
     sh_degree: int = 3
@@ -124,54 +118,33 @@ class TrainSettings:
     """Share of the run after which one more band is trained."""
 
     means_rate: float = 4.8e-4
-    """Times the extent of the scene, at the start (three times the paper's: short runs move farther)..."""
+    """Times the extent of the scene, at the start (three times the paper's: short runs move farther);
+    exponential in between."""
     means_rate_end: float = 6e-6
-    """... and at the end, exponentially in between."""
+    """Times the extent of the scene, at the end."""
     quats_rate: float = 1e-3
     log_scales_rate: float = 5e-3
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
-    """Of the constant band; higher bands have a twentieth."""
+    """Rate of the constant band; higher bands have a twentieth."""
     settle_from: float = 0.5
-    """From this share of the run on all rates but that of the means, which has its own end, go down..."""
+    """Share of the run from which all rates but that of the means, which has its own end, go down."""
     settle_to: float = 0.1
-    """... exponentially, to this factor at the end: the last photos do not pull the scene their way."""
-    elongation: float = math.inf
-    """No splat is longer than so many times its middle axis. See `automatic_elongation`."""
-    drop: float = 0.0
+    """Factor of those rates at the end, reached exponentially: the last photos do not pull the scene their
+    way."""
+    max_aspect: float = math.inf
+    """No splat is longer than so many times its middle axis. See `automatic_max_aspect`."""
+    dropout: float = 0.0
     """Share of the splats, drawn anew for each photo, that a step at the end of the run does without; it
-    grows from 0 in proportion to the run. See `automatic_drop`."""
-    seen_only: bool = True
+    grows from 0 in proportion to the run. See `automatic_dropout`."""
+    visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
-    strategy: Literal["classic", "mcmc"] = "mcmc"
-    refine_from: float = 500 / PAPER_ITERATIONS
-    refine_until: float = 15_000 / PAPER_ITERATIONS
-    refine_every: float = 100 / PAPER_ITERATIONS
-    least_refine_steps: int = 50
-    """Steps between refinements at least: gradients are averaged over some photos even in short runs."""
-    max_splats: int = 1_000_000
-    """Density control adds no splats beyond this."""
-    no_growth: tuple[Crop, ...] = ()
-    """Where density control multiplies none: inside these shapes, those switched off aside. What they keep
-    does not matter; halves of a large neighbour may still reach in."""
+    strategy: str = next(iter(STRATEGIES))
+    """Name in `STRATEGIES`."""
     cut: tuple[tuple[Crop, ...], ...] = ()
     """What is cut away for good: a splat stays as long as each of these sets of crops leaves it, see
-    `scene.crop.cropped_in`."""
-    grow_for: float = 12_000 / PAPER_ITERATIONS
-    """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
-    noise: float = 5e5
-    """mcmc: noise on positions, in units of their rate."""
-    opacity_pull: float = LEAST_PULL
-    """mcmc: weight of the mean opacity in the loss; and..."""
-    scale_pull: float = LEAST_PULL
-    """... of the mean scale, world units over the extent. See `automatic_pull`."""
-    pull_end: float = 0.1
-    """mcmc: factor of both at the end of the run, reached exponentially. Adam moves what only a pull moves
-    at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a median opacity of
-    0.01 and half of the splats thinner than a thousandth of a pixel, 1.4 dB below one of 4,000 steps."""
-    absolute_gradient: bool = False
-    """classic: add up a splat's gradient over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+    `scene.edits.cropped_in`."""
 
     def __post_init__(self) -> None:
         if self.iterations is None and self.minutes is None:
@@ -180,10 +153,12 @@ class TrainSettings:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be above 0, got {value}")
-        if not self.elongation >= 1:
-            raise ValueError(f"elongation must be at least 1, got {self.elongation}")
-        if not 0 <= self.drop < 1:
-            raise ValueError(f"drop must be at least 0 and below 1, got {self.drop}")
+        if not self.max_aspect >= 1:
+            raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
+        if self.strategy not in STRATEGIES:
+            raise ValueError(f"strategy must be one of {', '.join(STRATEGIES)}, got {self.strategy!r}")
         if not 0 <= self.sh_degree < len(SH_COEFFICIENTS):
             raise ValueError(f"sh_degree must be 0 to 3, got {self.sh_degree}")
         if not 0 <= self.seed < 2**63:
@@ -209,21 +184,48 @@ class TrainSettings:
             sh_others=factor * self.sh_rate / 20,
         )
 
-    def pull_at(self, progress: float, extent: float, focal: float) -> Pull:
-        """The pulls on opacity and scale at a share of the run, for photos of this focal length in px."""
-        if self.strategy != "mcmc":
-            return Pull()
-        factor = self.pull_end**progress
-        return Pull(
-            factor * self.opacity_pull, factor * self.scale_pull / extent, LEAST_PULLED * extent / focal
-        )
-
     def sh_degree_at(self, progress: float) -> int:
         """The highest SH degree in training at a share of the run."""
         return (
             min(self.sh_degree, int(progress / self.sh_every + 1e-9)) if self.sh_every > 0 else self.sh_degree
         )
 
-    def shrink_at(self, progress: float) -> int:
+    def downscale_at(self, progress: float) -> int:
         """The factor by which photos are smaller at a share of the run."""
-        return next((factor for until, factor in self.coarse if progress < until), 1)
+        return next((factor for until, factor in self.resolution if progress < until), 1)
+
+
+RECORDED_NAMES = {
+    "resolution": "coarse",
+    "max_aspect": "elongation",
+    "dropout": "drop",
+    "visible_only": "seen_only",
+    "opacity_reg": "opacity_pull",
+    "scale_reg": "scale_pull",
+    "reg_end": "pull_end",
+}
+"""Names of fields in checkpoints where they are not those of `TrainSettings`."""
+
+
+def recorded(settings: TrainSettings) -> dict[str, Any]:
+    """The settings as checkpoints have them: flat, by their recorded names."""
+    return {RECORDED_NAMES.get(name, name): value for name, value in asdict(settings).items()}
+
+
+def from_recorded(values: Mapping[str, Any]) -> TrainSettings:
+    """The inverse, of plain JSON. Raises ValueError, TypeError and KeyError where it is damaged."""
+    fields = {ours: values[theirs] for ours, theirs in RECORDED_NAMES.items()}
+    fields |= {name: value for name, value in values.items() if name not in RECORDED_NAMES.values()}
+    fields["model"] = ImageModel(**fields["model"])
+    fields["no_growth"] = tuple(_crop(region) for region in fields["no_growth"])
+    fields["cut"] = tuple(tuple(_crop(crop) for crop in crops) for crops in fields["cut"])
+    fields["background"] = tuple(fields["background"])
+    fields["resolution"] = tuple((float(until), int(factor)) for until, factor in fields["resolution"])
+    return TrainSettings(**fields)
+
+
+def _crop(region: dict[str, Any]) -> Crop:
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in region.items()
+    }
+    return Crop(**values)

@@ -25,8 +25,8 @@ class Splats:
     second: Parameters
     """Adam's running average of the squared gradient."""
     ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
-    """(N,) int64: who is who. A splat keeps its number as long as it lives and no number is given twice, so
-    that what was chosen on an earlier snapshot can still be found. From 0 on where left out."""
+    """(N,) int64: numbers of the splats. A splat keeps its number as long as it lives and no number is given
+    twice, so that what was chosen on an earlier snapshot can still be found. From 0 on where left out."""
     next_id: int = 0
 
     def __post_init__(self) -> None:
@@ -79,15 +79,8 @@ class Splats:
 
     def snapshot(self, comments: tuple[str, ...] = ()) -> Gaussians:
         """A copy that no later step changes."""
-        means, quats, log_scales, opacity_logits, sh = (array.copy() for array in self.parameters)
-        return Gaussians(
-            means=means,
-            quats=quats,
-            log_scales=log_scales,
-            opacity_logits=opacity_logits,
-            sh=sh,
-            comments=comments,
-        )
+        arrays = {name: array.copy() for name, array in self.parameters._asdict().items()}
+        return Gaussians(**arrays, comments=comments)
 
     def _groups(self) -> tuple[Parameters, Parameters, Parameters]:
         return self.parameters, self.first, self.second
@@ -97,9 +90,6 @@ def fresh(parameters: Parameters) -> Splats:
     """Splats that no step has moved yet; the arrays are copied."""
     zeros = [Parameters(*(np.zeros_like(array) for array in parameters)) for _ in range(2)]
     return Splats(Parameters(*(array.copy() for array in parameters)), zeros[0], zeros[1])
-
-
-# ---- Distances to the nearest neighbours of every point.
 
 
 def mean_square_distance(points: np.ndarray, *, neighbours: int = 3) -> np.ndarray:
@@ -112,9 +102,6 @@ def mean_square_distance(points: np.ndarray, *, neighbours: int = 3) -> np.ndarr
         return np.zeros(len(points))
     _, distances = nearest(points, neighbours)
     return np.square(distances).mean(axis=1)
-
-
-# ---- The splats that training begins with: one round splat for each point of the capture.
 
 
 INITIAL_OPACITY = 0.1
@@ -162,9 +149,6 @@ def initial_parameters(
         opacity_logits=np.full(count, math.log(opacity / (1 - opacity)), np.float32),
         sh=((colours.astype(np.float32) / 255 - 0.5) / SH_C0)[:, None, :].copy(),
     )
-
-
-# ---- What a trained scene's file says of how it was trained, so that viewers show it so.
 
 
 def comments_for(model: ImageModel) -> tuple[str, ...]:

@@ -189,9 +189,6 @@ class _Render(torch.autograd.Function):
         return *d_parameters, torch.from_numpy(gradients.background), d_pose, None
 
 
-# ---- The photo loss as one differentiable torch operation, for training loops of one's own.
-
-
 def photo_loss(
     image: torch.Tensor,
     photo: torch.Tensor,

@@ -9,13 +9,11 @@ import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splatview.raster import (
-    Frame,
-    Gradients,
     Parameters,
     Workspace,
     available_threads,
@@ -31,33 +29,15 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.loss import photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, comments_for, fresh
-from splatview.trainer.strategies.default import DefaultStrategy
-from splatview.trainer.strategies.mcmc import MCMCStrategy
-from splatview.trainer.strategies.ops import some_dropped
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.strategies import STRATEGIES, Strategy
+from splatview.trainer.strategies.ops import dropout
+from splatview.trainer.views import TrainView, TrainViews
 
 KEPT = ("seed", "strategy", "background", "model", "exposure")
 """Settings that a run keeps from its first step to its last."""
 
 CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
-
-
-class DensityControl(Protocol):
-    """What decides where splats are born and die."""
-
-    settings: TrainSettings
-
-    def begin(self, count: int) -> None: ...
-    def keep(self, kept: np.ndarray) -> None: ...
-    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None: ...
-    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats: ...
-    def after_step(
-        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
-    ) -> None: ...
-    def totals(self) -> list[np.ndarray]: ...
-    def state(self) -> dict[str, np.ndarray]: ...
-    def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
 
 class StepReport(NamedTuple):
@@ -79,9 +59,9 @@ class Counters:
     seconds: float = 0.0
     """Wall-clock time since the run began, pauses between resumed parts left out."""
     refined_at: int = 0
-    """Step of the last refinement, and..."""
+    """Step of the last refinement."""
     refined_progress: float = 0.0
-    """... its share of the run."""
+    """Share of the run at the last refinement."""
 
 
 class Trainer:
@@ -92,7 +72,7 @@ class Trainer:
 
     def __init__(
         self,
-        shots: Shots,
+        views: TrainViews,
         parameters: Parameters,
         extent: float,
         settings: TrainSettings,
@@ -104,7 +84,7 @@ class Trainer:
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
-        self.shots = shots
+        self.views = views
         self.extent = float(extent)
         self.threads = threads or available_threads()
         self.group: Group = group or Alone()
@@ -112,16 +92,13 @@ class Trainer:
         self.counters = Counters()
         self.clock = StageClock()
         """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
-        self.control: DensityControl
-        if settings.strategy == "mcmc":
-            self.control = MCMCStrategy(settings, self.extent, len(parameters.means))
-        else:
-            self.control = DefaultStrategy(settings, self.extent)
+        _, strategy = STRATEGIES[settings.strategy]
+        self.control: Strategy = strategy(settings, self.extent)
         self.control.begin(len(self.splats))
-        self.exposures = Exposures([shot.camera.name for shot in shots.all], settings.exposure)
+        self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
-        """Of pictures and of what is differentiated through them; the scene itself is float32."""
+        """dtype of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
             model=settings.model, background=settings.background, blend="float32"
         )
@@ -205,33 +182,32 @@ class Trainer:
         if self.exposures.is_due(progress):
             self.exposures.decide(
                 splats.parameters,
-                self.shots.sized(settings.shrink_at(progress)),
+                self.views.sized(settings.downscale_at(progress)),
                 self.render_settings,
                 self._workspace,
                 self.threads,
             )
-        gradients, seen, loss = self._look(progress)
+        gradients, visible, loss = self._batch_gradients(progress)
 
         counters.iteration += 1
         rates = settings.rates(progress, self.extent)
         with self.clock.stage("adam"):
-            moved = seen if settings.seen_only else _everything(len(splats), len(seen))
-            pull = settings.pull_at(progress, self.extent, self.shots.focal)
+            moved = visible if settings.visible_only else _everything(len(splats), len(visible))
             adam_step(
                 splats,
                 gradients,
                 moved,
                 rates,
                 counters.iteration,
-                pull=pull,
-                elongation=settings.elongation,
+                regularisation=self.control.regularisation(progress, self.views.focal),
+                max_aspect=settings.max_aspect,
                 threads=self.threads,
             )
         if self.exposures.is_on:
             with self.clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
         with self.clock.stage("density"):
-            self.control.after_step(splats, seen, rates.means, counters.iteration, self.threads)
+            self.control.after_step(splats, visible, rates.means, counters.iteration, self.threads)
             if progress < settings.refine_until and self._refinement_is_due(progress):
                 rng = np.random.default_rng([settings.seed, counters.iteration, 1])
                 self.splats = self.control.refine(splats, progress, rng)
@@ -245,19 +221,19 @@ class Trainer:
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(self.splats), self.progress)
 
-    def _look(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over the step's photos, who was seen in them, and the mean loss."""
+    def _batch_gradients(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
+        """Mean gradients over the step's photos, the splats visible in them, and the mean loss."""
         settings, group = self.settings, self.group
-        first, shrink = self.counters.iteration * settings.batch, settings.shrink_at(progress)
+        first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
         mine = range(first + group.rank, first + settings.batch, group.size)
         observing = progress < settings.refine_until
         if settings.batch == 1:
-            return self._look_at(self.shots.at(first, shrink), observing, first)
+            return self._render_and_backprop(self.views.at(first, downscale), observing, first)
         totals = self.control.totals() if observing and group.size > 1 else []
         before = [total.copy() for total in totals]
         batch = BatchSum(self.splats.parameters)
         for place in mine:
-            looked = self._look_at(self.shots.at(place, shrink), observing, place)
+            looked = self._render_and_backprop(self.views.at(place, downscale), observing, place)
             with self.clock.stage("batch"):
                 batch.add(*looked)
         with self.clock.stage("batch"):
@@ -272,19 +248,19 @@ class Trainer:
                 total += new
         return result
 
-    def _look_at(
-        self, shot: Shot, observing: bool, place: int = 0
+    def _render_and_backprop(
+        self, view: TrainView, observing: bool, place: int = 0
     ) -> tuple[Parameters, list[np.ndarray], float]:
         """The gradients by one photo, the splats that reach into it, and its loss. `place`: how many photos
         have been looked at before."""
-        parameters, share = self.splats.parameters, self.settings.drop * self.progress
+        parameters, share = self.splats.parameters, self.settings.dropout * self.progress
         if share > 0:
             with self.clock.stage("drop"):
                 rng = np.random.default_rng([self.settings.seed, place, 2])
-                parameters = some_dropped(parameters, share, rng)
+                parameters = dropout(parameters, share, rng)
         frame = draw_frame(
             parameters,
-            shot.camera,
+            view.camera,
             self.render_settings,
             self._workspace,
             dtype=self.picture_dtype,
@@ -293,28 +269,28 @@ class Trainer:
         image, exposures = frame.image, self.exposures
         with self.clock.stage("loss"):
             if exposures.is_on:
-                image = exposures.applied(image, shot, self._workspace)
+                image = exposures.applied(image, view, self._workspace)
             compared = photo_loss(
                 image,
-                shot.pixels,
+                view.pixels,
                 self._workspace,
-                mask=shot.mask,
+                mask=view.mask,
                 ssim_weight=self.settings.ssim_weight,
                 threads=self.threads,
             )
             if exposures.is_on:
-                exposures.differentiate(frame.image, compared.d_image, shot)
+                exposures.differentiate(frame.image, compared.d_image, view)
         gradients = differentiate(parameters, frame, compared.d_image)
         for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
             self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
-        seen = [frame.visible[start:stop] for start, stop in frame.runs]
+        visible = [frame.visible[start:stop] for start, stop in frame.runs]
         if observing:
             with self.clock.stage("density"):
-                self.control.observe(frame, gradients, seen)
+                self.control.observe(frame, gradients, visible)
         found = gradients.parameters
         if self.picture_dtype is not np.float32:
             found = Parameters(*(array.astype(np.float32, copy=False) for array in found))
-        return found, seen, compared.loss
+        return found, visible, compared.loss
 
     def _refinement_is_due(self, progress: float) -> bool:
         settings, counters = self.settings, self.counters

@@ -15,7 +15,7 @@ from splatview.scene.captures.photos import area_averaged, wholly_valid
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class TrainView:
     """A photo and the camera that took it."""
 
     camera: Camera
@@ -38,7 +38,7 @@ class Shot:
                 f" {SSIM_WINDOW}x{SSIM_WINDOW} is needed: use a smaller --downscale"
             )
 
-    def smaller(self, factor: int) -> Shot:
+    def smaller(self, factor: int) -> TrainView:
         """The same by area averaging, floor(W/factor) x floor(H/factor), but not below what SSIM needs."""
         width = max(self.camera.width // factor, SSIM_WINDOW)
         height = max(self.camera.height // factor, SSIM_WINDOW)
@@ -46,27 +46,27 @@ class Shot:
             return self
         pixels = area_averaged(self.pixels, width, height)
         mask = None if self.mask is None else wholly_valid(self.mask, width, height)
-        return Shot(self.camera.resized(width, height), pixels, mask)
+        return TrainView(self.camera.resized(width, height), pixels, mask)
 
 
-def shots_of(photos: Sequence[Photo]) -> list[Shot]:
+def train_views(photos: Sequence[Photo]) -> list[TrainView]:
     """The photos of a capture, decoded. Raises InputError: one is too small, or cannot be read again."""
-    shots = []
+    views = []
     for photo in photos:
         pixels = photo.pixels()
-        shots.append(Shot(photo.camera, pixels.image, pixels.mask))
-    return shots
+        views.append(TrainView(photo.camera, pixels.image, pixels.mask))
+    return views
 
 
-class Shots:
+class TrainViews:
     """The photos of a run and their smaller versions, and in which order steps take them."""
 
-    def __init__(self, shots: Sequence[Shot], seed: int) -> None:
-        if not shots:
+    def __init__(self, views: Sequence[TrainView], seed: int) -> None:
+        if not views:
             raise InputError("the capture has no photo to train on")
-        self.focal = float(np.median([shot.camera.fx for shot in shots]))
+        self.focal = float(np.median([view.camera.fx for view in views]))
         """Median focal length in full size, px."""
-        self._sizes: dict[int, list[Shot]] = {1: list(shots)}
+        self._sizes: dict[int, list[TrainView]] = {1: list(views)}
         self._seed = seed
         self._epoch = -1
         self._order = np.empty(0, np.int64)
@@ -75,26 +75,26 @@ class Shots:
         return len(self._sizes[1])
 
     @property
-    def all(self) -> list[Shot]:
+    def all(self) -> list[TrainView]:
         """In full size, by name."""
         return self._sizes[1]
 
     @property
     def pixel_count(self) -> int:
-        """Of all photos together."""
-        return sum(shot.camera.width * shot.camera.height for shot in self._sizes[1])
+        """Pixels of all photos together."""
+        return sum(view.camera.width * view.camera.height for view in self._sizes[1])
 
     def names(self) -> list[list[Any]]:
         """[name, width, height] of every photo."""
-        return [[shot.camera.name, shot.camera.width, shot.camera.height] for shot in self._sizes[1]]
+        return [[view.camera.name, view.camera.width, view.camera.height] for view in self._sizes[1]]
 
-    def sized(self, factor: int) -> list[Shot]:
+    def sized(self, factor: int) -> list[TrainView]:
         """All photos, smaller by a factor."""
         if factor not in self._sizes:
-            self._sizes = {1: self._sizes[1], factor: [shot.smaller(factor) for shot in self._sizes[1]]}
+            self._sizes = {1: self._sizes[1], factor: [view.smaller(factor) for view in self._sizes[1]]}
         return self._sizes[factor]
 
-    def at(self, iteration: int, factor: int = 1) -> Shot:
+    def at(self, iteration: int, factor: int = 1) -> TrainView:
         """The photo of a step: every photo once, in an order drawn anew, then every photo once more."""
         epoch, place = divmod(iteration, len(self))
         if epoch != self._epoch:

@@ -9,8 +9,9 @@ import numpy as np
 from splatview.scene import Lens, look_at
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
+from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 BARREL = Lens(model="SIMPLE_RADIAL", parameters=(-0.1,))
 
@@ -21,11 +22,11 @@ def warm_up(*, lens: bool = False) -> None:
     `lens`: those for photos through a lens, rather than a pinhole.
     """
     camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
-    shot = Shot(replace(camera, lens=BARREL if lens else None), np.zeros((16, 16, 3), np.uint8))
+    view = TrainView(replace(camera, lens=BARREL if lens else None), np.zeros((16, 16, 3), np.uint8))
     points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
     colours = np.full((32, 3), 128, np.uint8)
-    for strategy in ("mcmc", "classic"):
+    for strategy in STRATEGIES:
         settings = TrainSettings(iterations=2, strategy=strategy, refine_until=1.0, max_splats=32)
-        trainer = Trainer(Shots([shot], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
+        trainer = Trainer(TrainViews([view], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:
             trainer.step()

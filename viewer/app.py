@@ -22,20 +22,40 @@ from imgui_bundle import (
 from splatview.renderers.gl.context import describe
 from splatview.renderers.precompile import ShaderPrecompiler
 from splatview.scene.user_dirs import cache_folder, config_folder
-from splatview.viewer import commands as keys
-from splatview.viewer import layout, theme
+from splatview.viewer import commands, layout, theme
 from splatview.viewer import open as opening
+from splatview.viewer.background import WindowBackground
+from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
-from splatview.viewer.editing.files import continue_restoring, look_for_abandoned
-from splatview.viewer.editing.session import continue_editing, put_away
-from splatview.viewer.open import open_paths
-from splatview.viewer.picture import GpuPicture, Picture, choose_picture
+from splatview.viewer.editing.files import Restoring, look_for_abandoned
+from splatview.viewer.editing.session import Editing
+from splatview.viewer.picture import Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
-from splatview.viewer.state import AppState
+from splatview.viewer.quality.effects import Effects
+from splatview.viewer.quality.state import Accuracy
+from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
-# ---- Files dropped on the window: ImGui does not hand them on, so GLFW is asked directly.
+FEATURES: tuple[type[Feature], ...] = (
+    DepthOfField,
+    WindowBackground,
+    Editing,
+    Restoring,
+    Accuracy,
+    Effects,
+)
+"""Features of every window, in the order in which a frame calls them; a training comes before them."""
+
+
+def window_state(preferences: Preferences, training: LiveTraining | None = None) -> AppState:
+    """The state of a window that is not open yet, with all features."""
+    app = AppState(preferences=preferences)
+    if training is not None:
+        app.add(training)
+    for feature in FEATURES:
+        app.add(feature())
+    return app
 
 
 def install_drop_handler(app: AppState) -> None:
@@ -46,7 +66,7 @@ def install_drop_handler(app: AppState) -> None:
     """
 
     def dropped(_window: Any, names: Sequence[str]) -> None:
-        app.post(open_paths, [Path(name) for name in names])
+        app.post(opening.open_paths, [Path(name) for name in names])
 
     # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
     glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]
@@ -89,7 +109,8 @@ class Window:
         self, paths: Sequence[Path], *, renderer: str = "auto", training: LiveTraining | None = None
     ):
         preferences, complaint = load_preferences()
-        self.app = AppState(preferences=preferences, training=training)
+        self.app = window_state(preferences, training)
+        self.training = training
         self.app.prefer(background=preferences.background, blend=preferences.blend)
         self.app.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs()
@@ -127,21 +148,21 @@ class Window:
             return
         info = describe(self._ctx)
         self.app.gpu_name = info.renderer
-        self.app.accuracy.wake = self.app.effects.wake = glfw.post_empty_event
+        self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         self.app.clipboard_read = imgui.get_clipboard_text
-        if self.app.training is not None:
-            self.app.training.start(self.app, on_change=glfw.post_empty_event)
-        elif self._paths:
+        if self.training is not None:
+            self.training.start(self.app, on_change=glfw.post_empty_event)
+            return
+        if self._paths:
             opening.open_paths(self.app, self._paths)
         else:
             opening.begin_demo(self.app)
-        if self.app.training is None:
-            look_for_abandoned(self.app)
+        look_for_abandoned(self.app)
 
     def _picture(self, ctx: moderngl.Context) -> Picture:
-        """What draws; says so where that is not what one would expect."""
+        """The renderer of the window; says so where it is not the one to be expected."""
         try:
             picture = choose_picture(
                 ctx, self._renderer, on_ready=glfw.post_empty_event, precompiler=self._precompiler
@@ -154,7 +175,7 @@ class Window:
                 f"This driver cannot draw splats ({why}): the processor does; try splatview doctor"
             )
             return choose_picture(ctx, "cpu", on_ready=glfw.post_empty_event, precompiler=self._precompiler)
-        if isinstance(picture, GpuPicture) and not describe(ctx).has_compute:
+        if not picture.draws_anywhere and not describe(ctx).has_compute:
             self.app.tell(
                 "This driver has no compute shaders (OpenGL 4.3): splats are drawn by its older means, their"
                 " order a moment late while the view moves"
@@ -175,16 +196,13 @@ class Window:
         app.attempt(opening.continue_loading, app)
         app.attempt(opening.report_examination, app)
         app.run_posted()
-        if app.training is not None:
-            window = glfw_window_hello_imgui()
-            app.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
-            app.attempt(app.training.advance, app)
-        app.attempt(continue_editing, app)
-        app.attempt(continue_restoring, app)
         app.attempt(app.advance)
         app.attempt(app.note_statistics)
-        app.attempt(app.accuracy.advance, app)
-        app.attempt(app.effects.advance, app)
+        if self.training is not None:
+            window = glfw_window_hello_imgui()
+            self.training.minimised = bool(glfw.get_window_attrib(window, glfw.ICONIFIED))
+        for feature in app.features.values():
+            app.attempt(feature.before_frame, app)
         if app.clipboard_write is not None:
             imgui.set_clipboard_text(app.clipboard_write)
             app.clipboard_write = None
@@ -192,13 +210,13 @@ class Window:
             self.dialogs.folder = app.scene_path.parent
         self._show_title(layout.title(app))
         layout.hide_or_show_panels(app)
-        flying = keys.held_step() is not None
+        flying = commands.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
         if self._is_software:
             params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
         params.fps_idling.enable_idling = not (app.transition or flying or turning)
-        idle = IDLE_FPS if app.training is None else app.training.idle_fps(app)
+        idle = IDLE_FPS if self.training is None else self.training.idle_fps(app)
         params.fps_idling.fps_idle = WAITING_FPS if app.waiting or self.dialogs.open else idle
         params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS
         if app.now() >= self._save_due:
@@ -210,11 +228,11 @@ class Window:
 
     def _unattended(self) -> bool:
         """Whether a training runs, its cores draw the window too, and nobody has touched that for a while."""
-        app, io = self.app, imgui.get_io()
+        app, training, io = self.app, self.training, imgui.get_io()
         mouse = io.mouse_delta.x != 0 or io.mouse_delta.y != 0 or io.mouse_wheel != 0 or any(io.mouse_down)
         if mouse or imgui.is_any_item_active() or app.view is not self._last_view:
             self._touched, self._last_view = app.now(), app.view
-        if not self._is_software or app.training is None or app.training.status.state != "training":
+        if not self._is_software or training is None or training.status.state != "training":
             return False
         if app.waiting or self.dialogs.open or app.loading is not None or app.transition is not None:
             return False
@@ -227,7 +245,7 @@ class Window:
 
     def frame(self) -> None:
         """Drawn over the docks: dialogs, and the keys that work everywhere."""
-        keys.post_pressed(self.app)
+        commands.post_pressed(self.app)
         layout.show_floating(self.app, self.dialogs)
         if self._ctx is not None:
             # ImGui draws next, into whatever is bound.
@@ -241,13 +259,11 @@ class Window:
         app.attempt(lambda: app.prefer(closed_panels=layout.closed_panels(app)))
         self.keep()
         app.attempt(self.dialogs.close)
-        if app.training is not None:
-            app.attempt(app.training.stop)
-        app.attempt(app.accuracy.end)
-        app.attempt(app.effects.end)
+        for feature in app.features.values():
+            app.attempt(feature.close, app)
         app.attempt(self.end_precompiler)
         if app.picture is not None:
-            app.attempt(app.picture.release)
+            app.attempt(app.picture.close)
             app.picture = None
 
     def end_precompiler(self) -> None:
@@ -256,8 +272,8 @@ class Window:
             self._precompiler.release()
 
     def keep(self) -> None:
-        """Puts edits and preferences away, saying on standard error what the window can no longer show."""
-        for said in (put_away(self.app), self._save_preferences()):
+        """Saves edits and preferences, saying on standard error what the window can no longer show."""
+        for said in (self.app.feature(Editing).close_session(self.app), self._save_preferences()):
             if said:
                 print(f"splatview: {said}", file=sys.stderr)
 

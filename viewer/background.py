@@ -1,4 +1,4 @@
-"""What is behind the scene in the window: a colour, a gradient or a picture, upright as the view is."""
+"""The background of the window: a colour, a gradient or a panorama, upright as the view is."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy as np
 from splatview.scene import InputError
 from splatview.scene.background import Background, Gradient, Panorama
 from splatview.scene.formats.panorama import load_panorama
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
-class Backdrop:
-    """Keeps the picture, which is read once."""
+class WindowBackground(Feature):
+    """The background by preferences and view; keeps the panorama, which is read once."""
 
     def __init__(self) -> None:
         self._panorama: Panorama | None = None
@@ -28,11 +29,11 @@ class Backdrop:
         they have not changed. A picture that cannot be read is told of once, and a colour takes its place."""
         if app.preferences.background_kind == "colour" and isinstance(app.settings.background, tuple):
             return  # which a training may have chosen
-        wanted = self._wanted(app)
-        if wanted != app.settings.background:
-            app.settings = replace(app.settings, background=wanted)
+        background = self._background(app)
+        if background != app.settings.background:
+            app.settings = replace(app.settings, background=background)
 
-    def _wanted(self, app: AppState) -> Background:
+    def _background(self, app: AppState) -> Background:
         preferences = app.preferences
         x, y, z = (float(part) for part in np.round(app.view.up, 6))
         if preferences.background_kind == "gradient":
@@ -71,13 +72,9 @@ class Backdrop:
         app.tell(f"Background: {path} ({width}x{height})")
 
 
-def take_picture(app: AppState, path: Path) -> None:
-    app.backdrop.choose(app, path)
-
-
 def ask_for_picture(app: AppState) -> None:
     app.choose_files(
         "Open an equirectangular picture",
-        lambda paths: app.post(take_picture, paths[0]),
+        lambda paths: app.post(app.feature(WindowBackground).choose, paths[0]),
         kind="picture",
     )

@@ -1,186 +1,38 @@
-"""What the user can ask for by name: keys, menus, buttons and the help page all end here.
+"""The commands of the window: one table that keys, menus, the palette, buttons and the help page read.
 
-Every function takes the `AppState` first and is posted to it, so it runs on the GL thread between frames.
+A command is added here and nowhere else. Functions take the `AppState` first and are posted to it, so that
+they run on the GL thread between frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import get_args
 
-import numpy as np
 from imgui_bundle import imgui
 
 from splatview.edit.detectors import DETECTORS
-from splatview.renderers import VisualMode
-from splatview.scene import InputError
-from splatview.viewer import background as backdrop
-from splatview.viewer import depth_of_field
-from splatview.viewer import open as camera_list
+from splatview.edit.operations.select import Grow, Shrink
+from splatview.renderers import MODES, VisualMode
+from splatview.viewer import background, camera, depth_of_field
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
-from splatview.viewer.editing.commands import EDIT_ACTIONS, cancel_job, take_tool
-from splatview.viewer.navigation import AXIS_NAMES, View, axis_view, focus, frame, level, pick, with_up
-from splatview.viewer.navigation.framing import axis
-from splatview.viewer.navigation.view import MAX_FOV, MIN_FOV
-from splatview.viewer.open import bounds
-from splatview.viewer.preferences import Bookmark, NavigationMode, load_bookmarks, save_bookmarks
+from splatview.viewer.depth_of_field import DepthOfField
+from splatview.viewer.editing import cleanup, files
+from splatview.viewer.editing import commands as editing
+from splatview.viewer.editing.session import at_rest, can_edit, session_of
+from splatview.viewer.navigation import AXIS_NAMES, level
+from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
-from splatview.viewer.training.live_edits import let_go
+from splatview.viewer.training.live import LiveTraining
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
-VISUAL_MODES: tuple[VisualMode, ...] = get_args(VisualMode)
-UP_NAMES = ("+Y", "-Y", "+Z", "-Z", "+X", "-X")
-"""In the order in which one key goes through them: the likeliest first."""
 
-FOV_STEP = 1.1
-"""Factor on the angle for one press of a key."""
-
-
-# ---- camera
-
-
-def frame_all(app: AppState) -> None:
-    """Shows the whole scene from where the eye is turned; what is deleted or hidden does not count."""
-    _frame(app, bounds(app))
-
-
-def frame_selection(app: AppState) -> None:
-    """Shows what is selected, else the whole scene."""
-    _frame(app, bounds(app, selected=True) or bounds(app))
-
-
-def _frame(app: AppState, found: tuple[np.ndarray, float] | None) -> None:
-    if found is not None:
-        width, height = app.picture_size
-        app.go_to(frame(app.destination, *found, aspect=width / height))
-
-
-def look_along(app: AppState, name: str) -> None:
-    app.go_to(axis_view(app.destination, name))
-
-
-def make_level(app: AppState) -> None:
-    app.go_to(level(app.destination))
-
-
-def set_up(app: AppState, name: str) -> None:
-    """Makes the world axis `name` the up axis, and the horizon level about it."""
-    app.go_to(with_up(app.destination, axis(name)))
-    app.tell(f"Up is {name}")
-
-
-def next_up(app: AppState) -> None:
-    now = up_name(app.destination)
-    set_up(app, UP_NAMES[(UP_NAMES.index(now) + 1) % len(UP_NAMES)] if now else UP_NAMES[0])
-
-
-def up_name(view: View) -> str | None:
-    """The world axis that is up, or None where it is oblique."""
-    return next((name for name in UP_NAMES if float(axis(name) @ view.up) > 1 - 1e-6), None)
-
-
-def up_from_view(app: AppState) -> None:
-    app.steer(replace(app.destination, up=-app.destination.R_camera_world[1]))
-    app.tell("Up is what is up in this view")
-
-
-def change_fov(app: AppState, factor: float) -> None:
-    lens = app.destination.lens
-    fov_y = min(max(lens.fov_y * factor, MIN_FOV), MAX_FOV)
-    app.go_to(replace(app.destination, lens=replace(lens, fov_y=fov_y)))
-
-
-def toggle_orthographic(app: AppState) -> None:
-    """Parallel rays or a pinhole's; what is at the target's distance stays as large."""
-    lens = replace(app.destination.lens, orthographic=not app.destination.lens.orthographic)
-    app.steer(replace(app.destination, lens=lens))
-    app.tell("Orthographic: rays are parallel" if lens.orthographic else "Perspective: rays meet in the eye")
-
-
-def toggle_lenses(app: AppState) -> None:
-    """Shows the views of loaded cameras through their lenses, or as pinholes would."""
-    app.through_lenses = not app.through_lenses
-    chosen = app.cameras[app.camera_index] if 0 <= app.camera_index < len(app.cameras) else None
-    lens = app.destination.lens
-    if not app.through_lenses:
-        app.steer(replace(app.destination, lens=replace(lens, distortion=None)))
-        app.tell("Without lenses: views are those of pinholes")
-    elif chosen is not None and chosen.lens is not None:
-        app.steer(replace(app.destination, lens=replace(lens, distortion=chosen.lens, orthographic=False)))
-        app.tell(f"Through the camera's lens, {chosen.lens.model}")
-    else:
-        app.tell("Through lenses, where the chosen camera has one")
-
-
-def focus_at(app: AppState, x: float, y: float) -> None:
-    """Turns about the surface at (x, y) px of the visible area; without one there, nothing happens."""
-    if not app.scene:
-        return
-    found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
-    if found is None:
-        app.tell("Nothing to turn about there: the pixel shows the background")
-        return
-    app.go_to(focus(app.view, found.point))
-    app.tell(f"Turning about splat {found.index:,}, {found.depth:.4g} units ahead")
-
-
-# ---- bookmarks
-
-
-def add_bookmark(app: AppState) -> None:
-    numbers = {bookmark.name for bookmark in app.bookmarks}
-    number = next(n for n in range(1, len(numbers) + 2) if f"View {n}" not in numbers)
-    app.bookmarks.append(Bookmark(name=f"View {number}", view=app.destination))
-    app.bookmark_index = len(app.bookmarks) - 1
-    keep_bookmarks(app)
-
-
-def rename_bookmark(app: AppState, index: int, name: str) -> None:
-    if name.strip():
-        app.bookmarks[index] = replace(app.bookmarks[index], name=name.strip())
-        keep_bookmarks(app)
-
-
-def delete_bookmark(app: AppState, index: int) -> None:
-    del app.bookmarks[index]
-    app.bookmark_index = -1
-    keep_bookmarks(app)
-
-
-def go_to_bookmark(app: AppState, index: int) -> None:
-    if not app.bookmarks:
-        app.tell("There are no bookmarks yet")
-        return
-    app.bookmark_index = index % len(app.bookmarks)
-    app.go_to(app.bookmarks[app.bookmark_index].view)
-    app.tell(f"Bookmark: {app.bookmarks[app.bookmark_index].name}")
-
-
-def keep_bookmarks(app: AppState) -> None:
-    """Saves them, and says where."""
-    if app.scene_path is None:
-        app.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
-        return
-    try:
-        # What another window on the scene has added since stays, and a file that is damaged is not lost.
-        app.bookmarks += [
-            bookmark
-            for bookmark in load_bookmarks(app.scene_path)
-            if bookmark.entry not in app.bookmarks_read
-        ]
-        path = save_bookmarks(app.scene_path, app.bookmarks)
-        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
-    except (OSError, InputError) as error:
-        app.complain(f"The bookmarks cannot be saved: {error}")
-        return
-    app.tell(f"Bookmarks saved in {path}")
-
-
-# ---- modes and the window
+AXIS_KEYS = ("X", "Shift+X", "Y", "Shift+Y", "Z", "Shift+Z")
+"""Key of the view along each of AXIS_NAMES."""
 
 
 def navigate(app: AppState, mode: NavigationMode) -> None:
@@ -195,9 +47,6 @@ def next_navigation(app: AppState) -> None:
 
 
 def set_mode(app: AppState, mode: VisualMode) -> None:
-    if app.picture and mode not in app.picture.modes:
-        app.tell(f"{app.picture.name} cannot show {mode}")
-        return
     app.mode = mode
 
 
@@ -210,194 +59,286 @@ def toggle_panels(app: AppState) -> None:
 
 
 def cancel(app: AppState) -> None:
-    """The way back from whatever is open or under way."""
+    """Ends whatever is open or under way, one thing at a time."""
     if app.problem:
         app.problem = None
     elif app.dialog:
         app.dialog = None
-    elif app.depth_of_field.picking:
-        app.depth_of_field.picking = False
     elif app.loading:
         opening.cancel_loading(app)
-    elif app.session and app.session.job:
-        cancel_job(app)
-    elif app.session and app.session.tool != "none":
-        take_tool(app, "none")
-    elif app.session and app.session.target:
-        let_go(app)
+    else:
+        any(feature.cancel(app) for feature in app.features.values())
 
 
 def quit_window(app: AppState) -> None:
     app.quitting = True
 
 
-ACTIONS: dict[str, Callable[[AppState], None]] = {
-    "open": opening.choose_scene,
-    "reload": opening.reload,
-    "open_cameras": opening.choose_cameras,
-    "screenshot": saving.screenshot,
-    "screenshot_as": partial(toggle_dialog, name="screenshot"),
-    "quit": quit_window,
-    "frame_selection": frame_selection,
-    "frame_all": frame_all,
-    **{f"look_from_{name}": partial(look_along, name=name) for name in AXIS_NAMES},
-    "level": make_level,
-    "next_up": next_up,
-    "up_from_view": up_from_view,
-    "toggle_orthographic": toggle_orthographic,
-    "toggle_lenses": toggle_lenses,
-    "depth_of_field": depth_of_field.switch,
-    "focus_by_click": depth_of_field.focus_by_click,
-    "narrower": partial(change_fov, factor=1 / FOV_STEP),
-    "wider": partial(change_fov, factor=FOV_STEP),
-    "next_camera": partial(camera_list.step_camera, step=1),
-    "previous_camera": partial(camera_list.step_camera, step=-1),
-    "add_bookmark": add_bookmark,
-    "next_bookmark": lambda app: go_to_bookmark(app, app.bookmark_index + 1),
-    "copy_camera": camera_list.copy_camera,
-    "paste_camera": camera_list.paste_camera,
-    **{f"navigate_{mode}": partial(navigate, mode=mode) for mode in NAVIGATION_MODES},
-    "next_navigation": next_navigation,
-    "open_background": backdrop.ask_for_picture,
-    **{f"mode_{mode}": partial(set_mode, mode=mode) for mode in VISUAL_MODES},
-    "pause_training": training.pause_or_resume,
-    "step_training": training.step_once,
-    "toggle_panels": toggle_panels,
-    "toggle_help": partial(toggle_dialog, name="help"),
-    "toggle_palette": partial(toggle_dialog, name="palette"),
-    **EDIT_ACTIONS,
-    "cancel": cancel,
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One thing that the user can ask for by name."""
+
+    id: str
+    title: str
+    """Description for the palette, tooltips and the help page."""
+    group: str
+    """Heading on the help page."""
+    run: Callable[[AppState], object]
+    keys: tuple[str, ...] = ()
+    """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
+    menu: str = ""
+    """Title in a menu, where `title` would be too long."""
+    enabled: Callable[[AppState], bool] = lambda app: True
+    """Whether menus offer it. Keys and the palette run it all the same; it then says why it does nothing."""
+    checked: Callable[[AppState], bool] = lambda app: False
+    """Whether menus show it as chosen."""
+
+
+def _has_selection(app: AppState) -> bool:
+    session = session_of(app)
+    return session is not None and session.document.counts.selected > 0
+
+
+def _counts(name: str) -> Callable[[AppState], bool]:
+    """Whether any splat has the state `name` of the document's counts."""
+
+    def check(app: AppState) -> bool:
+        session = session_of(app)
+        return session is not None and getattr(session.document.counts, name) > 0
+
+    return check
+
+
+def _history(name: str) -> Callable[[AppState], bool]:
+    def check(app: AppState) -> bool:
+        session = session_of(app)
+        return session is not None and getattr(session.document.history, name)
+
+    return check
+
+
+def _has_cameras(app: AppState) -> bool:
+    return bool(app.cameras)
+
+
+def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
+    def in_hand(app: AppState) -> bool:
+        session = session_of(app)
+        return session is not None and session.tool == name
+
+    return Command(
+        id=f"tool_{name}",
+        title=title,
+        group=group,
+        run=partial(editing.take_tool, tool=name),
+        keys=tuple(keys.split()),
+        enabled=can_edit,
+        checked=in_hand,
+    )
+
+
+def _selects_front(app: AppState) -> bool:
+    session = session_of(app)
+    return session is not None and session.depth == "front"
+
+
+def _shows_something_else(app: AppState) -> bool:
+    live = app.find(LiveTraining)
+    return live is not None and not live.followed_by(app)
+
+
+def _command(
+    group: str,
+    id: str,
+    keys: str,
+    title: str,
+    run: Callable[[AppState], object],
+    menu: str = "",
+    **states: Callable[[AppState], bool],
+) -> Command:
+    return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **states)
+
+
+_file, _camera, _navigation, _picture, _edit, _select, _training, _window = (
+    partial(_command, group)
+    for group in ("File", "Camera", "Navigation", "Picture", "Edit", "Select", "Training", "Window")
+)
+
+
+def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
+    name = mode.capitalize()
+    return _navigation(
+        f"navigate_{mode}",
+        keys,
+        f"{name}: {title}",
+        partial(navigate, mode=mode),
+        name,
+        checked=lambda app: app.preferences.navigation == mode,
+    )
+
+
+# fmt: off
+COMMANDS: dict[str, Command] = {
+    command.id: command
+    for command in (
+        _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open..."),
+        _file("add", "Ctrl+Shift+O", "Add another scene to this one", files.choose_addition,
+            "Add to the scene...", enabled=lambda app: app.is_open),
+        _file("reload", "F5", "Read the scene's files again", opening.reload,
+            enabled=lambda app: app.scene_path is not None),
+        _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
+        _file("screenshot", "F12", "Save a picture beside the scene", saving.screenshot, "Save a picture"),
+        _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
+            partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
+        _file("quit", "Ctrl+Q", "Quit", quit_window),
+        _file("export", "Ctrl+E", "Export the edited scene", files.choose_export,
+            "Export the edited scene...", enabled=can_edit),
+        _file("save_recipe", "Ctrl+S", "Save what was done as a recipe", files.choose_recipe_to_save,
+            "Save recipe...", enabled=at_rest),
+        _file("replay_recipe", "Ctrl+R", "Do the steps of a recipe", files.choose_recipe_to_replay,
+            "Replay recipe...", enabled=at_rest),
+        _file("merge", "Ctrl+M", "Merge another scene into this one, as a step of editing",
+            files.choose_merge, "Merge as an edit...", enabled=at_rest),
+        _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
+            "Selection to its own file...", enabled=at_rest),
+        _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
+        _camera("frame_selection", "F", "Show what is selected, else the whole scene",
+            camera.frame_selection),
+        _camera("frame_all", "Home", "Show the whole scene", camera.frame_all),
+        *(
+            _camera(f"look_from_{name}", key, f"Look from {name}", partial(camera.look_along, name=name),
+            name)
+            for name, key in zip(AXIS_NAMES, AXIS_KEYS, strict=True)
+        ),
+        _camera("level", "L", "Make the horizon level", camera.make_level),
+        _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next"),
+        _camera("up_from_view", "Shift+U", "Take what is up in the picture as the up axis",
+            camera.up_from_view,
+            "What is up in the picture"),
+        _camera("toggle_orthographic", "Shift+P", "Orthographic: parallel rays, or perspective again",
+            camera.toggle_orthographic, "Orthographic",
+            checked=lambda app: app.destination.lens.orthographic),
+        _camera("toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without",
+            camera.toggle_lenses, "Camera lenses",
+            enabled=lambda app: any(camera.lens is not None for camera in app.cameras),
+            checked=lambda app: app.through_lenses),
+        _camera("depth_of_field", "Shift+B", "Depth of field on or off", depth_of_field.switch,
+            "Depth of field", checked=lambda app: app.feature(DepthOfField).on),
+        _camera("focus_by_click", "Shift+C", "Depth of field: click what shall be sharp",
+            depth_of_field.focus_by_click, "Focus by click"),
+        _camera("narrower", "]", "Narrower field of view", partial(camera.change_fov,
+            factor=1 / camera.FOV_STEP)),
+        _camera("wider", "[", "Wider field of view", partial(camera.change_fov, factor=camera.FOV_STEP)),
+        _camera("next_camera", "PageDown", "Next loaded camera", partial(camera.step_camera, step=1),
+            enabled=_has_cameras),
+        _camera("previous_camera", "PageUp", "Previous loaded camera",
+            partial(camera.step_camera, step=-1), enabled=_has_cameras),
+        _camera("add_bookmark", "B", "Bookmark this view", camera.add_bookmark),
+        _camera("next_bookmark", "N", "Next bookmark",
+            lambda app: camera.go_to_bookmark(app, app.bookmark_index + 1),
+            enabled=lambda app: bool(app.bookmarks)),
+        _camera("copy_camera", "Ctrl+C", "Copy the camera as JSON", camera.copy_camera),
+        _camera("paste_camera", "Ctrl+V", "Go to the camera on the clipboard", camera.paste_camera),
+        _navigation_mode("orbit", "F2", "turn about a point, horizon level"),
+        _navigation_mode("fly", "F3", "look around and move freely"),
+        _navigation_mode("trackball", "F4", "turn the scene like a ball"),
+        _navigation("next_navigation", "V", "Next of orbit, fly and trackball", next_navigation),
+        *(
+            _picture(f"mode_{mode.name}", mode.key, f"{mode.label}: {mode.tip}",
+                partial(set_mode, mode=mode.name), checked=lambda app, name=mode.name: app.mode == name)
+            for mode in MODES.values()
+        ),
+        _picture("open_background", "", "Background: open an equirectangular picture",
+            background.ask_for_picture),
+        _edit("duplicate", "Ctrl+D", "Make a copy of the selected splats",
+            editing.operation_on_selection("duplicate"),
+            enabled=lambda app: _has_selection(app) and at_rest(app)),
+        _edit("undo", "Ctrl+Z", "Undo", editing.undo, enabled=_history("can_undo")),
+        _edit("redo", "Ctrl+Shift+Z Ctrl+Y", "Redo", editing.redo, enabled=_history("can_redo")),
+        _edit("delete", "Delete Backspace", "Delete the selected splats",
+            editing.operation_on_selection("delete"), enabled=_has_selection),
+        _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"),
+            enabled=_has_selection),
+        _edit("show", "Shift+J", "Show all hidden splats again", editing.operation("show"),
+            enabled=_counts("hidden")),
+        _edit("isolate", "Shift+I", "Hide all but the selected splats",
+            editing.operation_on_selection("isolate"), enabled=_has_selection),
+        _edit("lock", "K", "Lock the selected splats: seen, but not to be changed",
+            editing.operation_on_selection("lock"), enabled=_has_selection),
+        _edit("unlock", "Shift+K", "Unlock all locked splats", editing.operation("unlock"),
+            enabled=_counts("locked")),
+        _select("select_all", "Ctrl+A", "Select all", editing.operation("select_all"), enabled=can_edit),
+        _select("select_none", "Ctrl+Shift+A", "Select none", editing.operation("select_none"),
+            enabled=can_edit),
+        _select("select_inverse", "Ctrl+I", "Invert the selection", editing.operation("select_inverse"),
+            enabled=can_edit),
+        _tool("Select", "rectangle", "R", "Rectangle: select what is inside"),
+        _tool("Select", "brush", "C", "Brush: paint a selection"),
+        _tool("Select", "lasso", "O", "Lasso: draw around what to select"),
+        _tool("Select", "polygon", "P", "Polygon: click corners around what to select"),
+        _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour"),
+        _tool("Select", "colour", "I", "Eyedropper: select everything of one colour"),
+        _select("next_depth", "T", "Screen tools: through everything, or the front surface only",
+            editing.next_depth, "Only the front surface", enabled=can_edit, checked=_selects_front),
+        _select("larger_brush", "Shift+]", "Larger brush",
+            partial(editing.scale_brush, factor=editing.BRUSH_STEP)),
+        _select("smaller_brush", "Shift+[", "Smaller brush",
+            partial(editing.scale_brush, factor=1 / editing.BRUSH_STEP)),
+        _tool("Edit", "measure", "M", "Measure the distance between two points"),
+        _select("grow", "", "Grow the selection by its neighbours",
+            partial(editing.grow_or_shrink, operation=Grow(neighbours=editing.NEIGHBOURS))),
+        _select("shrink", "", "Shrink the selection by one layer",
+            partial(editing.grow_or_shrink, operation=Shrink(neighbours=editing.NEIGHBOURS))),
+        _edit("add_box", "", "Add a crop box", partial(editing.add_crop, shape="box")),
+        _edit("add_sphere", "", "Add a crop sphere", partial(editing.add_crop, shape="sphere")),
+        _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
+        _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
+        *(
+            _edit(f"find_{name}", "", f"Clean up: find {detector.label.lower()}",
+                partial(cleanup.find, detector=name))
+            for name, detector in DETECTORS.items()
+        ),
+        _window("toggle_palette", "Ctrl+P", "Find a command by its name",
+            partial(toggle_dialog, name="palette")),
+        _training("pause_training", "Space", "Pause or resume training", training.pause_or_resume, "Pause"),
+        _training("step_training", "Period", "Train one step, then pause", training.step_once, "One step"),
+        _training("stop_training", "", "Pause training, and save scene and checkpoint",
+            training.stop_and_save, "Stop and save"),
+        _training("export_training", "", "Export the scene in training", training.export, "Export .ply..."),
+        _training("save_checkpoint", "", "Save a checkpoint of the training", training.save_checkpoint,
+            "Save a checkpoint"),
+        _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
+        _training("show_training", "", "Show the scene in training", training.show_training,
+            enabled=_shows_something_else),
+        _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
+            checked=lambda app: app.panels_hidden),
+        _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
+            "Keys and mouse"),
+        _window("cancel", "Escape", "Cancel loading, close what is open", cancel),
+    )
 }
-"""Every action that has a name in `shortcuts.SHORTCUTS`."""
-
-
-# ---- The one table of keys: bindings, menus and the help page all read it.
+"""By id, in the order of the palette and the help page."""
+# fmt: on
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shortcut:
-    """One thing that keys do."""
+class HeldKeys:
+    """Keys that move the eye as long as one of them is down."""
 
-    action: str
-    """The key in `actions.ACTIONS`, or for a `held` key a direction in `HELD_DIRECTIONS`."""
+    title: str
     keys: tuple[str, ...]
-    """As the user reads them: "F", "Ctrl+Shift+O". Any of them does it; those without are in the palette."""
-    text: str
-    """What it does, for the menu and the help page."""
-    group: str
-    held: bool = False
-    """Acts as long as the key is down (flying), rather than once."""
+    direction: tuple[float, float, float]
+    """(right, up, forward) of the camera."""
 
 
-def _once(group: str, action: str, keys: str, text: str) -> Shortcut:
-    return Shortcut(action=action, keys=tuple(keys.split()), text=text, group=group)
-
-
-def _held(action: str, keys: str, text: str) -> Shortcut:
-    return Shortcut(action=action, keys=tuple(keys.split()), text=text, group="Moving", held=True)
-
-
-SHORTCUTS: tuple[Shortcut, ...] = (
-    _once("File", "open", "Ctrl+O", "Open a scene"),
-    _once("File", "add", "Ctrl+Shift+O", "Add another scene to this one"),
-    _once("File", "reload", "F5", "Read the scene's files again"),
-    _once("File", "open_cameras", "Ctrl+L", "Load a list of cameras"),
-    _once("File", "screenshot", "F12", "Save a picture beside the scene"),
-    _once("File", "screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place"),
-    _once("File", "quit", "Ctrl+Q", "Quit"),
-    _once("Camera", "frame_selection", "F", "Show what is selected, else the whole scene"),
-    _once("Camera", "frame_all", "Home", "Show the whole scene"),
-    _once("Camera", "look_from_+X", "X", "Look from +X"),
-    _once("Camera", "look_from_-X", "Shift+X", "Look from -X"),
-    _once("Camera", "look_from_+Y", "Y", "Look from +Y"),
-    _once("Camera", "look_from_-Y", "Shift+Y", "Look from -Y"),
-    _once("Camera", "look_from_+Z", "Z", "Look from +Z"),
-    _once("Camera", "look_from_-Z", "Shift+Z", "Look from -Z"),
-    _once("Camera", "level", "L", "Make the horizon level"),
-    _once("Camera", "next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X"),
-    _once("Camera", "up_from_view", "Shift+U", "Take what is up in the picture as the up axis"),
-    _once("Camera", "toggle_orthographic", "Shift+P", "Orthographic: parallel rays, or perspective again"),
-    _once("Camera", "toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without"),
-    _once("Camera", "depth_of_field", "Shift+B", "Depth of field on or off"),
-    _once("Camera", "focus_by_click", "Shift+C", "Depth of field: click what shall be sharp"),
-    _once("Camera", "narrower", "]", "Narrower field of view"),
-    _once("Camera", "wider", "[", "Wider field of view"),
-    _once("Camera", "next_camera", "PageDown", "Next loaded camera"),
-    _once("Camera", "previous_camera", "PageUp", "Previous loaded camera"),
-    _once("Camera", "add_bookmark", "B", "Bookmark this view"),
-    _once("Camera", "next_bookmark", "N", "Next bookmark"),
-    _once("Camera", "copy_camera", "Ctrl+C", "Copy the camera as JSON"),
-    _once("Camera", "paste_camera", "Ctrl+V", "Go to the camera on the clipboard"),
-    _once("Navigation", "navigate_orbit", "F2", "Orbit: turn about a point, horizon level"),
-    _once("Navigation", "navigate_fly", "F3", "Fly: look around and move freely"),
-    _once("Navigation", "navigate_trackball", "F4", "Trackball: turn the scene like a ball"),
-    _once("Navigation", "next_navigation", "V", "Next of orbit, fly and trackball"),
-    _once("Picture", "mode_splats", "1", "Splats: the picture itself"),
-    _once("Picture", "mode_points", "2", "Points: a dot for each splat's centre"),
-    _once("Picture", "mode_ellipsoids", "3", "Ellipsoids: the splats as solid bodies"),
-    _once("Picture", "mode_depth", "4", "Depth: near is bright"),
-    _once("Picture", "mode_overdraw", "5", "Overdraw: how many splats each pixel costs"),
-    _once("Picture", "open_background", "", "Background: open an equirectangular picture"),
-    _once("File", "export", "Ctrl+E", "Export the edited scene"),
-    _once("File", "save_recipe", "Ctrl+S", "Save what was done as a recipe"),
-    _once("File", "replay_recipe", "Ctrl+R", "Do the steps of a recipe"),
-    _once("File", "merge", "Ctrl+M", "Merge another scene into this one, as a step of editing"),
-    _once("File", "split", "Ctrl+Shift+E", "Move the selection to a file of its own"),
-    _once("Edit", "duplicate", "Ctrl+D", "Make a copy of the selected splats"),
-    _once("Edit", "undo", "Ctrl+Z", "Undo"),
-    _once("Edit", "redo", "Ctrl+Shift+Z Ctrl+Y", "Redo"),
-    _once("Edit", "delete", "Delete Backspace", "Delete the selected splats"),
-    _once("Edit", "hide", "J", "Hide the selected splats"),
-    _once("Edit", "show", "Shift+J", "Show all hidden splats again"),
-    _once("Edit", "isolate", "Shift+I", "Hide all but the selected splats"),
-    _once("Edit", "lock", "K", "Lock the selected splats: seen, but not to be changed"),
-    _once("Edit", "unlock", "Shift+K", "Unlock all locked splats"),
-    _once("Select", "select_all", "Ctrl+A", "Select all"),
-    _once("Select", "select_none", "Ctrl+Shift+A", "Select none"),
-    _once("Select", "select_inverse", "Ctrl+I", "Invert the selection"),
-    _once("Select", "tool_rectangle", "R", "Rectangle: select what is inside"),
-    _once("Select", "tool_brush", "C", "Brush: paint a selection"),
-    _once("Select", "tool_lasso", "O", "Lasso: draw around what to select"),
-    _once("Select", "tool_polygon", "P", "Polygon: click corners around what to select"),
-    _once("Select", "tool_flood", "G", "Magic wand: select what hangs together and has one colour"),
-    _once("Select", "tool_colour", "I", "Eyedropper: select everything of one colour"),
-    _once("Select", "next_depth", "T", "Screen tools: through everything, or the front surface only"),
-    _once("Select", "larger_brush", "Shift+]", "Larger brush"),
-    _once("Select", "smaller_brush", "Shift+[", "Smaller brush"),
-    _once("Edit", "tool_measure", "M", "Measure the distance between two points"),
-    _once("Select", "grow", "", "Grow the selection by its neighbours"),
-    _once("Select", "shrink", "", "Shrink the selection by one layer"),
-    _once("Edit", "add_box", "", "Add a crop box"),
-    _once("Edit", "add_sphere", "", "Add a crop sphere"),
-    _once("Edit", "delete_cropped", "", "Delete what the crops cut away"),
-    _once("Edit", "tool_ground", "", "Set the scene on the ground by picking three points of it"),
-    *(
-        _once("Edit", f"find_{name}", "", f"Clean up: find {detector.label.lower()}")
-        for name, detector in DETECTORS.items()
-    ),
-    _once("Window", "toggle_palette", "Ctrl+P", "Find a command by its name"),
-    _once("Training", "pause_training", "Space", "Pause or resume training"),
-    _once("Training", "step_training", "Period", "Train one step, then pause"),
-    _once("Window", "toggle_panels", "H", "Hide or show the panels"),
-    _once("Window", "toggle_help", "F1", "Show or hide this page"),
-    _once("Window", "cancel", "Escape", "Cancel loading, close what is open"),
-    _held("forward", "W Up", "Forward"),
-    _held("back", "S Down", "Back"),
-    _held("left", "A Left", "Left"),
-    _held("right", "D Right", "Right"),
-    _held("up", "E", "Up"),
-    _held("down", "Q", "Down"),
+HELD_KEYS = (
+    HeldKeys(title="Forward", keys=("W", "Up"), direction=(0, 0, 1)),
+    HeldKeys(title="Back", keys=("S", "Down"), direction=(0, 0, -1)),
+    HeldKeys(title="Left", keys=("A", "Left"), direction=(-1, 0, 0)),
+    HeldKeys(title="Right", keys=("D", "Right"), direction=(1, 0, 0)),
+    HeldKeys(title="Up", keys=("E",), direction=(0, 1, 0)),
+    HeldKeys(title="Down", keys=("Q",), direction=(0, -1, 0)),
 )
-
-HELD_DIRECTIONS: dict[str, tuple[float, float, float]] = {
-    "forward": (0, 0, 1),
-    "back": (0, 0, -1),
-    "left": (-1, 0, 0),
-    "right": (1, 0, 0),
-    "up": (0, 1, 0),
-    "down": (0, -1, 0),
-}
-"""(right, up, forward) of the camera for each held shortcut."""
 
 FAST, SLOW = "Shift", "Alt"
 """Modifiers of the held keys; Ctrl is left to the commands."""
@@ -410,20 +351,12 @@ MOUSE: tuple[tuple[str, str], ...] = (
     ("Double click", "Turn about the surface under the mouse"),
     ("Drop a file", "Open it; several files are merged"),
 )
-"""What the help page says about the mouse; `input` is where it happens."""
+"""Use of the mouse for the help page; `viewer.viewport` implements it."""
 
 
-def keys_of(action: str) -> str:
-    """The first key of an action as menus show it; "" where it has none."""
-    return next((s.keys[0] for s in SHORTCUTS if s.action == action and s.keys), "")
-
-
-def text_of(action: str) -> str:
-    """What an action does, in a few words."""
-    return next(s.text for s in SHORTCUTS if s.action == action)
-
-
-# ---- From the shortcut table's key names to ImGui's key chords, and back to what was pressed.
+def keys_of(id: str) -> str:
+    """The first key of a command as menus show it; "" where it has none."""
+    return next(iter(COMMANDS[id].keys), "")
 
 
 _NAMED = {
@@ -460,18 +393,16 @@ def _key(name: str) -> imgui.Key:
 
 
 def post_pressed(app: AppState) -> None:
-    """Posts the action of every shortcut pressed in this frame.
+    """Posts every command whose key is pressed in this frame.
 
     None while the user is typing, and only the way out while a menu or question is open.
     """
     if imgui.get_io().want_text_input:
         return
     asked = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-    for shortcut in SHORTCUTS:
-        if asked and shortcut.action != "cancel":
-            continue
-        if not shortcut.held and any(imgui.is_key_chord_pressed(chord(key)) for key in shortcut.keys):
-            app.post(ACTIONS[shortcut.action])
+    for command in (COMMANDS["cancel"],) if asked else COMMANDS.values():
+        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys):
+            app.post(command.run)
 
 
 def held_step() -> tuple[float, float, float] | None:
@@ -479,19 +410,10 @@ def held_step() -> tuple[float, float, float] | None:
     io = imgui.get_io()
     if io.want_text_input or io.key_ctrl or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         return None
-    step = [0.0, 0.0, 0.0]
-    any_down = False
-    for shortcut in SHORTCUTS:
-        if shortcut.held and any(imgui.is_key_down(_key(key)) for key in shortcut.keys):
-            any_down = True
-            for i, part in enumerate(HELD_DIRECTIONS[shortcut.action]):
-                step[i] += part
-    if not any_down:
+    down = [held.direction for held in HELD_KEYS if any(imgui.is_key_down(_key(key)) for key in held.keys)]
+    if not down:
         return None
-    factor = 4.0 if _down(FAST) else 0.25 if _down(SLOW) else 1.0
-    return step[0] * factor, step[1] * factor, step[2] * factor
-
-
-def _down(modifier: str) -> bool:
-    io = imgui.get_io()
-    return {"Shift": io.key_shift, "Alt": io.key_alt, "Ctrl": io.key_ctrl}[modifier]
+    modifiers = {"Shift": io.key_shift, "Alt": io.key_alt}
+    factor = 4.0 if modifiers[FAST] else 0.25 if modifiers[SLOW] else 1.0
+    x, y, z = (factor * sum(parts) for parts in zip(*down, strict=True))
+    return x, y, z

@@ -15,6 +15,7 @@ from splatview.renderers.gl.resolve import PictureMean
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, camera_at, check_camera
 from splatview.viewer.navigation import pick
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -30,12 +31,13 @@ REST_SECONDS = 0.2
 """For so long nothing must have changed before the lens opens."""
 
 USUAL_APERTURE = 0.05
-"""Of the distance in focus: what is twice as far is blurred by a fortieth of the focal length."""
+"""Usual diameter of the lens, in distances in focus: what is twice as far is blurred by a fortieth of the
+focal length."""
 
 
 @dataclass(eq=False)
-class DepthOfField:
-    """The window's lens."""
+class DepthOfField(Feature):
+    """The lens of the window: while the view rests, pictures from all over it are averaged."""
 
     on: bool = False
     share: float = USUAL_APERTURE
@@ -56,18 +58,18 @@ class DepthOfField:
 
     def aperture(self, app: AppState) -> Aperture | None:
         """The lens in force; None: a pinhole."""
-        if not self.on or app.mode != "splats" or app.scene is None:
+        if not self.on or app.mode != "splats" or not app.is_open:
             return None
         return Aperture(diameter=self.share * app.view.distance, focus=self.focus or app.view.distance)
 
     def next_camera(self, app: AppState, camera: Camera, settings: RenderSettings) -> Camera:
-        """By what the frame that comes is drawn instead of by `camera`."""
+        """Camera of the next frame, in the place of `camera`."""
         aperture = self.aperture(app)
         if aperture is None or app.picture is None or not is_pinhole(camera):
             self.close(app)
             return camera
         self._edits = edit_snapshot(app.edits, app.highlight, self._edits)
-        gaussians = app.scene.gaussians if app.scene else None
+        gaussians = app.scene.gaussians
         kept = self._key
         same = kept is not None and camera.same_view(kept[0])
         key = (kept[0] if same and kept else camera, settings, aperture, gaussians, self._edits)
@@ -91,9 +93,12 @@ class DepthOfField:
             self.samples = self._mean.count
         return self._mean.texture if self._mean is not None and self.samples else None
 
-    def waiting(self, app: AppState) -> bool:
-        """Whether the next frames will show a better picture."""
+    def busy(self, app: AppState) -> bool:
         return self._key is not None and self.aperture(app) is not None and self.samples < SAMPLES
+
+    def cancel(self, app: AppState) -> bool:
+        was_picking, self.picking = self.picking, False
+        return was_picking
 
     @property
     def badge(self) -> str:
@@ -129,24 +134,25 @@ def is_pinhole(camera: Camera) -> bool:
 
 def focus_on(app: AppState, x: float, y: float) -> None:
     """Makes the surface at (x, y) px of the visible area sharp."""
-    app.depth_of_field.picking = False
-    if not app.scene:
+    lens = app.feature(DepthOfField)
+    lens.picking = False
+    if not app.is_open:
         return
     found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
     if found is None:
         app.tell("Nothing to focus on there: the pixel shows the background")
         return
-    app.depth_of_field.focus = found.depth
-    app.depth_of_field.on = True
+    lens.focus, lens.on = found.depth, True
     app.tell(f"In focus: splat {found.index:,}, {found.depth:.4g} units ahead")
 
 
 def switch(app: AppState) -> None:
-    app.depth_of_field.on = not app.depth_of_field.on
-    app.tell(f"Depth of field {'on' if app.depth_of_field.on else 'off'}")
+    lens = app.feature(DepthOfField)
+    lens.on = not lens.on
+    app.tell(f"Depth of field {'on' if lens.on else 'off'}")
 
 
 def focus_by_click(app: AppState) -> None:
     """Waits for the click."""
-    app.depth_of_field.picking = True
-    app.depth_of_field.on = True
+    lens = app.feature(DepthOfField)
+    lens.picking = lens.on = True

@@ -11,9 +11,10 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
+from splatview.scene.formats import name_patterns
 from splatview.viewer import save as saving
 from splatview.viewer import theme
-from splatview.viewer.commands import MOUSE, SHORTCUTS
+from splatview.viewer.commands import COMMANDS, HELD_KEYS, MOUSE
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 
@@ -43,9 +44,9 @@ def loading(app: AppState) -> None:
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
     imgui.text_unformatted(f"{app.loading.stage} {app.loading.name}")
     progress = app.loading.progress
-    share, text = (-imgui.get_time(), "") if progress is None else (progress, f"{progress:.0%}")
+    share, text = (-imgui.get_time(), "") if progress < 0 else (progress, f"{progress:.0%}")
     imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
-    widgets.action_button(app, "Cancel", "cancel")
+    widgets.command_button(app, "Cancel", "cancel")
     imgui.end()
 
 
@@ -75,7 +76,7 @@ HELP_COLUMNS = (
     ("Select", "Edit"),
     ("Picture", "Window", "Training"),
 )
-"""Groups of the shortcut table, and the mouse, as the help page sets them."""
+"""Groups of commands, held keys and the mouse, column by column."""
 
 
 def help_page(app: AppState) -> None:
@@ -88,12 +89,19 @@ def help_page(app: AppState) -> None:
         for column in HELP_COLUMNS:
             imgui.table_next_column()
             for group in column:
-                rows = [(", ".join(s.keys), s.text) for s in SHORTCUTS if s.group == group and s.keys]
-                key_table(group, MOUSE if group == "Mouse" else rows)
+                key_table(group, help_rows(group))
         imgui.end_table()
     imgui.end()
     if not opened:
         app.dialog = None
+
+
+def help_rows(group: str) -> list[tuple[str, str]]:
+    """Keys and what they do, of one group of the help page."""
+    if group == "Mouse":
+        return list(MOUSE)
+    entries = HELD_KEYS if group == "Moving" else [c for c in COMMANDS.values() if c.group == group]
+    return [(", ".join(entry.keys), entry.title) for entry in entries if entry.keys]
 
 
 def key_table(name: str, rows: Iterable[tuple[str, str]]) -> None:
@@ -149,26 +157,23 @@ def screenshot(app: AppState) -> None:
         app.dialog = None
 
 
-# ---- The system's file dialogs, and a plain one to type a path into where there is none.
-
-
 Kind = Literal[
     "scene", "cameras", "picture", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"
 ]
 
 FILTERS: dict[Kind, list[str]] = {
-    "scene": ["Splat scenes", "*.ply *.splat *.spz *.ksplat *.sog", "All files", "*"],
+    "scene": ["Splat scenes", name_patterns(), "All files", "*"],
     "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
     "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
     "save_picture": ["PNG pictures", "*.png"],
     "save_camera": ["Cameras", "*.json"],
-    "save_scene": ["Splat scenes", "*.ply"],
+    "save_scene": ["Splat scenes", name_patterns(written=True)],
     "recipe": ["Recipes", "*.json", "All files", "*"],
     "save_recipe": ["Recipes", "*.json"],
 }
 
 LINUX_PROGRAMS = ("zenity", "kdialog", "qarma", "matedialog")
-"""What portable-file-dialogs can start there; without one its dialogs never appear."""
+"""Programs that portable-file-dialogs can start on Linux; without one its dialogs never appear."""
 
 
 def has_native_dialogs() -> bool:

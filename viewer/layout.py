@@ -1,4 +1,4 @@
-"""What is where: docks, menu bar, status bar, and what floats above."""
+"""The layout: docks and their panels, menu bar, status bar, dialogs above them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
-from splatview.viewer import menus as palette
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.panels import accuracy, camera, edit, effects, history, rendering, scene, statistics
-from splatview.viewer.panels import camera as bookmarks
-from splatview.viewer.panels import history as restore
-from splatview.viewer.panels import statistics as messages
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
 from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
 
 LAYOUT_FILE = "layout.ini"
 TRAINING_LAYOUT_FILE = "training-layout.ini"
@@ -30,10 +27,10 @@ PANELS: tuple[tuple[str, str, Callable[[AppState], None]], ...] = (
     ("Accuracy", "Upper", accuracy.show),
     ("Effects", "Upper", effects.show),
     ("Camera", "Upper", camera.show),
-    ("Views", "Lower", bookmarks.show_bookmarks),
+    ("Views", "Lower", camera.show_bookmarks),
     ("History", "Lower", history.show),
     ("Statistics", "Lower", statistics.show),
-    ("Messages", "Lower", messages.show_messages),
+    ("Messages", "Lower", statistics.show_messages),
 )
 """Name, dock and contents of each panel."""
 
@@ -58,7 +55,7 @@ def runner_params(app: AppState, size: tuple[int, int]) -> hello_imgui.RunnerPar
     style.remember_theme = style.remember_status_bar_settings = False
 
     params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
-    layout = LAYOUT_FILE if app.training is None else TRAINING_LAYOUT_FILE
+    layout = LAYOUT_FILE if app.find(LiveTraining) is None else TRAINING_LAYOUT_FILE
     params.ini_filename = str(config_folder() / layout)
     params.ini_filename_use_app_window_title = False
     try:
@@ -76,22 +73,22 @@ def runner_params(app: AppState, size: tuple[int, int]) -> hello_imgui.RunnerPar
 
 def docking(app: AppState) -> hello_imgui.DockingParams:
     """The picture on the left, two stacks of panels on the right."""
-    split = hello_imgui.DockingSplit
+    split, training = hello_imgui.DockingSplit, app.find(LiveTraining)
     params = hello_imgui.DockingParams()
     # Tabs can be closed and brought back from the Window menu; more buttons than that are clutter.
     tidy = imgui.internal.DockNodeFlagsPrivate_
     flags = tidy.no_window_menu_button | tidy.no_close_button
     params.docking_splits = [
-        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27 if app.training is None else 0.30, flags),
+        split("MainDockSpace", "Upper", imgui.Dir.right, 0.27 if training is None else 0.30, flags),
         split("Upper", "Lower", imgui.Dir.down, 0.34, flags),
     ]
     panels = PANELS
-    if app.training is not None:
+    if training is not None:
         params.docking_splits = [
             *params.docking_splits,
             split("MainDockSpace", training_panels.STRIP, imgui.Dir.down, 0.33, flags),
         ]
-        panels = (*training_panels.PANELS, *PANELS)
+        panels = (*training_panels.panels(training), *PANELS)
     view = hello_imgui.DockableWindow(
         VIEW, "MainDockSpace", guarded(app, partial(show_view, app)), can_be_closed_=False
     )
@@ -109,7 +106,7 @@ def panel(
 ) -> hello_imgui.DockableWindow:
     made = hello_imgui.DockableWindow(name, dock, guarded(app, partial(contents, app)))
     made.is_visible = name not in app.preferences.closed_panels
-    made.focus_window_at_next_frame = app.training is not None and name in training_panels.FIRST
+    made.focus_window_at_next_frame = app.find(LiveTraining) is not None and name in training_panels.FIRST
     # hello_imgui would also remember that all were hidden for a moment.
     made.remember_is_visible = False
     return made
@@ -145,13 +142,13 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     dialogs.problem(app)
     dialogs.help_page(app)
     dialogs.screenshot(app)
-    palette.show_palette(app)
-    restore.show_restore(app)
+    menus.show_palette(app)
+    history.show_restore(app)
     files.show()
 
 
 def title(app: AppState) -> str:
-    return f"{app.scene.name} - splatview" if app.scene else "splatview"
+    return f"{app.scene.name} - splatview" if app.is_open else "splatview"
 
 
 def hide_or_show_panels(app: AppState) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,12 +13,15 @@ import numpy as np
 from splatview.renderers.demo_cache import cached_demo
 from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects import Effect, scene_effects, settings_for
-from splatview.scene.formats import LoadCancelled, load_scene
+from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
+from splatview.scene.progress import Cancelled, Progress
+from splatview.viewer.picture import EMPTY
+from splatview.viewer.tasks import Task
 
 Stamp = tuple[int, int, int]
-"""What tells that a file is still the one that was read."""
+"""Inode, size and time of a file, which tell whether it is still the one that was read."""
 
 
 def stamp_of(path: Path) -> Stamp | None:
@@ -32,7 +34,7 @@ def stamp_of(path: Path) -> Stamp | None:
 
 
 def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
-    """By the files that links lead to."""
+    """Stamps of `paths`, by the files that links lead to."""
     found = {path.resolve(): stamp_of(path) for path in paths}
     return {path: stamp for path, stamp in found.items() if stamp is not None}
 
@@ -50,7 +52,7 @@ class LoadedScene:
     radius: float
     """World units, > 0: outliers left out."""
     settings: RenderSettings
-    """What the scene itself calls for; the background apart."""
+    """Settings that the scene itself calls for, the background apart."""
 
     @cached_property
     def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -63,98 +65,82 @@ class LoadedScene:
     seconds: float
     """How long loading took."""
     stamps: Mapping[Path, Stamp] = field(default_factory=dict)
-    """Of its files, just before they were read."""
+    """Stamps of its files, just before they were read."""
 
 
-class Loading:
-    """One load under way. All attributes may be read from any thread.
+EMPTY_SCENE = LoadedScene(
+    gaussians=EMPTY,
+    paths=(),
+    name="",
+    centre=np.zeros(3),
+    radius=1.0,
+    settings=RenderSettings(),
+    seconds=0.0,
+)
+"""The scene of a window in which nothing is open."""
 
-    `read` makes the scene; it is called in the thread with `progress(0..1)` and `cancelled()`.
-    """
 
-    def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
+class Loading(Task[LoadedScene]):
+    """One load under way. `read` makes the scene; it is called in the thread with `progress(0..1)` and
+    `cancelled()`."""
+
+    def __init__(
+        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], *, stage: str = "Reading"
+    ):
         self.name = name
+        self.stage = stage
         self.began = time.monotonic()
-        self.progress: float | None = 0.0
-        """Share done; None where nobody knows."""
-        self.stage = "Reading"
-        self.result: LoadedScene | None = None
-        self.error: str | None = None
         self._paths = tuple(paths)
         self._read = read
-        self._cancelled = threading.Event()
-        # A daemon: a read that hangs on a dead network drive must not keep the program from ending.
-        self._thread = threading.Thread(target=self._run, name="splatview-load", daemon=True)
-        self._thread.start()
+        super().__init__(self._load, name="splatview-load")
 
     @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    @property
-    def cancelled(self) -> bool:
-        return self._cancelled.is_set()
-
-    def cancel(self) -> None:
-        """Asks the thread to end soon; its result will not be used."""
-        self._cancelled.set()
-
-    def join(self, timeout: float) -> None:
-        self._thread.join(timeout)
+    def problem(self) -> str | None:
+        """Error of the load in one line; None where it was cancelled."""
+        error = self.error
+        if error is None or isinstance(error, Cancelled):
+            return None
+        if isinstance(error, InputError):
+            return str(error)
+        if isinstance(error, MemoryError):
+            return f"{self.name}: not enough memory to open it"
+        # Whatever a reader did not foresee: the window and the old scene must survive it.
+        return f"{self.name}: cannot be opened ({type(error).__name__}: {error})"
 
     def _advance(self, share: float) -> None:
-        self.progress = min(max(share, self.progress or 0.0), 1.0)
+        self.progress = min(max(share, self.progress, 0.0), 1.0)
 
-    def _run(self) -> None:
+    def _load(self, task: Task[LoadedScene]) -> LoadedScene:
         began = time.perf_counter()
-        try:
-            stamps = stamps_of(self._paths)
-            gaussians = self._read(progress=self._advance, cancelled=self._cancelled.is_set)
-            if self._cancelled.is_set():
-                return
-            centre, radius = robust_bounds(gaussians.means)
-            settings = settings_for(gaussians)
-            self.result = LoadedScene(
-                gaussians=gaussians,
-                paths=self._paths,
-                name=self.name,
-                centre=centre,
-                radius=radius,
-                settings=settings,
-                seconds=time.perf_counter() - began,
-                stamps=stamps,
-            )
-        except LoadCancelled:
-            self._cancelled.set()
-        except InputError as error:
-            self.error = str(error)
-        except MemoryError:
-            self.error = f"{self.name}: not enough memory to open it"
-        except Exception as error:
-            # Whatever a reader did not foresee: the window and the old scene must survive it.
-            self.error = f"{self.name}: cannot be opened ({type(error).__name__}: {error})"
+        stamps = stamps_of(self._paths)
+        gaussians = self._read(progress=Progress(report=self._advance, cancelled=lambda: self.cancelled))
+        if self.cancelled:
+            raise Cancelled
+        centre, radius = robust_bounds(gaussians.means)
+        return LoadedScene(
+            gaussians=gaussians,
+            paths=self._paths,
+            name=self.name,
+            centre=centre,
+            radius=radius,
+            settings=settings_for(gaussians),
+            seconds=time.perf_counter() - began,
+            stamps=stamps,
+        )
 
 
-class Examination:
+class Examination(Task[None]):
     """The effects census and health check of a scene that is already shown; takes a second for a million."""
 
     def __init__(self, gaussians: Gaussians):
         self.effects: tuple[Effect, ...] = ()
         self.findings: tuple[Finding, ...] = ()
         self.settings: RenderSettings | None = None
-        """What the scene calls for; None until that is known."""
+        """Settings that the scene calls for; None until they are known."""
         self.gaussians = gaussians
-        self._thread = threading.Thread(target=self._run, name="splatview-examine", daemon=True)
-        self._thread.start()
+        super().__init__(self._examine, name="splatview-examine")
 
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    def join(self, timeout: float) -> None:
-        self._thread.join(timeout)
-
-    def _run(self) -> None:
+    def _examine(self, task: Task[None]) -> None:
         findings = check(self.gaussians)
         self.effects = tuple(scene_effects(self.gaussians, findings=findings))
         self.settings = settings_for(self.gaussians)
@@ -167,16 +153,10 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 
-    def read(*, progress: Callable[[float], None], cancelled: Callable[[], bool]) -> Gaussians:
+    def read(*, progress: Progress) -> Gaussians:
         parts = [added_to.gaussians] if added_to else []
         for path, size, start in zip(paths, sizes, before, strict=True):
-            parts.append(
-                load_scene(
-                    path,
-                    progress=lambda share, size=size, start=start: progress((start + share * size) / whole),
-                    cancelled=cancelled,
-                )
-            )
+            parts.append(load_scene(path, progress=progress.part(start / whole, (start + size) / whole)))
         return concatenate(parts) if len(parts) > 1 else parts[0]
 
     all_paths = (*(added_to.paths if added_to else ()), *paths)
@@ -188,6 +168,6 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
 
 def load_demo() -> Loading:
     """Starts to make the bundled scene, which the window opens with when it is given none."""
-    made = Loading("Demo", (), cached_demo)
-    made.stage, made.progress = "Making", None
+    made = Loading("Demo", (), cached_demo, stage="Making")
+    made.progress = -1.0
     return made

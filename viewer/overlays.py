@@ -1,4 +1,4 @@
-"""What lies over the picture, and the status bar under it."""
+"""Overlays of the picture (axis cross, cameras, mode chooser, badges) and the status bar under it."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from splatview.renderers import MODES
 from splatview.scene import Camera
 from splatview.scene.image_model import NEAR
 from splatview.viewer import theme
-from splatview.viewer.commands import ACTIONS, NAVIGATION_MODES, VISUAL_MODES, keys_of, set_mode
+from splatview.viewer.camera import go_to_camera
+from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, keys_of, set_mode
+from splatview.viewer.depth_of_field import DepthOfField
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.navigation import AXIS_NAMES
-from splatview.viewer.navigation.framing import axis
-from splatview.viewer.open import go_to_camera
-from splatview.viewer.panels import recipe as rules
-from splatview.viewer.panels import split_view as on_picture
-from splatview.viewer.panels import widgets
+from splatview.viewer.navigation.controllers import axis
+from splatview.viewer.panels import recipe, split_view, widgets
 from splatview.viewer.panels.camera import NAVIGATION_NAMES
-from splatview.viewer.panels.rendering import MODE_NAMES, MODE_TIP
+from splatview.viewer.panels.rendering import MODE_TIP
 from splatview.viewer.state import AppState
-
-# ---- The axis cross in the picture's corner: shows how the world lies, and turns to an axis on a click.
-
+from splatview.viewer.training.live import LiveTraining
 
 ARM_EM, BALL_EM = 2.3, 0.62
 """Length of an arm and radius of the ball at its end, in font heights."""
@@ -78,7 +77,7 @@ def show_axis_gizmo(app: AppState, corner: ImVec2) -> None:
     for ball in ends:
         draw_ball(draw, middle, ball, radius, bright=ball is hovered)
     if clicked and hovered:
-        app.post(ACTIONS[f"look_from_{hovered.name}"])
+        app.post(COMMANDS[f"look_from_{hovered.name}"].run)
 
 
 def draw_ball(draw: imgui.ImDrawList, middle: ImVec2, ball: Ball, radius: float, *, bright: bool) -> None:
@@ -97,9 +96,6 @@ def draw_ball(draw: imgui.ImDrawList, middle: ImVec2, ball: Ball, radius: float,
     else:
         draw.add_circle_filled(place, radius * 0.75, imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8)))
         draw.add_circle(place, radius * 0.75, colour, 0, radius * 0.18)
-
-
-# ---- Cameras in the view, loaded ones or those of photos in training: pyramids that open the way they look.
 
 
 SIZE = 0.06
@@ -122,9 +118,15 @@ GRAB = 0.4
 """Font heights from a line within which the mouse is on its camera."""
 
 
-def wanted(app: AppState) -> bool:
+def shown_training(app: AppState) -> LiveTraining | None:
+    """The training whose photos' cameras are the loaded ones."""
+    training = app.find(LiveTraining)
+    return training if training is not None and app.cameras is training.cameras else None
+
+
+def shows_cameras(app: AppState) -> bool:
     """Whether the loaded cameras, or those of the photos in training, are to be drawn."""
-    if app.training is not None and app.cameras is app.training.cameras:
+    if shown_training(app) is not None:
         return app.preferences.show_photos
     return app.preferences.show_cameras and bool(app.cameras)
 
@@ -133,9 +135,9 @@ def show_frusta(app: AppState, corner: ImVec2) -> None:
     """Draws the pyramids over the picture whose top left is at `corner`, screen coordinates; a click on
     one goes to its camera."""
     scale = imgui.get_io().display_framebuffer_scale
-    radius = app.scene.radius if app.scene else app.view.distance
+    radius = app.scene.radius if app.is_open else app.view.distance
     step = -(-len(app.cameras) // MOST)
-    training = app.training if app.training and app.cameras is app.training.cameras else None
+    training = shown_training(app)
     size = radius * (SIZE if training is None else PHOTO_SIZE)
     drawn = pyramids(app.cameras[::step], app.camera, size)
     lines = [pixels / (scale.x, scale.y) + (corner.x, corner.y) for _, pixels in drawn]
@@ -165,7 +167,8 @@ def show_frusta(app: AppState, corner: ImVec2) -> None:
 
 def may_point(app: AppState) -> bool:
     """Whether the mouse is over the picture itself, turns nothing and holds no tool."""
-    if app.session is not None and app.session.tool != "none":
+    session = session_of(app)
+    if session is not None and session.tool != "none":
         return False
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     return imgui.is_window_hovered() and not (dragged.x or dragged.y)
@@ -208,7 +211,7 @@ def picture_corners(camera: Camera, size: float) -> np.ndarray:
     if camera.orthographic:
         w, h = camera.width, camera.height
         return camera.points_at([(0, 0), (w, 0), (w, h), (0, h)], size) / size
-    left, top, right, bottom = camera.seen_slopes
+    left, top, right, bottom = camera.visible_slopes
     if camera.lens is not None:
         left, top, right, bottom = np.clip((left, top, right, bottom), -WIDEST, WIDEST)
     return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
@@ -224,7 +227,7 @@ HINTS = {
 def over_picture(app: AppState) -> None:
     """The tools in the picture's corner, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
-    if wanted(app):
+    if shows_cameras(app):
         show_frusta(app, corner)
     margin = imgui.get_font_size() * 0.6
     imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))
@@ -235,7 +238,7 @@ def over_picture(app: AppState) -> None:
         chosen = app.preferences.navigation == mode
         fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
         imgui.push_style_color(imgui.Col_.button, fill)
-        widgets.action_button(app, NAVIGATION_NAMES[mode], f"navigate_{mode}")
+        widgets.command_button(app, NAVIGATION_NAMES[mode], f"navigate_{mode}")
         imgui.pop_style_color()
     imgui.pop_style_var()
     imgui.same_line()
@@ -252,14 +255,14 @@ def over_picture(app: AppState) -> None:
         badge(app.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin
     moving = app.picture is not None and bool(app.picture.note)
-    on_picture.badges(app, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
-    if text := app.depth_of_field.badge:
+    split_view.badges(app, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
+    if text := app.feature(DepthOfField).badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()
-        on_picture.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
-    waiting = rules.waiting_note(app)
+        split_view.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
+    waiting = recipe.waiting_note(app)
     if waiting:
         note_below(f"{waiting} {keys_of('cancel')} lets go.")
-    if app.scene is None and app.loading is None:
+    if not app.is_open and app.loading is None:
         text = f"Drop a scene here, or press {keys_of('open')}"
         size, area = imgui.calc_text_size(text), imgui.get_window_size()
         place = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + (area.y - size.y) / 2)
@@ -283,7 +286,7 @@ def note_below(text: str) -> None:
 
 
 def badge(note: str, at: ImVec2) -> None:
-    """What the picture leaves out while it moves, over its lower left corner `at`."""
+    """The reduction of a moving picture, over its lower left corner `at`."""
     text = f"moving: {note}"
     size, edge = imgui.calc_text_size(text), imgui.get_font_size() * 0.3
     draw = imgui.get_window_draw_list()
@@ -295,18 +298,18 @@ def badge(note: str, at: ImVec2) -> None:
 
 
 def mode_chooser(app: AppState) -> None:
-    """What is shown, as one small list; bright where it is not the picture itself."""
+    """A small list of the visual modes; bright where it is not the picture itself."""
     usual = app.mode == "splats"
     fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     imgui.set_next_item_width(imgui.get_font_size() * 7)
-    names = [MODE_NAMES[mode] for mode in VISUAL_MODES]
-    changed, index = imgui.combo("##mode", VISUAL_MODES.index(app.mode), names)
+    modes = list(MODES.values())
+    changed, index = imgui.combo("##mode", list(MODES).index(app.mode), [mode.label for mode in modes])
     imgui.pop_style_color(2)
     widgets.tooltip(MODE_TIP)
     if changed:
-        app.post(set_mode, VISUAL_MODES[index])
+        app.post(set_mode, modes[index].name)
 
 
 def status_bar(app: AppState) -> None:

@@ -1,4 +1,4 @@
-"""What must not end in the middle of things: a frame that fails, signals, a display that is gone."""
+"""The platform: failing frames, signals, a lost display, OpenGL versions, priority of threads."""
 
 from __future__ import annotations
 
@@ -133,9 +133,6 @@ def _xlib() -> Any:
         return None
 
 
-# ---- Whether a window can be opened here, and with which OpenGL.
-
-
 def display_problem() -> str | None:
     """One line on why no window can be opened here, or None where one can."""
     try:
@@ -187,9 +184,6 @@ def no_display_reason() -> str:
     ):
         return "there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
     return "the display cannot be reached"
-
-
-# ---- Lets the window wait for the trainer rather than the trainer for the window.
 
 
 NICENESS = 10

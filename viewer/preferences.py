@@ -1,4 +1,4 @@
-"""What the window remembers between runs, as one JSON file in the user's configuration folder."""
+"""Preferences, one JSON file in the user's configuration folder; bookmarks, one beside each scene."""
 
 from __future__ import annotations
 
@@ -43,21 +43,21 @@ class Preferences:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     background_kind: BackgroundKind = "colour"
     sky: tuple[float, float, float] = (0.35, 0.53, 0.78)
-    """Of a gradient, straight up."""
+    """Colour of a gradient straight up."""
     ground: tuple[float, float, float] = (0.16, 0.15, 0.14)
-    """Of a gradient, straight down."""
+    """Colour of a gradient straight down."""
     panorama: str = ""
     """Absolute path of an equirectangular picture."""
     blend: BlendPrecision = "float16"
     resolution_scale: float = 1.0
     frame_budget_ms: float = 33.0
-    """What a frame may take while the camera moves, where a budget is held."""
+    """Budget of a frame in ms while the camera moves, where one is held."""
     show_cameras: bool = False
     """Whether loaded cameras are drawn into the view."""
     show_photos: bool = True
-    """The same of the cameras of the photos in training."""
+    """Whether the cameras of the photos in training are drawn into the view."""
     training_share: float = 0.5
-    """Of the cores, for training, while the view is moved."""
+    """Share of the cores for training while the view is moved."""
     training_takes_idle_cores: bool = True
     """Whether training takes all cores while the view is not moved."""
     training_updates: TrainingUpdates = "live"
@@ -83,7 +83,7 @@ CHOICES = {
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
 }
-"""What the fields that are one of a few words may be."""
+"""Values of the fields that are one of a few words."""
 
 
 COLOURS = ("background", "sky", "ground")
@@ -196,9 +196,6 @@ def without_missing(preferences: Preferences) -> Preferences:
     return replace(preferences, recent=tuple(name for name in preferences.recent if os.path.exists(name)))
 
 
-# ---- Views that the user keeps, in SCENE.bookmarks.json beside the scene.
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bookmark:
     name: str
@@ -276,7 +273,7 @@ def _as_json(bookmark: Bookmark) -> dict[str, Any]:
 
 
 def _rays(lens: Lens) -> dict[str, Any]:
-    """What only lenses that are no pinholes have, in the form of camera files."""
+    """Fields of lenses that are no pinholes, in the form of camera files."""
     values: dict[str, Any] = {}
     if lens.distortion is not None:
         values["lens"] = {"model": lens.distortion.model, "parameters": list(lens.distortion.parameters)}

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, InputError
 from splatview.scene.depth_of_field import mean_picture
 from splatview.scene.formats import save_camera
-from splatview.viewer.depth_of_field import SAVED_SAMPLES, is_pinhole
+from splatview.viewer.depth_of_field import SAVED_SAMPLES, DepthOfField, is_pinhole
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
 MAX_SIDE = 8192
@@ -30,11 +32,12 @@ def save_picture(app: AppState, camera: Camera, path: Path) -> None:
     if app.picture is None:
         return
     try:
-        edits = app.session.document.edits if app.session else None
-        picture, aperture = app.picture, app.depth_of_field.aperture(app)
+        session = session_of(app)
+        edits = session.document.edits if session else None
+        picture, aperture = app.picture, app.feature(DepthOfField).aperture(app)
 
         def read(camera: Camera) -> np.ndarray:
-            return picture.read(camera, app.settings, app.mode, edits=edits)
+            return picture.read(FrameRequest(None, camera, app.settings, mode=app.mode, edits=edits))
 
         if aperture is None or not is_pinhole(camera):
             image = read(camera)

@@ -1,6 +1,6 @@
-"""The window without the window: what is open, where the eye is, what was asked for.
+"""The state of the window: the open scene, the view, settings, messages, and the features on top of them.
 
-Panels draw from a `AppState` and post commands to it; the frame loop runs them between two frames, on the
+Panels draw from an `AppState` and post commands to it; the frame loop runs them between two frames, on the
 GL thread. Nothing here imports ImGui, so all of it is tested without a display.
 """
 
@@ -13,30 +13,24 @@ from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from splatview.edit.journal import AbandonedJournal
 from splatview.renderers import FrameStats, VisualMode
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.background import Backdrop
-from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing.session import EditSession
-from splatview.viewer.loading import Examination, LoadedScene, Loading
+from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
 from splatview.viewer.picture import Picture
 from splatview.viewer.preferences import Bookmark, Preferences
-from splatview.viewer.quality.effects import Effects
-from splatview.viewer.quality.state import Accuracy
 
-if TYPE_CHECKING:
-    from splatview.viewer.training.live import LiveTraining
+F = TypeVar("F", bound="Feature")
 
+Y_UP = np.array([0.0, 1.0, 0.0])
 
 MESSAGES_KEPT = 200
 
@@ -61,38 +55,60 @@ class Palette:
     """Just opened: takes the keyboard."""
 
 
+class Feature:
+    """One subject of the window with a state of its own, such as editing or depth of field. `viewer.app`
+    registers them; all methods run on the GL thread, between two frames."""
+
+    @property
+    def edits(self) -> SceneEdits | None:
+        """Edits of the open scene to be drawn."""
+        return None
+
+    @property
+    def highlight(self) -> Highlight | None:
+        """Highlight of those edits on the picture."""
+        return None
+
+    def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
+        """Another scene is open, in the place of the one before."""
+
+    def before_frame(self, app: AppState) -> None:
+        """Takes over finished work and prepares the frame that follows."""
+
+    def busy(self, app: AppState) -> bool:
+        """Whether work is under way whose result a next frame should show."""
+        return False
+
+    def cancel(self, app: AppState) -> bool:
+        """Ends the latest thing that the user began; whether there was one. For the Escape key."""
+        return False
+
+    def close(self, app: AppState) -> None:
+        """Ends work under way and frees GL objects; the window closes."""
+
+
 @dataclass(eq=False, kw_only=True)
 class AppState:
-    """The window's whole state. Fields are plain: panels set the simple ones, commands the rest."""
+    """State that all parts of the window share; features keep their own. Fields are plain: panels set the
+    simple ones, commands the rest."""
 
     preferences: Preferences
     picture: Picture | None = None
     """None until the GL context exists."""
-    scene: LoadedScene | None = None
+    scene: LoadedScene = EMPTY_SCENE
+    """The open scene; the empty one where nothing is open."""
     loading: Loading | None = None
-    """A scene on its way; the old one stays until it is here."""
-    training: LiveTraining | None = None
-    """A training that this window watches."""
+    """A scene on its way; the old one stays until it is there."""
     upload: Generator[float] | None = None
-    """Its last stage, advanced a little in every frame."""
+    """Last stage of loading, advanced a little in every frame."""
     examination: Examination | None = None
-    """What is found out about the scene after it is shown."""
+    """Effects and health of the scene."""
     examined: bool = True
-    """Whether that has been reported."""
-    examining: Examination | None = None
-    """The same of splats that an edit has changed, until it is done."""
-    session: EditSession | None = None
-    """Edits of the open scene; None where nothing is open."""
-    accuracy: Accuracy = field(default_factory=Accuracy)
-    """Shortcuts taken, what they cost, and the frame budget."""
-    effects: Effects = field(default_factory=Effects)
-    """What the scene calls for, and at which price."""
-    backdrop: Backdrop = field(default_factory=Backdrop)
-    """What is behind the scene, where that is more than a colour."""
-    depth_of_field: DepthOfField = field(default_factory=DepthOfField)
-    """The lens before the view."""
+    """Whether the findings have been reported."""
     stats: FrameStats | None = None
-    """Of the picture, read once a frame."""
+    """Statistics of the picture, read once a frame."""
+    features: dict[type[Feature], Feature] = field(default_factory=dict)
+    """In the order in which the frame loop calls them; see `viewer.app.window_state`."""
 
     view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
     transition: Transition | None = None
@@ -121,10 +137,6 @@ class AppState:
     dialog: str | None = None
     """Which dialog is open: "help", "screenshot", "palette", "restore" or none."""
     palette: Palette = field(default_factory=Palette)
-    abandoned: list[AbandonedJournal] = field(default_factory=list)
-    """What earlier windows left unsaved, to be offered."""
-    restoring: AbandonedJournal | None = None
-    """Whose scene is on its way."""
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""
     gpu_name: str = ""
@@ -143,11 +155,11 @@ class AppState:
     _failures: set[str] = field(default_factory=set)
     _frames_noted: int = 0
     _memory_due: float = 0.0
-    _posted: deque[tuple[Callable[..., None], tuple[Any, ...]]] = field(default_factory=deque)
+    _posted: deque[tuple[Callable[..., object], tuple[Any, ...]]] = field(default_factory=deque)
 
     # ---- commands
 
-    def post(self, command: Callable[..., None], *args: Any) -> None:
+    def post(self, command: Callable[..., object], *args: Any) -> None:
         """Runs `command(app, *args)` before the next frame. May be called from any thread."""
         self._posted.append((command, args))
 
@@ -228,7 +240,7 @@ class AppState:
         camera = self.view.camera(*self.picture_size)
         if not camera.orthographic:
             return camera
-        if self.scene is None:
+        if not self.is_open:
             return stepped_back(camera, self.view.target, self.view.distance)
         return stepped_back(camera, self.scene.centre, self.scene.radius)
 
@@ -238,40 +250,36 @@ class AppState:
         return (
             self.loading is not None
             or not self.examined
-            or self.examining is not None
             or (self.picture is not None and self.picture.busy)
-            or (
-                self.session is not None
-                and (self.session.job is not None or self.session.loading is not None)
-            )
-            or self.accuracy.waiting
-            or self.depth_of_field.waiting(self)
-            or self.effects.waiting
+            or any(feature.busy(self) for feature in self.features.values())
         )
 
-    # ---- edits
+    # ---- features
 
-    @property
-    def can_edit(self) -> bool:
-        """Whether something is shown that tools can choose from."""
-        training = self.training
-        shown = training is not None and training.shown is not None and training.followed_by(self)
-        return self.session is not None or shown
+    def add(self, feature: Feature) -> None:
+        self.features[type(feature)] = feature
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether a scene is open that no trainer changes: every edit can be done and kept."""
-        return self.session is not None and self.session.target is None
+    def feature(self, kind: type[F]) -> F:
+        """The feature of class `kind`, which must have been added."""
+        feature = self.features[kind]
+        assert isinstance(feature, kind)
+        return feature
+
+    def find(self, kind: type[F]) -> F | None:
+        """The feature of class `kind`; None where this window has none."""
+        return self.feature(kind) if kind in self.features else None
 
     @property
     def edits(self) -> SceneEdits | None:
-        """Those of the scene that the picture holds; None where nothing is edited."""
-        return self.session.edits if self.session else None
+        """Edits of the scene that the picture holds; None where nothing is edited."""
+        found = (feature.edits for feature in self.features.values())
+        return next((edits for edits in found if edits is not None), None)
 
     @property
     def highlight(self) -> Highlight | None:
-        """How what they mark is lit up."""
-        return self.session.highlight if self.session else None
+        """Marking of the edits on the picture."""
+        found = (feature.highlight for feature in self.features.values())
+        return next((highlight for highlight in found if highlight is not None), None)
 
     # ---- statistics
 
@@ -302,12 +310,14 @@ class AppState:
             self.steer(replace(self.view, lens=replace(self.view.lens, fov_y=self.preferences.fov_y)))
 
     @property
+    def is_open(self) -> bool:
+        """Whether a scene is open."""
+        return self.scene is not EMPTY_SCENE
+
+    @property
     def scene_path(self) -> Path | None:
         """The first file of the open scene: what bookmarks and pictures are put beside."""
-        return self.scene.paths[0] if self.scene and self.scene.paths else None
-
-
-Y_UP = np.array([0.0, 1.0, 0.0])
+        return self.scene.paths[0] if self.scene.paths else None
 
 
 def process_memory() -> float | None:

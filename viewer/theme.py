@@ -113,9 +113,6 @@ def apply() -> None:
     plot.plot_border_size = 0
 
 
-# ---- Points of the scene in the window's own coordinates.
-
-
 def point_on_picture(camera: Camera, corner: ImVec2, point: Sequence[float]) -> ImVec2 | None:
     """Where `camera`, of the picture's size, sees `point`, the picture's top left being at `corner`; None
     where it is not before the eye, or beyond what the lens shows."""

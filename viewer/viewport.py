@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.scene import InputError
-from splatview.viewer.commands import focus_at, held_step
-from splatview.viewer.depth_of_field import focus_on
+from splatview.viewer.background import WindowBackground
+from splatview.viewer.camera import focus_at
+from splatview.viewer.commands import held_step
+from splatview.viewer.depth_of_field import DepthOfField, focus_on
 from splatview.viewer.editing.tools import draw_tool, on_handles, use_tool
 from splatview.viewer.navigation import dolly, look, move, orbit, pan, trackball
 from splatview.viewer.panels.split_view import drag_line, draw_split
 from splatview.viewer.preferences import RANGES
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 ORBIT_SPEED = math.pi
@@ -63,7 +67,7 @@ def show(app: AppState) -> None:
 
 def click_focus(app: AppState, corner: ImVec2, scale: ImVec2) -> bool:
     """Chooses what is in focus, where that is asked for. Whether the mouse is the lens's."""
-    if not app.depth_of_field.picking:
+    if not app.feature(DepthOfField).picking:
         return False
     if imgui.is_item_hovered():
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
@@ -86,11 +90,12 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
     picture = app.picture
     if picture is None:
         return
-    app.backdrop.follow(app)
-    camera, settings = app.accuracy.next_frame(app)
+    accuracy, lens = app.feature(Accuracy), app.feature(DepthOfField)
+    app.feature(WindowBackground).follow(app)
+    request = accuracy.next_frame(app)
     try:
-        drawn = app.depth_of_field.next_camera(app, camera, settings)
-        picture.draw(drawn, settings, app.mode, edits=app.accuracy.edits(app), highlight=app.highlight)
+        camera = lens.next_camera(app, request.camera, request.settings)
+        picture.draw(replace(request, camera=camera))
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if app.undrawn != str(error):
@@ -98,7 +103,7 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
         app.mode, app.undrawn = "splats", str(error)
         return
     app.undrawn = None
-    texture = app.depth_of_field.shown(app) or picture.texture
+    texture = lens.shown(app) or picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"
     exact = texture.size == app.picture_size
@@ -161,7 +166,7 @@ def steer_by_keys(app: AppState) -> bool:
     step = held_step()
     if step is None:
         return False
-    radius = app.scene.radius if app.scene else app.view.distance
+    radius = app.scene.radius if app.is_open else app.view.distance
     seconds = min(imgui.get_io().delta_time, LONGEST_STEP)
     length = app.preferences.fly_speed * FLY_SPEED * radius * seconds
     if app.view.lens.orthographic:

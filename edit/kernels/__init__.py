@@ -1,1 +1,1 @@
-"""The inner loops of selecting and detecting, compiled by numba: arrays in, arrays out, no scene."""
+"""Kernels of selection and detection, compiled by numba."""

@@ -1,4 +1,4 @@
-"""One number a splat, and how many splats have which: attributes of place, ranges, histograms."""
+"""Kernels of attributes: coordinates, ranges, histograms, opacities, and display colours to Oklab."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from splatview.scene.sh import SH_C0
 
 
 def column(places: Places, axis: int) -> np.ndarray:
-    """(N,) float32: one coordinate of where splats are."""
+    """(N,) float32: one coordinate of the splats' positions."""
     values = np.empty(len(places.means), np.float32)
     in_pieces(len(values), lambda start, stop: _column(start, stop, places, axis, values))
     return values
 
 
 def distances(places: Places, point: tuple[float, float, float]) -> np.ndarray:
-    """(N,) float32: from where splats are to `point`."""
+    """(N,) float32: distances of the splats' positions to `point`."""
     values = np.empty(len(places.means), np.float32)
     to = np.array(point, np.float64)
     in_pieces(len(values), lambda start, stop: _distances(start, stop, places, to, values))
@@ -53,13 +53,13 @@ def within_range(start, stop, values, low, high, inside):
 def within_colour(start, stop, lab, seed, tolerance, inside):
     """inside[start:stop]: at most `tolerance` from `seed` (3,); NaN is not."""
     for i in range(start, stop):
-        light, a, b = lab[i, 0] - seed[0], lab[i, 1] - seed[1], lab[i, 2] - seed[2]
-        inside[i] = light * light + a * a + b * b <= tolerance * tolerance
+        lightness, a, b = lab[i, 0] - seed[0], lab[i, 1] - seed[1], lab[i, 2] - seed[2]
+        inside[i] = lightness * lightness + a * a + b * b <= tolerance * tolerance
 
 
 @inline
 def counts(value, log):
-    """Whether a histogram can show it: finite, and positive on a logarithmic axis."""
+    """Whether a histogram can show a value: finite, and positive on a logarithmic axis."""
     return (abs(value) < np.inf) & ((not log) | (value > 0))
 
 
@@ -75,8 +75,8 @@ def value_span(values, mask, log):
 
 @kernel
 def fill_bins(values, mask, low, high, log, bins):
-    """Adds to `bins` (B,) int64 how many values of `mask` are in each of B equal parts of low to high, of
-    their logarithms if `log`; returns how many of the mask are in none."""
+    """Adds the number of values of `mask` in each of B equal parts of low to high, of their logarithms if
+    `log`, to `bins` (B,) int64; returns the number of those in none."""
     number = len(bins)
     outside = 0
     base = np.log(low) if log else low
@@ -94,9 +94,6 @@ def fill_bins(values, mask, low, high, log, bins):
     return outside
 
 
-# ---- Display colours to Oklab, where equal distances look equally different (Ottosson 2020).
-
-
 _ENTRIES = 4096
 
 
@@ -111,7 +108,7 @@ LINEAR = np.append(_linear(np.linspace(0, 1, _ENTRIES + 1)), 1.0).astype(np.floa
 
 @inline
 def linear(value, table):
-    """Light of an encoded value, cut to what a display can show; NaN stays NaN."""
+    """Linear light of an encoded value clipped to [0, 1]; NaN stays NaN."""
     if value >= 1:
         return np.float32(1)
     if not value > 0:
@@ -126,7 +123,7 @@ TWO_THIRDS_OF_ONE = 709921077
 bits of its cube root."""
 
 SMALLEST = np.float32(1e-30)
-"""Stands for 0, whose cube root Halley's formula cannot find; its own is invisible."""
+"""Replacement for 0, whose cube root Halley's formula cannot find; its own is invisible."""
 
 
 @inline
@@ -143,48 +140,32 @@ def cube_roots(values):
         values[i] = guess
 
 
+@inline
+def mixed(a, b, c, x, y, z):
+    """a·x + b·y + c·z in float32."""
+    return np.float32(a) * x + np.float32(b) * y + np.float32(c) * z
+
+
 @kernel
 def oklab(start, stop, rgb, table, lab):
-    """lab[start:stop] (N, 3) float32 of rgb (N, 3) float32. Where rgb is NaN, lab is."""
+    """lab[start:stop] (N, 3) float32: Oklab (Ottosson 2020) of display colours rgb (N, 3) float32; NaN of
+    NaN."""
     cones = np.empty((3, stop - start), np.float32)
     for i in range(start, stop):
         r, g, b = linear(rgb[i, 0], table), linear(rgb[i, 1], table), linear(rgb[i, 2], table)
-        cones[0, i - start] = max(
-            np.float32(0.4122214708) * r + np.float32(0.5363325363) * g + np.float32(0.0514459929) * b,
-            SMALLEST,
-        )
-        cones[1, i - start] = max(
-            np.float32(0.2119034982) * r + np.float32(0.6806995451) * g + np.float32(0.1073969566) * b,
-            SMALLEST,
-        )
-        cones[2, i - start] = max(
-            np.float32(0.0883024619) * r + np.float32(0.2817188376) * g + np.float32(0.6299787005) * b,
-            SMALLEST,
-        )
+        k = i - start
+        cones[0, k] = max(mixed(0.4122214708, 0.5363325363, 0.0514459929, r, g, b), SMALLEST)
+        cones[1, k] = max(mixed(0.2119034982, 0.6806995451, 0.1073969566, r, g, b), SMALLEST)
+        cones[2, k] = max(mixed(0.0883024619, 0.2817188376, 0.6299787005, r, g, b), SMALLEST)
     for row in range(3):
         cube_roots(cones[row])
     for i in range(start, stop):
         long, medium, short = cones[0, i - start], cones[1, i - start], cones[2, i - start]
         if np.isnan(rgb[i, 0] + rgb[i, 1] + rgb[i, 2]):
             long = np.float32(np.nan)
-        lab[i, 0] = (
-            np.float32(0.2104542553) * long
-            + np.float32(0.7936177850) * medium
-            - np.float32(0.0040720468) * short
-        )
-        lab[i, 1] = (
-            np.float32(1.9779984951) * long
-            - np.float32(2.4285922050) * medium
-            + np.float32(0.4505937099) * short
-        )
-        lab[i, 2] = (
-            np.float32(0.0259040371) * long
-            + np.float32(0.7827717662) * medium
-            - np.float32(0.8086757660) * short
-        )
-
-
-# ---- Opacities and colours of an edited scene in one pass each.
+        lab[i, 0] = mixed(0.2104542553, 0.7936177850, -0.0040720468, long, medium, short)
+        lab[i, 1] = mixed(1.9779984951, -2.4285922050, 0.4505937099, long, medium, short)
+        lab[i, 2] = mixed(0.0259040371, 0.7827717662, -0.8086757660, long, medium, short)
 
 
 @kernel

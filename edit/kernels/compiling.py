@@ -1,4 +1,4 @@
-"""How the loops of this package are compiled: without the GIL, and cached on disk.
+"""Kernels of this package: compiled without the GIL, cached on disk, and run in pieces on all cores.
 
 numba's own cache notices a change of the file that a kernel is in, but not of the files that it calls
 into. So all sources of this package are part of the cache's path, and no kernel can be stale.
@@ -17,14 +17,14 @@ from typing import Any
 import numba
 from numba.core import config as _numba_config
 
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 _config: Any = _numba_config
 
 
 def _cache_folder() -> Path | None:
-    """Where kernels of exactly these sources lie, beside those of the rasteriser, which removes what is
-    long unused; None where the disk may not be written."""
+    """Cache folder for exactly these sources, beside those of the rasteriser, which removes long unused ones;
+    None where the disk may not be written."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         root = Path(os.environ["NUMBA_CACHE_DIR"]) / "splatview"
     elif os.name == "nt" and os.environ.get("LOCALAPPDATA"):
@@ -65,12 +65,8 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(nogil=True, error_model="numpy")(function)
 
 
-# ---- Work over many splats cut into pieces, done on all cores, watched between the pieces.
-
-
 PIECE = 1 << 16
-"""Splats at a time: what is computed of them stays in the second-level cache, and one asks often enough
-whether to stop."""
+"""Splats per piece: their results stay in the second-level cache, and cancelling takes effect soon."""
 
 
 @cache
@@ -87,25 +83,25 @@ def _executor() -> ThreadPoolExecutor:
 
 
 def in_pieces(
-    count: int, work: Callable[[int, int], object], *, watch: Watch = UNWATCHED, piece: int = PIECE
+    count: int, work: Callable[[int, int], object], *, progress: Progress = NO_PROGRESS, piece: int = PIECE
 ) -> None:
     """Calls `work(start, stop)` for runs that make up [0, count), several at once.
 
     The first exception of a piece is raised here, when the pieces already begun have ended; so is
-    Cancelled where the watch says so.
+    Cancelled where nobody waits for the rest.
     """
     starts = range(0, count, piece)
     if len(starts) <= 1 or _cores() == 1:
         for start in starts:
-            watch.step(start / count)
+            progress.step(start / count)
             work(start, min(start + piece, count))
-        watch.step(1.0)
+        progress.step(1.0)
         return
     running: set[Future[object]] = set()
     ended = 0
     try:
         for start in starts:
-            watch.step(ended / len(starts))
+            progress.step(ended / len(starts))
             if len(running) > _cores():
                 done, running = wait(running, return_when=FIRST_COMPLETED)
                 ended += len(done)
@@ -116,4 +112,4 @@ def in_pieces(
             future.result()
     finally:
         wait(running)
-    watch.step(1.0)
+    progress.step(1.0)

@@ -1,4 +1,4 @@
-"""Points that are near each other, by a grid so fine that all points of one cell are.
+"""Neighbourhoods and clusters of points, by a grid so fine that all points of one cell are near each other.
 
 A cell's diagonal is the distance asked for, so within a cell nothing has to be compared, however many
 points lie there; between two cells one pair that is close enough settles it (Gunawan 2013). Cells are
@@ -12,16 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from splatview.edit.kernels.compiling import inline, kernel
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 SHRUNK = 0.999999
-"""A cell's diagonal is a little less than the distance: rounding never joins what is further apart."""
+"""A cell's diagonal relative to the distance: a little less, so that rounding never joins points further
+apart."""
 
-REACH = 2
-"""Neighbours in reach are up to so many cells away along an axis: ceil(sqrt 3)."""
+NEAR_CELLS = 2
+"""Cells along an axis to the furthest neighbours: ceil(sqrt 3)."""
 
 FURTHEST_CELL = 2.0**50
-"""Where coordinates have no digits left for a distance nothing is anybody's neighbour."""
+"""Greatest cell coordinate: beyond it coordinates have no digits left for a distance, and points no
+neighbours."""
 
 CELLS_AT_ONCE = 1 << 15
 
@@ -32,9 +34,9 @@ class Cells(NamedTuple):
     corners: np.ndarray
     """(C, 3) int64, cell coordinates; gaps are narrowed, which changes no neighbourhood."""
     offsets: np.ndarray
-    """(C + 1,) int64: where each cell's points begin in..."""
+    """(C + 1,) int64: where each cell's points begin in `order`."""
     order: np.ndarray
-    """... (P,) int64, indices of points; those without a place in the grid are left out."""
+    """(P,) int64, indices of points; those without a place in the grid are left out."""
     points: np.ndarray
     """(P, 3) float64 in that order."""
 
@@ -58,14 +60,14 @@ def make_cells(points: np.ndarray, distance: float) -> Cells:
 
 
 def _narrowed(coordinates: np.ndarray) -> np.ndarray:
-    """The same order and the same differences up to REACH, with larger ones made REACH + 1."""
+    """The same order and the same differences up to NEAR_CELLS, with larger ones made NEAR_CELLS + 1."""
     if not len(coordinates):
         return coordinates
     low, high = int(coordinates.min()), int(coordinates.max())
     if high - low <= 1 << 20:
         return coordinates - low
     values, inverse = np.unique(coordinates, return_inverse=True)
-    steps = np.minimum(np.diff(values, prepend=values[0]), REACH + 1)
+    steps = np.minimum(np.diff(values, prepend=values[0]), NEAR_CELLS + 1)
     return np.cumsum(steps)[inverse]
 
 
@@ -79,8 +81,8 @@ def _sorted(corners: np.ndarray) -> np.ndarray:
     return np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
 
 
-def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
-    """Which cluster each of `points` (M, 3) float64 belongs to: (M,) int32, 0 upwards.
+def components(points: np.ndarray, distance: float, progress: Progress = NO_PROGRESS) -> np.ndarray:
+    """Cluster labels of `points` (M, 3) float64: (M,) int32, 0 upwards.
 
     Two points are in one cluster where steps of at most `distance` > 0 lead from one to the other.
     Points that are not finite are alone. Raises Cancelled.
@@ -88,9 +90,9 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     cells = make_cells(points, distance)
     parents = np.arange(len(cells.corners), dtype=np.int64)
     for start in range(0, len(parents), CELLS_AT_ONCE):
-        watch.step(start / len(parents))
+        progress.step(start / len(parents))
         _join(start, min(start + CELLS_AT_ONCE, len(parents)), cells, distance * distance, parents)
-    watch.step(1.0)
+    progress.step(1.0)
     roots = _roots(parents)
     _, of_cell = np.unique(roots, return_inverse=True)
     labels = np.full(len(points), -1, np.int32)
@@ -100,20 +102,29 @@ def components(points: np.ndarray, distance: float, watch: Watch = UNWATCHED) ->
     return labels
 
 
-def within(points: np.ndarray, sources: np.ndarray, distance: float, watch: Watch = UNWATCHED) -> np.ndarray:
-    """Which of `points` (M, 3) float64 are at most `distance` from one of those in `sources` (M,) bool,
+def within(
+    points: np.ndarray, sources: np.ndarray, distance: float, progress: Progress = NO_PROGRESS
+) -> np.ndarray:
+    """Whether each of `points` (M, 3) float64 is at most `distance` from one of those in `sources` (M,) bool,
     these included: (M,) bool. Raises Cancelled."""
     cells = make_cells(points, distance)
-    chosen = np.ascontiguousarray(sources[cells.order])
-    reached = chosen.copy()
+    is_source = np.ascontiguousarray(sources[cells.order])
+    near = is_source.copy()
     for start in range(0, len(cells.corners), CELLS_AT_ONCE):
-        watch.step(start / len(cells.corners))
+        progress.step(start / len(cells.corners))
         stop = min(start + CELLS_AT_ONCE, len(cells.corners))
-        _spread(start, stop, cells, distance * distance, chosen, reached)
-    watch.step(1.0)
+        _spread(start, stop, cells, distance * distance, is_source, near)
+    progress.step(1.0)
     result = sources.copy()
-    result[cells.order] |= reached
+    result[cells.order] |= near
     return result
+
+
+@inline
+def before(corners, at, x, y, z):
+    """Whether a cell is before (x, y, z)."""
+    cx, cy, cz = corners[at, 0], corners[at, 1], corners[at, 2]
+    return cx < x or (cx == x and (cy < y or (cy == y and cz < z)))
 
 
 @inline
@@ -122,8 +133,7 @@ def lower_bound(corners, x, y, z):
     low, high = 0, len(corners)
     while low < high:
         middle = (low + high) // 2
-        cx, cy, cz = corners[middle, 0], corners[middle, 1], corners[middle, 2]
-        if cx < x or (cx == x and (cy < y or (cy == y and cz < z))):
+        if before(corners, middle, x, y, z):
             low = middle + 1
         else:
             high = middle
@@ -133,21 +143,18 @@ def lower_bound(corners, x, y, z):
 @inline
 def advance(corners, at, x, y, z):
     """As `lower_bound`, walking on from `at`, which is not behind it."""
-    while at < len(corners):
-        cx, cy, cz = corners[at, 0], corners[at, 1], corners[at, 2]
-        if cx < x or (cx == x and (cy < y or (cy == y and cz < z))):
-            at += 1
-        else:
-            break
+    while at < len(corners) and before(corners, at, x, y, z):
+        at += 1
     return at
 
 
 @inline
-def root(parents, cell):
-    while parents[cell] != cell:
-        parents[cell] = parents[parents[cell]]
-        cell = parents[cell]
-    return cell
+def root(parents, i):
+    """The root of a disjoint set's tree; halves the path to it."""
+    while parents[i] != i:
+        parents[i] = parents[parents[i]]
+        i = parents[i]
+    return i
 
 
 @inline
@@ -177,9 +184,9 @@ def touching(cells, a, b, square):
 def _join(start, stop, cells, square, parents):
     """Joins the cells start to stop with those after them that they touch."""
     corners = cells.corners
-    for dx in range(REACH + 1):
-        for dy in range(-REACH if dx > 0 else 0, REACH + 1):
-            first_dz = 1 if dx == 0 and dy == 0 else -REACH
+    for dx in range(NEAR_CELLS + 1):
+        for dy in range(-NEAR_CELLS if dx > 0 else 0, NEAR_CELLS + 1):
+            first_dz = 1 if dx == 0 and dy == 0 else -NEAR_CELLS
             at = lower_bound(
                 corners, corners[start, 0] + dx, corners[start, 1] + dy, corners[start, 2] + first_dz
             )
@@ -188,7 +195,7 @@ def _join(start, stop, cells, square, parents):
                 at = advance(corners, at, x, y, z + first_dz)
                 b = at
                 while b < len(corners) and corners[b, 0] == x and corners[b, 1] == y:
-                    if corners[b, 2] > z + REACH:
+                    if corners[b, 2] > z + NEAR_CELLS:
                         break
                     if gap(corners, a, b) < 3:
                         root_a, root_b = root(parents, a), root(parents, b)
@@ -206,62 +213,51 @@ def _roots(parents):
 
 
 @kernel
-def _spread(start, stop, cells, square, chosen, reached):
-    """Sets `reached` (P,) for points of the cells start to stop that are near a chosen one."""
+def _spread(start, stop, cells, square, is_source, near):
+    """Sets `near` (P,) for points of the cells start to stop that are near a source."""
     corners, offsets, points = cells.corners, cells.offsets, cells.points
-    for dx in range(-REACH, REACH + 1):
-        for dy in range(-REACH, REACH + 1):
+    for dx in range(-NEAR_CELLS, NEAR_CELLS + 1):
+        for dy in range(-NEAR_CELLS, NEAR_CELLS + 1):
             at = lower_bound(
-                corners, corners[start, 0] + dx, corners[start, 1] + dy, corners[start, 2] - REACH
+                corners, corners[start, 0] + dx, corners[start, 1] + dy, corners[start, 2] - NEAR_CELLS
             )
             for a in range(start, stop):
                 x, y, z = corners[a, 0] + dx, corners[a, 1] + dy, corners[a, 2]
-                at = advance(corners, at, x, y, z - REACH)
+                at = advance(corners, at, x, y, z - NEAR_CELLS)
                 b = at
                 while b < len(corners) and corners[b, 0] == x and corners[b, 1] == y:
-                    if corners[b, 2] > z + REACH:
+                    if corners[b, 2] > z + NEAR_CELLS:
                         break
                     if gap(corners, a, b) < 3:
                         for j in range(offsets[b], offsets[b + 1]):
-                            if not chosen[j]:
+                            if not is_source[j]:
                                 continue
                             for i in range(offsets[a], offsets[a + 1]):
-                                if not reached[i]:
+                                if not near[i]:
                                     ox = points[i, 0] - points[j, 0]
                                     oy = points[i, 1] - points[j, 1]
                                     oz = points[i, 2] - points[j, 2]
-                                    reached[i] = a == b or ox * ox + oy * oy + oz * oz <= square
+                                    near[i] = a == b or ox * ox + oy * oy + oz * oz <= square
                             if a == b:
                                 break
                     b += 1
 
 
-# ---- Clusters of points that are linked to some of their nearest neighbours.
-
-
-@inline
-def _root(parents, i):
-    while parents[i] != i:
-        parents[i] = parents[parents[i]]
-        i = parents[i]
-    return i
-
-
 @kernel
-def linked(neighbours, distances, reaches):
-    """Labels (M,) int64, that of a cluster being its least index.
+def linked(neighbours, distances, radii):
+    """Cluster labels (M,) int64 of points linked to their nearest neighbours: the least index of the cluster.
 
     Point i and its neighbour j, of neighbours (M, k) int32, are linked where their distance is at most the
-    lesser of reaches[i] and reaches[j].
+    lesser of radii[i] and radii[j].
     """
     parents = np.arange(len(neighbours))
     for i in range(len(neighbours)):
         for column in range(neighbours.shape[1]):
             j = neighbours[i, column]
-            if j >= 0 and distances[i, column] <= min(reaches[i], reaches[j]):
-                a, b = _root(parents, i), _root(parents, j)
+            if j >= 0 and distances[i, column] <= min(radii[i], radii[j]):
+                a, b = root(parents, i), root(parents, j)
                 if a != b:
                     parents[max(a, b)] = min(a, b)
     for i in range(len(parents)):
-        parents[i] = _root(parents, i)
+        parents[i] = root(parents, i)
     return parents

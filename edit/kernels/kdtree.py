@@ -10,22 +10,22 @@ from __future__ import annotations
 import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces, inline, kernel
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 LEAF = 8
-"""Points that are compared one by one rather than split further."""
+"""Most points of a leaf, compared one by one."""
 
 DEPTH = 64
-"""Nodes that wait at once: two a level, and halving 2³¹ points takes 31 levels."""
+"""Most nodes waiting: two per level, and halving 2³¹ points takes 31 levels."""
 
 SEARCHES = 1 << 13
-"""Points searched for between two looks at the watch."""
+"""Points per piece of a search."""
 
 BUILD_SHARE = 0.25
-"""Of the time of a search among all points, what building the tree takes."""
+"""Share of the time that building the tree takes."""
 
 
-def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.ndarray, np.ndarray]:
+def nearest(points: np.ndarray, k: int, progress: Progress = NO_PROGRESS) -> tuple[np.ndarray, np.ndarray]:
     """Indices (M, k) int32 and distances (M, k) float64, ascending, of the k nearest others of `points`.
 
     `points` (M, 3) float64, all finite. Where there are fewer others, the last indices are -1 and their
@@ -39,20 +39,20 @@ def nearest(points: np.ndarray, k: int, watch: Watch = UNWATCHED) -> tuple[np.nd
         return indices, distances
     order = np.arange(count, dtype=np.int32)
     axes = np.zeros(count, np.int8)
-    watch.step(0.0)
+    progress.step(0.0)
     _build(points, order, axes)
     sorted_points = np.ascontiguousarray(points[order])
 
     def search(start: int, stop: int) -> None:
         _search(start, stop, sorted_points, order, axes, indices, distances)
 
-    in_pieces(count, search, watch=watch.part(BUILD_SHARE, 1.0), piece=SEARCHES)
+    in_pieces(count, search, progress=progress.part(BUILD_SHARE, 1.0), piece=SEARCHES)
     return indices, distances
 
 
 @inline
 def select(points, order, start, stop, middle, axis):
-    """Partly sorts order[start:stop] along an axis: what is before `middle` is not greater (Hoare)."""
+    """Partly sorts order[start:stop] along an axis: points before `middle` are not greater (Hoare)."""
     low, high = start, stop - 1
     while low < high:
         pivot = points[order[(low + high) // 2], axis]

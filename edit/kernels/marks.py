@@ -1,6 +1,8 @@
-"""The loops over all marks of a scene: a pass over five million takes some milliseconds.
+"""Kernels over the marks of a scene, each splat's flags and palette index, and over positions of edited
+splats.
 
-Runs are (R, 2) int32, start and count each, ascending and apart.
+A pass over five million takes some milliseconds. Runs are (R, 2) int32, start and count each, ascending and
+apart.
 """
 
 from __future__ import annotations
@@ -11,10 +13,41 @@ import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces, inline, kernel
 from splatview.scene import Camera, Gaussians
-from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, adjustment_rows
+from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, adjustment_rows, shown
 
-SHIFT = 8
-"""`scene.edits.PALETTE_SHIFT`, as a constant that the compiler sees."""
+
+class Places(NamedTuple):
+    """Means of an edited scene and the moves of its palette."""
+
+    means: np.ndarray
+    """(N, 3) float32 or float64."""
+    marks: np.ndarray
+    """(N,) uint32."""
+    moves: np.ndarray
+    """(P, 12) float64 by palette index: linear part beside translation, 3x4 by rows; (0, 12): nothing was
+    moved."""
+
+
+def places_of(gaussians: Gaussians, edits: SceneEdits) -> Places:
+    moves = np.zeros((0, 12))
+    if any(adjustment.moves for adjustment in edits.palette):
+        moves = np.ascontiguousarray(adjustment_rows(edits.palette)[:, :12])
+    return Places(gaussians.means, edits.marks, moves)
+
+
+@inline
+def place(places, i):
+    """World position of splat `i` as three float64."""
+    x, y, z = np.float64(places.means[i, 0]), np.float64(places.means[i, 1]), np.float64(places.means[i, 2])
+    entry = places.marks[i] >> PALETTE_SHIFT
+    if entry == 0 or len(places.moves) == 0:
+        return x, y, z
+    m = places.moves[entry]
+    return (
+        m[0] * x + m[1] * y + m[2] * z + m[3],
+        m[4] * x + m[5] * y + m[6] * z + m[7],
+        m[8] * x + m[9] * y + m[10] * z + m[11],
+    )
 
 
 @kernel
@@ -41,11 +74,11 @@ def mask_runs(mask: np.ndarray, count: int) -> np.ndarray:
 
 @kernel
 def flag_mask(marks: np.ndarray, care: int, value: int) -> np.ndarray:
-    """Which splats' flags within `care` are exactly `value`: (N,) bool."""
+    """Whether each splat's flags within `care` are exactly `value`: (N,) bool."""
     mask = np.empty(len(marks), np.bool_)
-    care_bits, wanted = np.uint32(care), np.uint32(value)
+    care_bits, expected = np.uint32(care), np.uint32(value)
     for i in range(len(marks)):
-        mask[i] = (marks[i] & care_bits) == wanted
+        mask[i] = (marks[i] & care_bits) == expected
     return mask
 
 
@@ -59,7 +92,7 @@ def fill_mask(runs: np.ndarray, mask: np.ndarray) -> None:
 
 @kernel
 def toggle_runs(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
-    """Flips `bits` in the runs: twice is as if never."""
+    """Flips `bits` in the runs: its own inverse."""
     flipped = np.uint32(bits)
     for r in range(len(runs)):
         run = marks[runs[r, 0] : runs[r, 0] + runs[r, 1]]
@@ -69,7 +102,7 @@ def toggle_runs(marks: np.ndarray, runs: np.ndarray, bits: int) -> None:
 
 @kernel
 def toggle_mask(marks: np.ndarray, mask: np.ndarray, bits: int) -> None:
-    """As `toggle_runs`, where `mask` (N,) bool is true; without a branch, for scattered splats."""
+    """Flips `bits` where `mask` (N,) bool is true; without a branch, for scattered splats."""
     flipped = np.uint32(bits)
     for i in range(len(marks)):
         marks[i] ^= flipped * np.uint32(mask[i])
@@ -80,15 +113,15 @@ def remap(marks: np.ndarray, mask: np.ndarray, lookup: np.ndarray) -> None:
     """Where `mask` (N,) bool is true, entry e of the palette becomes lookup[e] (uint32)."""
     for i in range(len(marks)):
         mark = marks[i]
-        entry = mark >> np.uint32(SHIFT)
-        flip = (entry ^ lookup[entry]) << np.uint32(SHIFT)
+        entry = mark >> np.uint32(PALETTE_SHIFT)
+        flip = (entry ^ lookup[entry]) << np.uint32(PALETTE_SHIFT)
         marks[i] = mark ^ (flip * np.uint32(mask[i]))
 
 
 @kernel
 def flag_counts(marks: np.ndarray) -> np.ndarray:
-    """(6,) int64: marks that are selected; hidden and not deleted; deleted; locked and not deleted; neither
-    hidden nor deleted; neither hidden, deleted nor locked."""
+    """(6,) int64, numbers of splats: selected; hidden and not deleted; deleted; locked and not deleted;
+    neither hidden nor deleted; neither hidden, deleted nor locked."""
     selected = hidden = deleted = locked = shown = free = 0
     # Sums of single bits, without a branch: the compiler makes vectors of them.
     for i in range(len(marks)):
@@ -107,12 +140,11 @@ def flag_counts(marks: np.ndarray) -> np.ndarray:
 
 @kernel
 def entry_usage(marks: np.ndarray, mask: np.ndarray, entries: int) -> np.ndarray:
-    """(2, entries) int64: how many marks name each entry of the palette; in all, and where `mask` (N,) is
-    true."""
+    """(2, entries) int64: number of splats by palette index; of all, and of those in `mask` (N,) bool."""
     # Four tables take turns: a count need not wait for the one before it.
     counts = np.zeros((4, entries, 2), np.int64)
     for i in range(len(marks)):
-        counts[i & 3, marks[i] >> np.uint32(SHIFT), np.int64(mask[i])] += 1
+        counts[i & 3, marks[i] >> np.uint32(PALETTE_SHIFT), np.int64(mask[i])] += 1
     outside, inside = np.zeros(entries, np.int64), np.zeros(entries, np.int64)
     for table in range(4):
         outside += counts[table, :, 0]
@@ -121,12 +153,11 @@ def entry_usage(marks: np.ndarray, mask: np.ndarray, entries: int) -> np.ndarray
 
 
 @kernel
-def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray, table: int) -> np.ndarray:
-    """Which splats change between selected and not: (N,) bool.
+def selection_change(marks: np.ndarray, hits: np.ndarray, visible: np.ndarray, table: int) -> np.ndarray:
+    """Whether each splat changes between selected and not: (N,) bool.
 
-    `wanted` and `visible` (N,) bool: what is meant, and what the crops leave. A splat that is meant,
-    visible and neither hidden, deleted nor locked is a hit; bit 2·selected + hit of `table` says whether
-    it is selected afterwards.
+    A splat counts as hit if it is in `hits` and `visible`, (N,) bool each, and neither hidden, deleted nor
+    locked; bit 2·selected + hit of `table` says whether it is selected afterwards.
     """
     changed = np.empty(len(marks), np.bool_)
     # Of a splat that was not selected (hit), and of one that was (missed, hit): whether that changes.
@@ -134,7 +165,7 @@ def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray,
     for i in range(len(marks)):
         mark = marks[i]
         selected = (mark & np.uint32(1)) != 0
-        hit = wanted[i] & visible[i] & ((mark & np.uint32(14)) == 0)
+        hit = hits[i] & visible[i] & ((mark & np.uint32(14)) == 0)
         missed = selected & (not hit)
         changed[i] = (missed & if_missed) | (hit & selected & if_hit) | (hit & (not selected) & if_new)
     return changed
@@ -144,36 +175,22 @@ def selection_change(marks: np.ndarray, wanted: np.ndarray, visible: np.ndarray,
 def cropped_in(
     start: int,
     stop: int,
-    means: np.ndarray,
-    marks: np.ndarray,
-    palette: np.ndarray,
+    places: Places,
     crops: np.ndarray,
     only: int,
     kept: np.ndarray,
 ) -> None:
-    """kept[start:stop] (N,) bool: which splats the crops leave, where the palette puts them, as
-    `scene.crop.cropped_in`.
-
-    `palette`: `adjustment_rows`; `crops`: `crop_rows`, both about the origin. Splats without any flag in
-    `only` (0: all count) are not looked at and stay.
-    """
+    """kept[start:stop] (N,) bool: whether the crops, (C, CROP_ROW) as `crop_rows`, keep each splat, as in
+    `scene.edits.cropped_in`. Splats without any flag in `only` (0: all count) are kept unseen."""
     any_inside = False
     for c in range(len(crops)):
         any_inside = any_inside or crops[c, 13] == 1
     looked_at = np.uint32(only)
     for i in range(start, stop):
-        if only != 0 and (marks[i] & looked_at) == 0:
+        if only != 0 and (places.marks[i] & looked_at) == 0:
             kept[i] = True
             continue
-        x, y, z = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
-        entry = marks[i] >> np.uint32(SHIFT)
-        if entry > 0:
-            p = palette[entry]
-            x, y, z = (
-                p[0] * x + p[1] * y + p[2] * z + p[3],
-                p[4] * x + p[5] * y + p[6] * z + p[7],
-                p[8] * x + p[9] * y + p[10] * z + p[11],
-            )
+        x, y, z = place(places, i)
         inside_one = not any_inside
         outside_all = True
         for c in range(len(crops)):
@@ -181,7 +198,7 @@ def cropped_in(
             u = row[0] * x + row[1] * y + row[2] * z + row[3]
             v = row[4] * x + row[5] * y + row[6] * z + row[7]
             w = row[8] * x + row[9] * y + row[10] * z + row[11]
-            # Without shortcuts, whose branches nobody could foresee.
+            # Without short circuits, whose branches are unpredictable.
             in_box = (abs(u) <= 1) & (abs(v) <= 1) & (abs(w) <= 1)
             in_ball = u * u + v * v + w * w <= 1
             contains = in_ball if row[12] == 1 else in_box
@@ -192,18 +209,18 @@ def cropped_in(
 
 
 @kernel
-def light_up(marks: np.ndarray, mask: np.ndarray) -> tuple[int, int, int]:
+def set_highlight(marks: np.ndarray, mask: np.ndarray) -> tuple[int, int, int]:
     """Sets the flag PREVIEW (16) where `mask` (N,) is true and the splat is neither hidden, deleted nor
-    locked, and clears it elsewhere; a mask of length 0 clears all. Returns how many have it, and the run
-    (start, stop) of those that changed."""
+    locked, and clears it elsewhere; a mask of length 0 clears all. Returns the number of splats with the
+    flag, and the run (start, stop) of those that changed."""
     count = 0
     start, stop = len(marks), 0
-    any_lit = len(mask) > 0
+    any_highlighted = len(mask) > 0
     for i in range(len(marks)):
         before = marks[i]
-        lit = any_lit and mask[i] and (before & np.uint32(14)) == 0
-        after = (before | np.uint32(16)) if lit else (before & np.uint32(0xFFFFFFEF))
-        count += lit
+        highlighted = any_highlighted and mask[i] and (before & np.uint32(14)) == 0
+        after = (before | np.uint32(16)) if highlighted else (before & np.uint32(0xFFFFFFEF))
+        count += highlighted
         if after != before:
             marks[i] = after
             start = min(start, i)
@@ -211,45 +228,8 @@ def light_up(marks: np.ndarray, mask: np.ndarray) -> tuple[int, int, int]:
     return count, start, stop
 
 
-# ---- Where the splats of an edited scene are: their means, moved by what their marks name.
-
-
-class Places(NamedTuple):
-    """What `place` needs to know."""
-
-    means: np.ndarray
-    """(N, 3) float32 or float64."""
-    marks: np.ndarray
-    """(N,) uint32."""
-    moves: np.ndarray
-    """(P, 12) float64: linear part beside translation, 3x4 by rows; (0, 12) where nothing was moved."""
-
-
-def places_of(gaussians: Gaussians, edits: SceneEdits) -> Places:
-    """No copy of the scene: N is not touched."""
-    moves = np.zeros((0, 12))
-    if any(adjustment.moves for adjustment in edits.palette):
-        moves = np.ascontiguousarray(adjustment_rows(edits.palette)[:, :12])
-    return Places(gaussians.means, edits.marks, moves)
-
-
-@inline
-def place(places, i):
-    """World position of splat `i` as three float64."""
-    x, y, z = np.float64(places.means[i, 0]), np.float64(places.means[i, 1]), np.float64(places.means[i, 2])
-    entry = places.marks[i] >> PALETTE_SHIFT
-    if entry == 0 or len(places.moves) == 0:
-        return x, y, z
-    m = places.moves[entry]
-    return (
-        m[0] * x + m[1] * y + m[2] * z + m[3],
-        m[4] * x + m[5] * y + m[6] * z + m[7],
-        m[8] * x + m[9] * y + m[10] * z + m[11],
-    )
-
-
 class View(NamedTuple):
-    """A camera as numbers."""
+    """A camera in the kernels' form."""
 
     R: np.ndarray
     """(3, 3) float64, world to camera."""
@@ -275,8 +255,8 @@ def view_of(camera: Camera) -> View:
 
 
 def image_points(start: int, stop: int, places: Places, camera: Camera, near: float) -> np.ndarray:
-    """(stop - start, 2) float64: pixels of the means of splats start to stop; NaN before `near` and beyond
-    the reach of the camera's lens."""
+    """(stop - start, 2) float64: pixels of the means of splats start to stop; NaN before `near` and outside
+    the lens's field of view."""
     points = np.empty((stop - start, 2))
     if camera.lens is None:
         project_places(start, stop, places, view_of(camera), near, points)
@@ -307,7 +287,7 @@ def project_places(start, stop, places, view, near, points):
 
 @kernel
 def in_volume(start, stop, places, unit, ellipsoid, inside):
-    """inside[start:stop]: whether means are in the unit box or ball after `unit` (3, 4)."""
+    """inside[start:stop]: whether means are in the unit box or ball when transformed by `unit` (3, 4)."""
     for i in range(start, stop):
         x, y, z = place(places, i)
         u = unit[0, 0] * x + unit[0, 1] * y + unit[0, 2] * z + unit[0, 3]
@@ -323,6 +303,14 @@ def in_volume(start, stop, places, unit, ellipsoid, inside):
 def _positions(start, stop, places, positions):
     for i in range(start, stop):
         positions[i, 0], positions[i, 1], positions[i, 2] = place(places, i)
+
+
+def shown_positions(gaussians: Gaussians, edits: SceneEdits) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (M,) int64, ascending, of shown splats with finite positions, and these positions (M, 3)
+    float64."""
+    positions = positions_of(gaussians, edits)
+    indices = np.flatnonzero(shown(gaussians, edits) & np.isfinite(positions).all(axis=1))
+    return indices, positions[indices]
 
 
 def positions_of(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which points of a picture lie in a polygon or under a brush: exact, and as fast as few edges are near."""
+"""Points of a picture in a polygon or under a brush: exact, and looking only at edges nearby."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from splatview.edit.kernels.compiling import inline, kernel
 
 ROWS_PER_EDGE = 4
 MOST_ROWS = 4096
-"""A polygon's height is cut into so many rows; a point looks only at the edges that cross its own."""
+"""Most rows that a polygon's height is cut into; a point looks only at the edges that cross its own."""
 
 CELLS_ACROSS = 256
-"""The bounds are cut into at most so many cells a side. All points of a cell that no border crosses get
-one answer, found once."""
+"""Most cells per side that the bounds are cut into. All points of a cell that no border crosses get one
+answer, found once."""
 
 CELLS_PER_RADIUS = 8
 
 OUTSIDE, INSIDE, CROSSED = 0, 1, 2
-"""What is known of a cell."""
+"""States of a cell."""
 
 SLACK = 1e-6
-"""In cells: what nearly touches a cell counts as crossing it, so rounding never decides."""
+"""Margin, in cells, within which a border counts as crossing a cell, so that rounding never decides."""
 
 
 class Polygon(NamedTuple):
-    """A closed polygon, its edges listed by row. What it winds around at least once is inside."""
+    """A closed polygon, its edges listed by row. Points that it winds around at least once are inside."""
 
     points: np.ndarray
     """(V, 2) float64, px; the last joins the first."""
@@ -35,13 +35,14 @@ class Polygon(NamedTuple):
     per_row: float
     """Row of y: int((y - low) · per_row)."""
     offsets: np.ndarray
-    """(rows + 1,) int64: where each row's edges begin in..."""
+    """(rows + 1,) int64: where each row's edges begin in `edges`."""
     edges: np.ndarray
-    """... int32: edge i goes from point i to the next."""
+    """int32: edge i goes from point i to the next."""
     left: float
     per_column: float
-    """Cell of x: int((x - left) · per_column), of y likewise with `low` and..."""
+    """Column of x: int((x - left) · per_column)."""
     per_line: float
+    """Line of y: int((y - low) · per_line)."""
     states: np.ndarray
     """(CELLS_ACROSS + 1,) squared, uint8, by line and column."""
 
@@ -156,7 +157,7 @@ def in_polygon(points, bounds, polygon, inside):
 
 @kernel
 def in_rectangle(points, bounds, inside):
-    """As `in_polygon`; the border belongs to it."""
+    """Whether points are within the bounds, as `in_polygon`; the border belongs to it."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         inside[i] = (bounds[0] <= x) & (x <= bounds[2]) & (bounds[1] <= y) & (y <= bounds[3])
@@ -174,11 +175,11 @@ class Stroke(NamedTuple):
     columns: int
     rows: int
     offsets: np.ndarray
-    """(rows·columns + 1,) int64: where each cell's segments begin in..."""
+    """(rows·columns + 1,) int64: where each cell's segments begin in `segments`."""
     segments: np.ndarray
-    """... int32."""
+    """int32."""
     full: np.ndarray
-    """(rows·columns,) bool: cells that one segment covers whole."""
+    """(rows·columns,) bool: cells covered by one segment as a whole."""
 
 
 def make_stroke(points: np.ndarray, radius: float) -> Stroke:
@@ -215,9 +216,9 @@ def squared_distance(stroke, segment, x, y):
 
 @kernel
 def _list_segments(stroke, cursors, segments, write):
-    """For each cell the segments that come within reach of any of its points; counts them first."""
+    """Lists, or only counts, for each cell the segments within a radius of any of its points."""
     half_diagonal = stroke.cell * (0.5 * math.sqrt(2.0) + SLACK)
-    reach = stroke.radius + half_diagonal
+    radius = stroke.radius + half_diagonal
     sure = max(stroke.radius - half_diagonal, 0.0)
     for s in range(len(stroke.points) - 1):
         x0 = min(stroke.points[s, 0], stroke.points[s + 1, 0]) - stroke.radius - stroke.left
@@ -231,7 +232,7 @@ def _list_segments(stroke, cursors, segments, write):
                 x = stroke.left + (column + 0.5) * stroke.cell
                 y = stroke.top + (row + 0.5) * stroke.cell
                 square = squared_distance(stroke, s, x, y)
-                if square <= reach * reach:
+                if square <= radius * radius:
                     cell = row * stroke.columns + column
                     if square < sure * sure:
                         stroke.full[cell] = True
@@ -242,7 +243,7 @@ def _list_segments(stroke, cursors, segments, write):
 
 @kernel
 def in_stroke(points, stroke, inside):
-    """As `in_polygon`; what is exactly a radius away belongs to it."""
+    """Whether points are within a stroke, as `in_polygon`; its border belongs to it."""
     for i in range(len(points)):
         inside[i] = False
         x, y = points[i, 0], points[i, 1]

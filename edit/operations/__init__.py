@@ -1,4 +1,4 @@
-"""What can be done to a scene: one module a family, and the table of all by name."""
+"""Operations on a scene, one module per family, and the table of all by name."""
 
 from __future__ import annotations
 
@@ -15,41 +15,6 @@ from splatview.edit.operations.select import Grow, Select, SelectAll, SelectInve
 from splatview.edit.operations.transform import Ground, Orient, Transform
 from splatview.edit.serialization import quoted
 from splatview.scene import InputError
-
-__all__ = [
-    "OPERATIONS",
-    "AddCrop",
-    "ChangeCrop",
-    "ColourGrade",
-    "Decimate",
-    "Delete",
-    "DeleteCropped",
-    "Duplicate",
-    "EnableCrop",
-    "Ground",
-    "Grow",
-    "Hide",
-    "Isolate",
-    "Lock",
-    "Merge",
-    "Opacity",
-    "Operation",
-    "Orient",
-    "Prune",
-    "RemoveCrop",
-    "Repair",
-    "Select",
-    "SelectAll",
-    "SelectInverse",
-    "SelectNone",
-    "Show",
-    "Shrink",
-    "Size",
-    "Split",
-    "Transform",
-    "Unlock",
-    "operation_from_json",
-]
 
 OPERATIONS: dict[str, type[Operation]] = {
     cls.op: cls
@@ -88,7 +53,7 @@ OPERATIONS: dict[str, type[Operation]] = {
 
 
 def operation_from_json(data: Any) -> Operation:
-    """The operation that a step of a recipe describes.
+    """The operation of a step of a recipe.
 
     Raises:
         InputError: there is no such operation, or a field is wrong.

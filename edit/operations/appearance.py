@@ -1,46 +1,37 @@
-"""Operations that change how splats look where they are: size, opacity, colour."""
+"""Operations on the appearance of splats: size, opacity, colour."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from splatview.edit.changes import Change, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
-from splatview.edit.progress import UNWATCHED, Watch
-from splatview.edit.state import SplatSet
+from splatview.edit.state import SplatSet, State
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, Four
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
-
-
-# ---- Colour grading as one affine map of display colours, which spherical harmonics carry exactly.
-#
-# In this order, on rgb with 0 black and 1 white:
-#
-# - levels: (rgb - black) / (white - black)
-# - temperature t and tint m, each -1 to 1: channel gains 2^(t/2), 2^(-m/2), 2^(-t/2), divided by the
-#   luminance of their sum, so that greys keep their brightness; a warm t adds red, a positive m takes green
-# - saturation s: Y + s·(rgb - Y), Y the luminance
-# - contrast c: ½ + c·(rgb - ½)
-# - brightness b: rgb + b
-#
-# Y = 0.2126 r + 0.7152 g + 0.0722 b (ITU-R BT.709), taken of display values, as editors do.
-
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Luminance of red, green and blue (ITU-R BT.709)."""
 
 STOPS = 0.5
-"""A temperature or tint of 1 makes a channel so many powers of two brighter or darker."""
+"""Powers of two by which a temperature or tint of 1 makes a channel brighter or darker."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grade:
-    """The neutral values change nothing.
+    """A colour grade as one affine map of display colours, which spherical harmonics carry exactly. The
+    defaults change nothing.
+
+    The steps, in this order, on rgb with 0 black and 1 white:
+
+    - levels: (rgb - black) / (white - black) - temperature t and tint m: channel gains 2^(t/2), 2^(-m/2),
+    2^(-t/2), divided by the luminance of their sum, so that greys keep their brightness; a warm t adds red, a
+    positive m takes green - saturation s: Y + s·(rgb - Y), Y the luminance, of display values as editors take
+    it - contrast c: ½ + c·(rgb - ½) - brightness b: rgb + b
 
     Raises:
         ValueError: a number is out of range; the message names it.
@@ -122,11 +113,11 @@ class Opacity(Operation):
         if not 0 <= self.value <= high:
             raise ValueError(f"value must be in 0 to {high} to {self.how} opacities, got {self.value:g}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         value = float(self.value)
         opacity = (0.0, value, 0.0, 1.0) if self.how == "set" else (value, 0.0, 0.0, 1.0)
         verb = f"Opacity {value:g}:" if self.how == "set" else f"Opacity x {value:g}:"
-        return adjusting(document, self.scope, Adjustment(opacity=opacity), verb)
+        return adjusting(state, self.scope, Adjustment(opacity=opacity), verb)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,26 +139,26 @@ class Size(Operation):
         if not 1e-9 <= self.value <= 1e9:
             raise ValueError(f"value must be in 1e-9 to 1e9, got {self.value:g}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         if self.how == "scale":
             adjustment = Adjustment(size=float(self.value))
-            return adjusting(document, self.scope, adjustment, f"Size x {self.value:g}:")
-        splats = splats_of(document, self.scope)
+            return adjusting(state, self.scope, adjustment, f"Size x {self.value:g}:")
+        splats = splats_of(state, self.scope)
         at = splats.indices
-        before = document.gaussians.log_scales[at]
-        factors = np.array([entry.scale * entry.size for entry in document.palette])
-        wanted = math.log(self.value) - np.log(factors)[document.marks[at] >> PALETTE_SHIFT]
+        before = state.gaussians.log_scales[at]
+        factors = np.array([entry.scale * entry.size for entry in state.palette])
+        target = math.log(self.value) - np.log(factors)[state.marks[at] >> PALETTE_SHIFT]
         with np.errstate(invalid="ignore"):
             values = before.astype(np.float64)
-            values += (wanted - values.mean(axis=1))[:, None]
-        # What is not finite has no shape to keep.
-        sound = np.isfinite(values).all(axis=1)
-        chosen = np.zeros(len(document.marks), bool)
-        chosen[at[sound]] = True
+            values += (target - values.mean(axis=1))[:, None]
+        # Splats of non-finite scales have no shape to keep.
+        finite = np.isfinite(values).all(axis=1)
+        mask = np.zeros(len(state.marks), bool)
+        mask[at[finite]] = True
         part = Rewrite(
-            "log_scales", SplatSet.of_mask(chosen), before[sound], values[sound].astype(np.float32)
+            "log_scales", SplatSet.of_mask(mask), before[finite], values[finite].astype(np.float32)
         )
-        count = int(sound.sum())
+        count = int(finite.sum())
         return Change(
             title=f"Size {self.value:g}: {splats_in_words(count)}",
             count=count,
@@ -186,9 +177,9 @@ class ColourGrade(Operation):
     def __post_init__(self) -> None:
         check_scope(self.scope)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         first, second, third = (_four(row) for row in self.grade.matrix)
-        return adjusting(document, self.scope, Adjustment(colour=(first, second, third)), "Grade colours of")
+        return adjusting(state, self.scope, Adjustment(colour=(first, second, third)), "Grade colours of")
 
 
 def _four(row: np.ndarray) -> Four:

@@ -1,39 +1,36 @@
-"""What every operation is: data that says what to do, and a plan of what that alters."""
+"""Base of all operations: the numbers of a recipe's step, and the plan of the change that it makes."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from splatview.edit.changes import Change, Part, Recrop, Toggle, readjust, splats_in_words
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.serialization import from_json, to_json
-from splatview.edit.state import SplatSet
+from splatview.edit.state import SplatSet, State
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Adjustment, Crop, quat_product
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
 class Operation(ABC):
-    """One kind of editing, with the numbers that it needs.
+    """One kind of editing, with its parameters.
 
     Raises:
         ValueError: a number makes no sense; the message names the field.
     """
 
     op: ClassVar[str]
-    """Its name in a recipe."""
+    """Name in a recipe."""
     summary: ClassVar[str]
-    """One sentence for people who look for it."""
+    """One sentence for the user."""
 
     @abstractmethod
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        """What it alters, as the document stands. Alters nothing itself.
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        """The change that it makes to `state` as it is now; alters nothing itself.
 
         Raises:
             InputError: it cannot be done here.
@@ -48,11 +45,9 @@ class Operation(ABC):
         return from_json(cls, data)
 
 
-# ---- Which splats an operation is about, and what giving them an adjustment alters.
-
-
 Scope = Literal["selection", "scene"]
-"""The scene is all splats but deleted and locked ones: hidden and cropped ones go along."""
+"""Splats of an operation: the scene is all but deleted and locked ones, so hidden and cropped ones go
+along."""
 
 
 def check_scope(scope: str) -> None:
@@ -60,45 +55,37 @@ def check_scope(scope: str) -> None:
         raise ValueError(f"scope must be selection or scene, got {scope!r}")
 
 
-def splats_of(document: Document, scope: Scope) -> SplatSet:
-    return document.selected if scope == "selection" else document.splats(DELETED | LOCKED, 0)
+def splats_of(state: State, scope: Scope) -> SplatSet:
+    return state.selected if scope == "selection" else state.splats(DELETED | LOCKED, 0)
 
 
-def adjusting(document: Document, scope: Scope, adjustment: Adjustment, verb: str) -> Change:
-    """The change that puts `adjustment` on the splats; where the whole scene moves, crops move too."""
-    splats = splats_of(document, scope)
+def adjusting(state: State, scope: Scope, adjustment: Adjustment, verb: str) -> Change:
+    """The change that applies `adjustment` to the splats, and to the crops where the whole scene moves."""
+    splats = splats_of(state, scope)
     parts: list[Part] = []
     if len(splats) and adjustment != Adjustment():
-        parts.append(readjust(document.state, splats, adjustment))
-        if scope == "scene" and adjustment.moves and document.crops:
-            moved = tuple(moved_crop(crop, adjustment) for crop in document.crops)
-            parts.append(Recrop(document.crops, moved))
+        parts.append(readjust(state, splats, adjustment))
+        if scope == "scene" and adjustment.moves and state.crops:
+            moved = tuple(moved_crop(crop, adjustment) for crop in state.crops)
+            parts.append(Recrop(state.crops, moved))
     return Change(title=f"{verb} {splats_in_words(len(splats))}", count=len(splats), parts=tuple(parts))
 
 
 def moved_crop(crop: Crop, adjustment: Adjustment) -> Crop:
-    """The crop that leaves of moved splats what `crop` left of them before."""
+    """The crop that keeps moved splats where `crop` kept them before the move."""
     rotation = quat_product(np.array(adjustment.rotation), np.array(crop.rotation))
     w, x, y, z = (rotation / np.linalg.norm(rotation)).tolist()
     cx, cy, cz = (adjustment.linear @ np.array(crop.centre) + np.array(adjustment.translation)).tolist()
     ex, ey, ez = (np.array(crop.half_extents) * adjustment.scale).tolist()
-    return Crop(
-        name=crop.name,
-        shape=crop.shape,
-        centre=(cx, cy, cz),
-        half_extents=(ex, ey, ez),
-        rotation=(w, x, y, z),
-        keep=crop.keep,
-        enabled=crop.enabled,
-    )
+    return replace(crop, centre=(cx, cy, cz), half_extents=(ex, ey, ez), rotation=(w, x, y, z))
 
 
-def deleting(document: Document, doomed: np.ndarray, title: str, notes: tuple[str, ...] = ()) -> Change:
-    """The change that deletes `doomed` (N,) bool, none of which is deleted yet."""
-    splats = SplatSet.of_mask(doomed)
+def deleting(state: State, to_delete: np.ndarray, title: str, notes: tuple[str, ...] = ()) -> Change:
+    """The change that deletes the splats `to_delete` (N,) bool, none of which is deleted yet."""
+    splats = SplatSet.of_mask(to_delete)
     parts: list[Part] = []
     if len(splats):
-        selected = SplatSet.of_mask(doomed & ((document.marks & SELECTED) != 0))
+        selected = SplatSet.of_mask(to_delete & ((state.marks & SELECTED) != 0))
         parts = [Toggle(selected, SELECTED)] if len(selected) else []
         parts.append(Toggle(splats, DELETED))
     return Change(title=title, count=len(splats), parts=tuple(parts), notes=notes)

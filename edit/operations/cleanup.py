@@ -1,10 +1,10 @@
-"""Operations that delete what detectors find, or all but the splats that matter most."""
+"""Operations that delete what detectors find or what contributes least, and that repair invalid splats."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -12,20 +12,19 @@ from splatview.edit import detectors as detecting
 from splatview.edit.changes import Change, Part, Rewrite, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
 from splatview.edit.operations.select import kind_of, one_of
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.selectors.base import finding_mask
 from splatview.edit.serialization import to_json
-from splatview.edit.state import SplatSet
+from splatview.edit.state import SplatSet, State
 from splatview.scene import Camera, InputError
-from splatview.scene.edits import DELETED, HIDDEN, LARGEST_LOGIT, LOCKED
-from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, check, sh_reach
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
+from splatview.scene.edits import DELETED, LARGEST_LOGIT, LOCKED
+from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, sh_bound
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prune(Operation):
-    """In JSON `by` is an object whose ``kind`` is a name in DETECTORS, its other keys that one's fields."""
+    """In JSON `by` is an object whose ``kind`` is a name in DETECTORS, its other keys the fields of that
+    detector."""
 
     op: ClassVar[str] = "prune"
     summary: ClassVar[str] = "Delete floaters, needles, giants, faint or unseen splats above a threshold"
@@ -33,15 +32,15 @@ class Prune(Operation):
     by: Any
     """One of DETECTORS."""
     threshold: float
-    """What scores above it is deleted."""
+    """Splats that score above it are deleted."""
     cameras: tuple[Camera, ...] = ()
-    """Views, for detectors that look at pictures; none: views from around the scene."""
+    """Views, for detectors that render; none: views from around the scene."""
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        scores = document.scores(self.by, self.cameras, watch=watch)
-        doomed = self.by.mask(scores, self.threshold) & editable(document)
-        title = f"Prune {splats_in_words(int(np.count_nonzero(doomed)))} by {kind_of(self.by)}"
-        return deleting(document, doomed, title)
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        scores = state.scores(self.by, self.cameras, progress=progress)
+        to_delete = self.by.mask(scores, self.threshold) & state.editable
+        title = f"Prune {splats_in_words(int(np.count_nonzero(to_delete)))} by {kind_of(self.by)}"
+        return deleting(state, to_delete, title)
 
     def to_json(self) -> dict[str, Any]:
         by = {"kind": kind_of(self.by), **to_json(self.by)}
@@ -66,38 +65,28 @@ class Decimate(Operation):
         if not self.keep >= 1:
             raise ValueError(f"keep must be at least 1, got {self.keep}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return deleting(document, self.doomed(document, watch), f"Decimate to {splats_in_words(self.keep)}")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return deleting(state, self.to_delete(state, progress), f"Decimate to {splats_in_words(self.keep)}")
 
-    def doomed(self, document: Document, watch: Watch = UNWATCHED) -> np.ndarray:
-        """Which splats it would delete, (N,) bool: of equal contributions the later ones.
+    def to_delete(self, state: State, progress: Progress = NO_PROGRESS) -> np.ndarray:
+        """Splats to be deleted, (N,) bool: of equal contributions the later ones.
 
         Raises:
             InputError: too many cannot be deleted, or there is no renderer.
-            Cancelled: the watch says so.
+            Cancelled: nobody waits for it any more.
         """
-        at = np.flatnonzero(editable(document))[::-1]
-        excess = document.counts.kept - self.keep
+        at = np.flatnonzero(state.editable)[::-1]
+        excess = state.counts.kept - self.keep
         if excess > len(at):
             raise InputError(
-                f"keep {self.keep:,}: {document.counts.kept - len(at):,} splats are hidden, locked or "
+                f"keep {self.keep:,}: {state.counts.kept - len(at):,} splats are hidden, locked or "
                 "cropped away and cannot be deleted"
             )
-        doomed = np.zeros(len(document.marks), bool)
+        to_delete = np.zeros(len(state.marks), bool)
         if excess > 0:
-            worth = document.contributions(self.cameras, watch=watch)[at]
-            doomed[at[np.argsort(worth, kind="stable")[:excess]]] = True
-        return doomed
-
-
-def editable(document: Document) -> np.ndarray:
-    """(N,) bool: in sight and not locked."""
-    free = (document.marks & (HIDDEN | DELETED | LOCKED)) == 0
-    visible = document.cropped_in()
-    return free & visible if len(visible) else free
-
-
-# ---- Repairing splats with bad numbers, where there is a repair; deleting them where there is none.
+            worth = state.contributions(self.cameras, progress=progress)[at]
+            to_delete[at[np.argsort(worth, kind="stable")[:excess]]] = True
+        return to_delete
 
 
 REPAIRS = {
@@ -117,10 +106,10 @@ REPAIRS = {
     "giants": "the splats are deleted",
     "duplicates": "the copies are deleted",
 }
-"""Finding -> what is done; "quaternion lengths" is no finding, but what some programs insist on."""
+"""Repair by finding; "quaternion lengths" is no finding, but a demand of some programs."""
 
 UNIT = 1e-6
-"""Lengths of quaternions closer to 1 than this stay as they are."""
+"""Deviation from 1 up to which the length of a quaternion is left as it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,36 +124,32 @@ class Repair(Operation):
         if self.finding not in REPAIRS:
             raise ValueError(f"finding must be one of {', '.join(REPAIRS)}, got {self.finding!r}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        watch.step(0.0)
-        ill = self._ill(document) & ((document.marks & (DELETED | LOCKED)) == 0)
-        title = f"Repair {self.finding}: {splats_in_words(int(np.count_nonzero(ill)))}"
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        progress.step(0.0)
+        invalid = self._invalid(state) & ((state.marks & (DELETED | LOCKED)) == 0)
+        title = f"Repair {self.finding}: {splats_in_words(int(np.count_nonzero(invalid)))}"
         if REPAIRS[self.finding].endswith("deleted"):
-            return deleting(document, ill, title)
-        at = np.flatnonzero(ill)
-        attribute, values = self._repaired(document, at)
-        before = getattr(document.gaussians, attribute)[at]
+            return deleting(state, invalid, title)
+        at = np.flatnonzero(invalid)
+        attribute, values = self._repaired(state, at)
+        before = getattr(state.gaussians, attribute)[at]
         parts: tuple[Part, ...] = ()
         if len(at):
-            parts = (Rewrite(attribute, SplatSet.of_mask(ill), before, values.astype(before.dtype)),)
+            parts = (Rewrite(attribute, SplatSet.of_mask(invalid), before, values.astype(before.dtype)),)
         return Change(title=title, count=len(at), parts=parts)
 
-    def _ill(self, document: Document) -> np.ndarray:
-        gaussians = document.gaussians
-        mask = np.zeros(len(gaussians), bool)
+    def _invalid(self, state: State) -> np.ndarray:
+        gaussians = state.gaussians
         if self.finding == "quaternion lengths":
             with np.errstate(invalid="ignore", over="ignore"):
                 lengths = np.linalg.norm(gaussians.quats.astype(np.float64), axis=1)
                 # Zero and non-finite ones have no length to divide by.
                 return (np.abs(lengths - 1) > UNIT) & (lengths > 0) & (lengths < np.inf)
-        for finding in check(gaussians):
-            if finding.name == self.finding:
-                mask[finding.indices] = True
-        return mask
+        return finding_mask(gaussians, lambda finding: finding.name == self.finding)
 
-    def _repaired(self, document: Document, at: np.ndarray) -> tuple[str, np.ndarray]:
-        """Which attribute, and its better values for the splats `at`, float64."""
-        gaussians = document.gaussians
+    def _repaired(self, state: State, at: np.ndarray) -> tuple[str, np.ndarray]:
+        """The attribute to repair, and its new values for the splats `at`, float64."""
+        gaussians = state.gaussians
         match self.finding:
             case "quaternion lengths":
                 quats = gaussians.quats[at].astype(np.float64)
@@ -178,9 +163,9 @@ class Repair(Operation):
                 return "sh", np.nan_to_num(gaussians.sh[at].astype(np.float64), posinf=0.0, neginf=0.0)
             case "SH out of range":
                 sh = gaussians.sh[at].astype(np.float64)
-                # A hair below, so that the rounded values are found no more.
-                reach = sh_reach(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
-                return "sh", sh * (BRIGHT / reach)[:, None, None]
+                # A hair below, so that the rounded values are no finding any more.
+                extreme = sh_bound(gaussians.sh[at]).sum(axis=1).astype(np.float64).max(axis=1) * (1 + 1e-6)
+                return "sh", sh * (BRIGHT / extreme)[:, None, None]
             case _:
                 return "log_scales", self._repaired_scales(gaussians.log_scales[at].astype(np.float64))
 

@@ -1,95 +1,73 @@
-"""Operations that flip state flags: deleting, hiding, locking and their opposites."""
+"""Operations that flip splat flags: delete, hide, lock and their opposites."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from splatview.edit.changes import Change, Toggle, splats_in_words
+from splatview.edit.changes import Change, splats_in_words, toggling
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.state import State
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
-@dataclass(frozen=True, kw_only=True)
-class Delete(Operation):
-    op: ClassVar[str] = "delete"
-    summary: ClassVar[str] = "Delete the selected splats; the file keeps them until you export over it"
+class _SetFlag(Operation):
+    """Sets a flag on the selected splats, which deselects them."""
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return _selected(document, DELETED, "Delete")
+    flag: ClassVar[int]
 
-
-@dataclass(frozen=True, kw_only=True)
-class Hide(Operation):
-    op: ClassVar[str] = "hide"
-    summary: ClassVar[str] = "Hide the selected splats; they are still exported"
-
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return _selected(document, HIDDEN, "Hide")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Show(Operation):
-    op: ClassVar[str] = "show"
-    summary: ClassVar[str] = "Show all hidden splats again"
-
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return _all_with(document, HIDDEN, "Show")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lock(Operation):
-    op: ClassVar[str] = "lock"
-    summary: ClassVar[str] = "Lock the selected splats: visible, but not to be selected or changed"
-
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return _selected(document, LOCKED, "Lock")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Unlock(Operation):
-    op: ClassVar[str] = "unlock"
-    summary: ClassVar[str] = "Unlock all locked splats"
-
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return _all_with(document, LOCKED, "Unlock")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Isolate(Operation):
-    op: ClassVar[str] = "isolate"
-    summary: ClassVar[str] = "Hide all but the selected splats"
-
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        # Locked splats too: hiding changes what is seen, not the splat.
-        others = document.splats(SELECTED | HIDDEN | DELETED, 0)
-        kept = document.counts.selected
-        return Change(
-            title=f"Isolate {splats_in_words(kept)}",
-            count=len(others),
-            parts=(Toggle(others, HIDDEN),) if len(others) else (),
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        splats = state.selected
+        return toggling(
+            splats, SELECTED | self.flag, f"{self.op.capitalize()} {splats_in_words(len(splats))}"
         )
 
 
-def _selected(document: Document, flag: int, verb: str) -> Change:
-    """Sets `flag` on the selected splats, which thereby are selected no more."""
-    splats = document.selected
-    return Change(
-        title=f"{verb} {splats_in_words(len(splats))}",
-        count=len(splats),
-        parts=(Toggle(splats, SELECTED | flag),) if len(splats) else (),
-    )
+class _ClearFlag(Operation):
+    """Clears a flag of all splats that are not deleted."""
+
+    flag: ClassVar[int]
+
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        splats = state.splats(self.flag | DELETED, self.flag)
+        return toggling(splats, self.flag, f"{self.op.capitalize()} {splats_in_words(len(splats))}")
 
 
-def _all_with(document: Document, flag: int, verb: str) -> Change:
-    """Clears `flag` where it is set, deleted splats apart."""
-    splats = document.splats(flag | DELETED, flag)
-    return Change(
-        title=f"{verb} {splats_in_words(len(splats))}",
-        count=len(splats),
-        parts=(Toggle(splats, flag),) if len(splats) else (),
-    )
+class Delete(_SetFlag):
+    op = "delete"
+    summary = "Delete the selected splats; the file keeps them until you export over it"
+    flag = DELETED
+
+
+class Hide(_SetFlag):
+    op = "hide"
+    summary = "Hide the selected splats; they are still exported"
+    flag = HIDDEN
+
+
+class Show(_ClearFlag):
+    op = "show"
+    summary = "Show all hidden splats again"
+    flag = HIDDEN
+
+
+class Lock(_SetFlag):
+    op = "lock"
+    summary = "Lock the selected splats: visible, but not to be selected or changed"
+    flag = LOCKED
+
+
+class Unlock(_ClearFlag):
+    op = "unlock"
+    summary = "Unlock all locked splats"
+    flag = LOCKED
+
+
+class Isolate(Operation):
+    op = "isolate"
+    summary = "Hide all but the selected splats"
+
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        # Locked splats too: hiding changes no splat.
+        others = state.splats(SELECTED | HIDDEN | DELETED, 0)
+        return toggling(others, HIDDEN, f"Isolate {splats_in_words(state.counts.selected)}")

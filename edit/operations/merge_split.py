@@ -1,23 +1,18 @@
-"""Operations that bring splats in or take them elsewhere: merging, duplicating, splitting."""
+"""Operations that add splats or move them to a file: merge, duplicate, split."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from splatview.edit.changes import Append, Change, Part, SaveOnce, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
-
-
-MOST_SPLATS = 2**31 - 1
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 
@@ -33,11 +28,11 @@ class Merge(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        other = document.load(document.path(self.path))
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        other = state.load(state.path(self.path))
         marks = np.full(len(other), SELECTED, np.uint32)
-        title = f"Merge {splats_in_words(len(other))} of {document.path(self.path).name}"
-        return _appended(document, other, marks, title)
+        title = f"Merge {splats_in_words(len(other))} of {state.path(self.path).name}"
+        return _appended(state, other, marks, title)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +40,10 @@ class Duplicate(Operation):
     op: ClassVar[str] = "duplicate"
     summary: ClassVar[str] = "Make a copy of the selected splats, in the same place; the copy is selected"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        at = document.selected.indices
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        at = state.selected.indices
         title = f"Duplicate {splats_in_words(len(at))}"
-        return _appended(document, document.gaussians.take(at), document.marks[at], title)
+        return _appended(state, state.gaussians.take(at), state.marks[at], title)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,19 +57,19 @@ class Split(Operation):
     def __post_init__(self) -> None:
         _check_path(self.path)
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        splats = document.selected
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        splats = state.selected
         if not len(splats):
             return Change(title="Split nothing", count=0)
-        # All others count as deleted; crops do not: the selection is what is split.
-        marks = np.where(splats.mask, document.marks, document.marks | np.uint32(DELETED))
-        edits = replace(document.edits, marks=marks, crops=(), flags=SELECTED | DELETED)
-        target = document.path(self.path)
-        scene = bake(document.gaussians, edits, hidden=True)
+        # All others count as deleted; crops do not count: the whole selection is split off.
+        marks = np.where(splats.mask, state.marks, state.marks | np.uint32(DELETED))
+        edits = replace(state.edits, marks=marks, crops=(), flags=SELECTED | DELETED)
+        target = state.path(self.path)
+        scene = bake(state.gaussians, edits, hidden=True)
         return Change(
             title=f"Split {splats_in_words(len(splats))} to {target.name}",
             count=len(splats),
-            parts=(SaveOnce(document.save, target, scene), Toggle(splats, SELECTED | DELETED)),
+            parts=(SaveOnce(state.save, target, scene), Toggle(splats, SELECTED | DELETED)),
         )
 
 
@@ -83,15 +78,15 @@ def _check_path(path: str) -> None:
         raise ValueError("path must name a file")
 
 
-def _appended(document: Document, added: Gaussians, marks: np.ndarray, title: str) -> Change:
-    """`added` after the splats that are there, and selected in their stead."""
+def _appended(state: State, added: Gaussians, marks: np.ndarray, title: str) -> Change:
+    """Appends `added`, with the adjustments in marks (M,), and selects them alone."""
     if not len(added):
         return Change(title=title, count=0)
-    before = document.gaussians
-    if len(before) + len(added) > MOST_SPLATS:
-        raise InputError(f"more than {MOST_SPLATS:,} splats cannot be edited")
+    before = state.gaussians
+    if len(before) + len(added) > MAX_SPLATS:
+        raise InputError(f"more than {MAX_SPLATS:,} splats cannot be edited")
     after = concatenate([before, added])
-    selected = document.selected
+    selected = state.selected
     parts: list[Part] = [Toggle(selected, SELECTED)] if len(selected) else []
     parts.append(Append(_sharing(before, after), after, (marks & _ENTRY) | np.uint32(SELECTED)))
     return Change(title=title, count=len(added), parts=tuple(parts))
@@ -101,8 +96,8 @@ _ENTRY = np.uint32(0xFFFFFFFF << PALETTE_SHIFT & 0xFFFFFFFF)
 
 
 def _sharing(before: Gaussians, after: Gaussians) -> Gaussians:
-    """`before`, its arrays being the beginnings of those of `after` where they are the same: so that one
-    scene is in memory, not two."""
+    """`before` with its arrays as views of those of `after` where their types are the same, so that one scene
+    is in memory, not two."""
     shared = {}
     for name in ARRAYS:
         own, longer = getattr(before, name), getattr(after, name)

@@ -1,56 +1,55 @@
-"""Operations that choose splats."""
+"""Operations on the selection."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from splatview.edit import detectors as detecting
 from splatview.edit import selectors as selecting
-from splatview.edit.changes import Change, Toggle, splats_in_words
+from splatview.edit.changes import Change, splats_in_words, toggling
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.operations.base import Operation
-from splatview.edit.progress import UNWATCHED, Watch
 from splatview.edit.selectors import grow, shrink
 from splatview.edit.selectors.base import above_zero
 from splatview.edit.serialization import from_json, quoted, to_json
-from splatview.edit.state import SplatSet
+from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError
 from splatview.scene.edits import SELECTED
-
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
-
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 Mode = Literal["set", "add", "remove", "intersect"]
 
 MODES: dict[str, int] = {"set": 0b1010, "add": 0b1110, "remove": 0b0100, "intersect": 0b1000}
 INVERT = 0b0110
-"""Outcomes for what is selected and hit, selected, hit, neither: see `kernels.selection_change`."""
+"""Whether splats are selected afterwards that are selected and hit, only selected, only hit, neither: see
+`kernels.selection_change`."""
 
 VERBS = {"set": "Select", "add": "Add", "remove": "Deselect", "intersect": "Keep selected"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Select(Operation):
-    """In JSON `by` is an object whose ``kind`` is a name in SELECTORS, its other keys that one's fields."""
+    """In JSON `by` is an object whose ``kind`` is a name in SELECTORS, its other keys the fields of that
+    selector."""
 
     op: ClassVar[str] = "select"
     summary: ClassVar[str] = "Select splats by a shape, by colour, by a range of an attribute, ..."
 
     by: Any
-    """One of SELECTORS: says which splats are meant."""
+    """One of SELECTORS: says which splats are hit."""
     mode: Mode = "set"
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise ValueError(f"mode must be one of {', '.join(MODES)}, got {self.mode!r}")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        wanted = self.by.mask(document.gaussians, document.edits, document.tools, watch=watch)
-        return selection(document, wanted, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        hits = self.by.mask(state.gaussians, state.edits, state.tools, progress=progress)
+        return selection(state, hits, MODES[self.mode], f"{VERBS[self.mode]} by {kind_of(self.by)}")
 
     def to_json(self) -> dict[str, Any]:
         return {"op": self.op, "by": {"kind": kind_of(self.by), **to_json(self.by)}, "mode": self.mode}
@@ -60,12 +59,12 @@ class Select(Operation):
         return super().from_json({**data, **one_of(selecting.SELECTORS, data, "by")})
 
 
-def kind_of(chosen: Any) -> str:
+def kind_of(selector: Any) -> str:
     """The name of a selector or detector in its registry."""
     for kind, cls in (*selecting.SELECTORS.items(), *detecting.DETECTORS.items()):
-        if type(chosen) is cls:
+        if type(selector) is cls:
             return kind
-    raise ValueError(f"by must be a selector or a detector, got {type(chosen).__name__}")
+    raise ValueError(f"by must be a selector or a detector, got {type(selector).__name__}")
 
 
 def one_of(registry: dict[str, type], data: dict[str, Any], key: str) -> dict[str, Any]:
@@ -94,8 +93,8 @@ class SelectAll(Operation):
     op: ClassVar[str] = "select_all"
     summary: ClassVar[str] = "Select everything that is shown and not locked"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return selection(document, np.ones(len(document.marks), bool), MODES["set"], "Select all")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return selection(state, np.ones(len(state.marks), bool), MODES["set"], "Select all")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,11 +102,8 @@ class SelectNone(Operation):
     op: ClassVar[str] = "select_none"
     summary: ClassVar[str] = "Select nothing"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        splats = document.selected
-        return Change(
-            title="Select none", count=len(splats), parts=(Toggle(splats, SELECTED),) if len(splats) else ()
-        )
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return toggling(state.selected, SELECTED, "Select none")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,25 +111,18 @@ class SelectInverse(Operation):
     op: ClassVar[str] = "select_inverse"
     summary: ClassVar[str] = "Swap what is selected with what is not"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return selection(document, np.ones(len(document.marks), bool), INVERT, "Invert the selection")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return selection(state, np.ones(len(state.marks), bool), INVERT, "Invert the selection")
 
 
-def selection(document: Document, wanted: np.ndarray, mode: int, title: str) -> Change:
-    """The change to the selection by `wanted` (N,) bool."""
-    wanted = np.ascontiguousarray(wanted, bool)
-    visible = document.cropped_in()
+def selection(state: State, hits: np.ndarray, mode: int, title: str) -> Change:
+    """The change to the selection by `hits` (N,) bool."""
+    hits = np.ascontiguousarray(hits, bool)
+    visible = state.cropped_in()
     if not len(visible):
-        visible = wanted
-    changed = SplatSet.of_mask(kernels.selection_change(document.marks, wanted, visible, mode))
-    return Change(
-        title=f"{title}: {splats_in_words(len(changed))}",
-        count=len(changed),
-        parts=(Toggle(changed, SELECTED),) if len(changed) else (),
-    )
-
-
-# ---- Growing and shrinking the selection by nearness.
+        visible = hits
+    changed = SplatSet.of_mask(kernels.selection_change(state.marks, hits, visible, mode))
+    return toggling(changed, SELECTED, f"{title}: {splats_in_words(len(changed))}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,44 +140,25 @@ class _ByNearness(Operation):
         if self.neighbours is not None and not 1 <= self.neighbours <= 64:
             raise ValueError(f"neighbours must be in 1 to 64, got {self.neighbours}")
 
-    @property
-    def _by(self) -> str:
-        if self.distance is not None:
-            return f"by {self.distance:g}"
-        return f"by {self.neighbours} neighbours"
+    def _plan(self, grown: Callable[..., np.ndarray], state: State, mode: str, progress: Progress) -> Change:
+        mask = (state.marks & SELECTED) != 0
+        options = {"distance": self.distance, "neighbours": self.neighbours, "watch": progress}
+        hits = grown(mask, state.gaussians, state.edits, **options)
+        by = f"{self.neighbours} neighbours" if self.distance is None else f"{self.distance:g}"
+        return selection(state, hits, MODES[mode], f"{self.op.capitalize()} by {by}")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Grow(_ByNearness):
-    op: ClassVar[str] = "grow"
-    summary: ClassVar[str] = "Select also what is near the selection"
+    op = "grow"
+    summary = "Select also what is near the selection"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        mask = (document.marks & SELECTED) != 0
-        mask = grow(
-            mask,
-            document.gaussians,
-            document.edits,
-            distance=self.distance,
-            neighbours=self.neighbours,
-            watch=watch,
-        )
-        return selection(document, mask, MODES["add"], f"Grow {self._by}")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return self._plan(grow, state, "add", progress)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Shrink(_ByNearness):
-    op: ClassVar[str] = "shrink"
-    summary: ClassVar[str] = "Deselect what is near to splats that are not selected"
+    op = "shrink"
+    summary = "Deselect what is near to splats that are not selected"
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        mask = (document.marks & SELECTED) != 0
-        mask = shrink(
-            mask,
-            document.gaussians,
-            document.edits,
-            distance=self.distance,
-            neighbours=self.neighbours,
-            watch=watch,
-        )
-        return selection(document, mask, MODES["intersect"], f"Shrink {self._by}")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return self._plan(shrink, state, "intersect", progress)

@@ -1,28 +1,25 @@
-"""Operations that place splats elsewhere: transforms, and setting a scene upright."""
+"""Operations that move splats: transforms, and setting a scene upright."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from splatview.edit.changes import Change
 from splatview.edit.kernels.marks import positions_of
 from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
-from splatview.edit.progress import UNWATCHED, Watch
+from splatview.edit.state import State
 from splatview.scene import InputError
 from splatview.scene.edits import IDENTITY_ROTATION, Adjustment, Four, Vector
 from splatview.scene.framing import WORLD_UP
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
 
-if TYPE_CHECKING:
-    from splatview.edit.document import Document
-
-
 SAMPLE = 200_000
-"""Splats that decide on which side of the ground the scene is."""
+"""Splats sampled to find the side of the ground on which the scene is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +55,8 @@ class Transform(Operation):
             unit_quat(np.array(self.rotation)), np.array(self.translation), self.scale, np.array(self.pivot)
         )
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
-        return adjusting(document, self.scope, self.adjustment, "Transform")
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        return adjusting(state, self.scope, self.adjustment, "Transform")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +73,10 @@ class Orient(Operation):
         if not any(self.up):
             raise ValueError("up must not be 0, 0, 0: that is no direction")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         rotation = turn_between(np.array(self.up), np.array(WORLD_UP))
         adjustment = similarity(rotation, np.zeros(3), 1.0, np.array(self.pivot))
-        return adjusting(document, "scene", adjustment, "Set up axis of")
+        return adjusting(state, "scene", adjustment, "Set up axis of")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,29 +97,29 @@ class Ground(Operation):
         if not area > 1e-6 * max(float(side @ side) for side in sides):
             raise ValueError("points must not lie on one line")
 
-    def plan(self, document: Document, watch: Watch = UNWATCHED) -> Change:
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         first, second, third = np.array(self.points, np.float64)
         normal = np.cross(second - first, third - first)
         normal /= np.linalg.norm(normal)
         centre = (first + second + third) / 3
-        if self._above(document, normal, centre) < 0:
+        if self._above(state, normal, centre) < 0:
             normal = -normal
         shift = np.array([0.0, -centre[1], 0.0])
         adjustment = similarity(turn_between(normal, np.array(WORLD_UP)), shift, 1.0, centre)
-        return adjusting(document, "scene", adjustment, "Set on the ground")
+        return adjusting(state, "scene", adjustment, "Set on the ground")
 
-    def _above(self, document: Document, normal: np.ndarray, centre: np.ndarray) -> float:
+    def _above(self, state: State, normal: np.ndarray, centre: np.ndarray) -> float:
         """Above 0 where the scene is on the side to which `normal` points."""
-        splats = splats_of(document, "scene").indices
+        splats = splats_of(state, "scene").indices
         splats = splats[:: max(1, len(splats) // SAMPLE)]
         with np.errstate(invalid="ignore", over="ignore"):
-            heights = (positions_of(document.gaussians, document.edits)[splats] - centre) @ normal
+            heights = (positions_of(state.gaussians, state.edits)[splats] - centre) @ normal
         balance = int((heights > 0).sum()) - int((heights < 0).sum())
         return balance or float(normal @ np.array(WORLD_UP))
 
 
 def check_places(**vectors: Vector) -> None:
-    """Raises ValueError where coordinates are beyond what arithmetic with them bears."""
+    """Raises ValueError for coordinates too large to compute with."""
     for name, values in vectors.items():
         if not (len(values) == 3 and all(abs(value) <= 1e15 for value in values)):
             raise ValueError(f"{name} must be three numbers of at most 1e15, got {list(values)}")

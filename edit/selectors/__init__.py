@@ -1,4 +1,4 @@
-"""Ways to choose splats: by region of a picture, by place, by colour, by any attribute."""
+"""Selectors of splats: by region of a picture, by position, by colour, by any attribute."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from splatview.edit.selectors.attributes import (
 from splatview.edit.selectors.base import Selector
 from splatview.edit.selectors.region_growing import Flood, grow, picked, shrink, typical_spacing
 from splatview.edit.selectors.screen import Brush, Lasso, Polygon, Rectangle
-from splatview.edit.selectors.volumes import Box, Everything, IllSplats, IndexRuns, Sphere, health_findings
+from splatview.edit.selectors.volumes import (
+    Box,
+    Everything,
+    IndexRuns,
+    InvalidSplats,
+    Sphere,
+    health_findings,
+)
 
 SELECTORS: dict[str, type] = {
     "rectangle": Rectangle,
@@ -27,11 +34,11 @@ SELECTORS: dict[str, type] = {
     "flood": Flood,
     "colour": SimilarColour,
     "range": AttributeRange,
-    "health": IllSplats,
+    "health": InvalidSplats,
     "runs": IndexRuns,
     "all": Everything,
 }
-"""By the name that a recipe has; each class is a `Selector`."""
+"""Selectors by their names in recipes; each class is a `Selector`."""
 
 __all__ = [
     "ATTRIBUTES",
@@ -43,8 +50,8 @@ __all__ = [
     "Everything",
     "Flood",
     "Histogram",
-    "IllSplats",
     "IndexRuns",
+    "InvalidSplats",
     "Lasso",
     "Polygon",
     "Rectangle",

@@ -1,4 +1,5 @@
-"""Numbers that tell splats apart: what histograms show and ranges select by. All of the edited scene."""
+"""Attributes, numbers per splat of the edited scene: their values, histograms, and selection by their ranges
+or by colour."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatview.edit.kernels import attributes as looks
+from splatview.edit.kernels import attributes as kernels
 from splatview.edit.kernels.attributes import (
     LINEAR,
     column,
@@ -19,13 +20,12 @@ from splatview.edit.kernels.attributes import (
     within_range,
 )
 from splatview.edit.kernels.compiling import in_pieces
-from splatview.edit.kernels.marks import places_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
-from splatview.edit.selectors.base import at_least, choice, finite, store, vector
+from splatview.edit.kernels.marks import Places, places_of
+from splatview.edit.selectors.base import Query, at_least, choice, finite, store, vector
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import IDENTITY_COLOUR, PALETTE_SHIFT, SceneEdits, adjustment_rows
-
-# ---- What splats look like after editing, value by value, without making a scene of it.
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 def _entries(edits: SceneEdits) -> np.ndarray:
@@ -46,14 +46,10 @@ def opacities(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
     maps = adjustment_rows(edits.palette)[:, 28:32].astype(np.float32)
 
     def work(start: int, stop: int) -> None:
-        looks.opacities(start, stop, gaussians.opacity_logits, edits.marks, maps, values)
+        kernels.opacities(start, stop, gaussians.opacity_logits, edits.marks, maps, values)
 
     in_pieces(len(values), work)
     return values
-
-
-def _coloured(edits: SceneEdits) -> bool:
-    return any(adjustment.colour != IDENTITY_COLOUR for adjustment in edits.palette)
 
 
 def _colour_maps(edits: SceneEdits) -> np.ndarray:
@@ -62,12 +58,12 @@ def _colour_maps(edits: SceneEdits) -> np.ndarray:
 
 
 def base_colours(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
-    """(N, 3) float32 RGB of the constant band, 0.5 + C0·sh0: the mean of what it shows to all sides."""
+    """(N, 3) float32 RGB of the constant band, 0.5 + C0·sh0: the mean colour over all directions."""
     rgb = np.empty((len(gaussians), 3), np.float32)
     maps = _colour_maps(edits)
 
     def work(start: int, stop: int) -> None:
-        looks.base_colours(start, stop, gaussians.sh, edits.marks, maps, rgb)
+        kernels.base_colours(start, stop, gaussians.sh, edits.marks, maps, rgb)
 
     in_pieces(len(rgb), work)
     return rgb
@@ -80,36 +76,23 @@ def sh_energies(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
     """
     higher = gaussians.sh[:, 1:]
     with np.errstate(over="ignore", invalid="ignore"):
-        if not _coloured(edits):
+        if all(adjustment.colour == IDENTITY_COLOUR for adjustment in edits.palette):
             flat = higher.reshape(len(higher), -1)
             return np.sqrt(np.einsum("nk,nk->n", flat, flat))
         maps, entries = _colour_maps(edits)[:, :, :3], _entries(edits)
-        # The squared length of A·c is c·(AᵀA)·c: 3x3 numbers a splat, whatever the degree.
+        # The squared length of A·c is c·(AᵀA)·c: 3x3 numbers per splat, whatever the degree.
         moments = np.einsum("nki,nkj->nij", higher, higher)
         gram = np.einsum("pci,pcj->pij", maps, maps)
         return np.sqrt(np.maximum(np.einsum("nij,nij->n", moments, gram[entries]), 0))
 
 
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722), np.float32)
-"""Weights of red, green and blue in what looks bright (ITU-R BT.709)."""
+"""Luminance of red, green and blue (ITU-R BT.709)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Query:
-    """What an attribute is computed from."""
-
-    gaussians: Gaussians
-    edits: SceneEdits
-    tools: Tools
-    cameras: Sequence[Camera]
-    """For contributions; none: sample views are made."""
-    point: tuple[float, float, float]
-    """For distances, world units."""
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Attribute:
-    """One number a splat."""
+    """One number per splat, as histograms show it and ranges select by it."""
 
     label: str
     unit: str
@@ -118,9 +101,9 @@ class Attribute:
     values: Callable[[Query], np.ndarray]
     """(N,) float32."""
     log: bool = False
-    """Whether a logarithmic axis suits it: it spans decades and is positive."""
+    """Whether its axis is logarithmic, as its values are positive and span decades."""
     renders: bool = False
-    """Whether it takes pictures, and thus seconds."""
+    """Whether it renders views, which takes seconds."""
 
 
 def attribute_values(
@@ -146,67 +129,46 @@ def attribute_values(
         return np.ascontiguousarray(ATTRIBUTES[name].values(query), np.float32)
 
 
-def _position(axis: int) -> Callable[[Query], np.ndarray]:
-    return lambda query: column(places_of(query.gaussians, query.edits), axis)
+def _places(query: Query) -> Places:
+    return places_of(query.gaussians, query.edits)
 
 
-def _distance(query: Query) -> np.ndarray:
-    return distances(places_of(query.gaussians, query.edits), query.point)
+def _log_scales(query: Query) -> np.ndarray:
+    return log_scales(query.gaussians, query.edits).T
 
 
-def _scales(query: Query) -> np.ndarray:
-    return log_scales(query.gaussians, query.edits)
+def _longest(axes: np.ndarray) -> np.ndarray:
+    x, y, z = axes
+    return np.maximum(np.maximum(x, y), z)
 
 
-def _middle_of(values: np.ndarray) -> np.ndarray:
-    """(N, 3) -> (N,): neither the greatest nor the least."""
-    x, y, z = values.T
-    return np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z))
-
-
-def _largest(query: Query) -> np.ndarray:
-    x, y, z = _scales(query).T
-    return np.exp(np.maximum(np.maximum(x, y), z))
-
-
-def _smallest(query: Query) -> np.ndarray:
-    x, y, z = _scales(query).T
-    return np.exp(np.minimum(np.minimum(x, y), z))
+def _shortest(axes: np.ndarray) -> np.ndarray:
+    x, y, z = axes
+    return np.minimum(np.minimum(x, y), z)
 
 
 def _volume(query: Query) -> np.ndarray:
-    x, y, z = _scales(query).T
+    x, y, z = _log_scales(query)
     return np.float32(4 / 3 * np.pi) * np.exp(x + y + z)
 
 
 def _anisotropy(query: Query) -> np.ndarray:
-    x, y, z = query.gaussians.log_scales.T
-    return np.exp(np.maximum(np.maximum(x, y), z) - np.minimum(np.minimum(x, y), z))
+    axes = query.gaussians.log_scales.T  # adjustments scale all axes alike
+    return np.exp(_longest(axes) - _shortest(axes))
 
 
 def _elongation(query: Query) -> np.ndarray:
-    x, y, z = query.gaussians.log_scales.T
-    return np.exp(np.maximum(np.maximum(x, y), z) - _middle_of(query.gaussians.log_scales))
-
-
-def _opacity(query: Query) -> np.ndarray:
-    return opacities(query.gaussians, query.edits)
+    x, y, z = axes = query.gaussians.log_scales.T
+    middle = np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z))
+    return np.exp(_longest(axes) - middle)
 
 
 def _colours(query: Query) -> np.ndarray:
     return base_colours(query.gaussians, query.edits)
 
 
-def _channel(channel: int) -> Callable[[Query], np.ndarray]:
-    return lambda query: _colours(query)[:, channel]
-
-
-def _luminance(query: Query) -> np.ndarray:
-    return _colours(query) @ LUMINANCE
-
-
 def _spread(query: Query) -> tuple[np.ndarray, ...]:
-    """Red, green and blue as a display cuts them, their greatest, and greatest less least."""
+    """Red, green and blue clipped to [0, 1], their greatest, and greatest less least."""
     r, g, b = np.clip(_colours(query), 0, 1).T
     greatest = np.maximum(np.maximum(r, g), b)
     return r, g, b, greatest, greatest - np.minimum(np.minimum(r, g), b)
@@ -227,10 +189,6 @@ def _saturation(query: Query) -> np.ndarray:
     return np.where(greatest == 0, 0, spread / greatest)
 
 
-def _energy(query: Query) -> np.ndarray:
-    return sh_energies(query.gaussians, query.edits)
-
-
 def _contribution(query: Query) -> np.ndarray:
     from splatview.edit.sample_views import sample_cameras
 
@@ -239,82 +197,76 @@ def _contribution(query: Query) -> np.ndarray:
 
 
 ATTRIBUTES: dict[str, Attribute] = {
-    "x": Attribute(label="X", unit="world units", what="Position of the centre.", values=_position(0)),
-    "y": Attribute(label="Y", unit="world units", what="Position of the centre.", values=_position(1)),
-    "z": Attribute(label="Z", unit="world units", what="Position of the centre.", values=_position(2)),
+    "x": Attribute("X", "world units", "Position of the centre.", lambda query: column(_places(query), 0)),
+    "y": Attribute("Y", "world units", "Position of the centre.", lambda query: column(_places(query), 1)),
+    "z": Attribute("Z", "world units", "Position of the centre.", lambda query: column(_places(query), 2)),
     "distance": Attribute(
-        label="Distance", unit="world units", what="From the centre to a point.", values=_distance
+        "Distance",
+        "world units",
+        "From the centre to a point.",
+        lambda query: distances(_places(query), query.point),
     ),
     "largest scale": Attribute(
-        label="Largest scale",
-        unit="world units",
-        what="Standard deviation along the longest axis.",
-        values=_largest,
+        "Largest scale",
+        "world units",
+        "Standard deviation along the longest axis.",
+        lambda query: np.exp(_longest(_log_scales(query))),
         log=True,
     ),
     "smallest scale": Attribute(
-        label="Smallest scale",
-        unit="world units",
-        what="Standard deviation along the shortest axis.",
-        values=_smallest,
+        "Smallest scale",
+        "world units",
+        "Standard deviation along the shortest axis.",
+        lambda query: np.exp(_shortest(_log_scales(query))),
         log=True,
     ),
     "volume": Attribute(
-        label="Volume",
-        unit="cubic world units",
-        what="Of the ellipsoid of one standard deviation.",
-        values=_volume,
-        log=True,
+        "Volume", "cubic world units", "Of the ellipsoid of one standard deviation.", _volume, log=True
     ),
     "anisotropy": Attribute(
-        label="Anisotropy",
-        unit="ratio",
-        what="Longest to shortest axis: high for discs and needles.",
-        values=_anisotropy,
-        log=True,
+        "Anisotropy", "ratio", "Longest to shortest axis: high for discs and needles.", _anisotropy, log=True
     ),
     "elongation": Attribute(
-        label="Elongation",
-        unit="ratio",
-        what="Longest to middle axis: high for needles, 1 for round discs.",
-        values=_elongation,
+        "Elongation",
+        "ratio",
+        "Longest to middle axis: high for needles, 1 for round discs.",
+        _elongation,
         log=True,
     ),
-    "opacity": Attribute(label="Opacity", unit="0 to 1", what="At the centre.", values=_opacity),
-    "red": Attribute(label="Red", unit="0 to 1", what="Of the colour from all sides.", values=_channel(0)),
+    "opacity": Attribute(
+        "Opacity", "0 to 1", "At the centre.", lambda query: opacities(query.gaussians, query.edits)
+    ),
+    "red": Attribute("Red", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 0]),
     "green": Attribute(
-        label="Green", unit="0 to 1", what="Of the colour from all sides.", values=_channel(1)
+        "Green", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 1]
     ),
-    "blue": Attribute(label="Blue", unit="0 to 1", what="Of the colour from all sides.", values=_channel(2)),
-    "luminance": Attribute(label="Luminance", unit="0 to 1", what="How bright it looks.", values=_luminance),
-    "hue": Attribute(label="Hue", unit="degrees", what="0 red, 120 green, 240 blue; greys 0.", values=_hue),
-    "saturation": Attribute(
-        label="Saturation", unit="0 to 1", what="0 for greys, 1 for pure colours.", values=_saturation
+    "blue": Attribute("Blue", "0 to 1", "Of the colour from all sides.", lambda query: _colours(query)[:, 2]),
+    "luminance": Attribute(
+        "Luminance", "0 to 1", "How bright it looks.", lambda query: _colours(query) @ LUMINANCE
     ),
+    "hue": Attribute("Hue", "degrees", "0 red, 120 green, 240 blue; greys 0.", _hue),
+    "saturation": Attribute("Saturation", "0 to 1", "0 for greys, 1 for pure colours.", _saturation),
     "sh energy": Attribute(
-        label="SH energy",
-        unit="colour",
-        what="How much the colour depends on where one looks from.",
-        values=_energy,
+        "SH energy",
+        "colour",
+        "How much the colour depends on where one looks from.",
+        lambda query: sh_energies(query.gaussians, query.edits),
     ),
     "contribution": Attribute(
-        label="Contribution",
-        unit="px",
-        what="How much of the views it makes: alpha times the light that reaches it, summed over pixels.",
-        values=_contribution,
+        "Contribution",
+        "px",
+        "Its share of the views: alpha times transmittance, summed over pixels.",
+        _contribution,
         log=True,
         renders=True,
     ),
 }
-"""By the name that a recipe has."""
-
-
-# ---- A range of an attribute, as one drags it on a histogram.
+"""Attributes by their names in recipes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AttributeRange:
-    """Splats with low <= value <= high; those whose value is NaN are in no range."""
+    """Splats with low <= value <= high; a value of NaN is in no range."""
 
     attribute: str
     """A name in ATTRIBUTES."""
@@ -323,9 +275,9 @@ class AttributeRange:
     high: float | None = None
     """None: no upper end."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """World units: where "distance" is measured from."""
+    """World units: origin of "distance"."""
     cameras: tuple[Camera, ...] = ()
-    """The views that "contribution" is measured in; none: sample views."""
+    """Views that "contribution" is measured in; none: sample views."""
 
     def __post_init__(self) -> None:
         choice("attribute", self.attribute, ATTRIBUTES)
@@ -339,18 +291,18 @@ class AttributeRange:
         store(self, cameras=tuple(self.cameras))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        watch.step(0.0)
+        progress.step(0.0)
         values = attribute_values(
             self.attribute, gaussians, edits, tools, cameras=self.cameras, point=self.point
         )
         mask = self.of(values)
-        watch.step(1.0)
+        progress.step(1.0)
         return mask
 
     def of(self, values: np.ndarray) -> np.ndarray:
-        """As `mask`, where the `values` (N,) float32 are known already: while a range is being dragged."""
+        """`mask` for known `values` (N,) float32: while a range is being dragged."""
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
         mask = np.empty(len(values), bool)
@@ -358,23 +310,19 @@ class AttributeRange:
         return mask
 
 
-# ---- How the values of an attribute are spread, for drawing and for dragging a range on.
-
-
 MOST_BINS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Histogram:
-    """Counts by value."""
+    """Numbers of splats by value."""
 
     edges: np.ndarray
     """(bins + 1,) float64, ascending; evenly spaced, or their logarithms are."""
     counts: np.ndarray
     """(bins,) int64."""
     outside: int
-    """Of the splats asked for, those that are in no bin: NaN, infinite, beyond the span, not positive on a
-    logarithmic axis."""
+    """Number of splats in no bin: NaN, infinite, beyond the span, or not positive on a logarithmic axis."""
     log: bool
 
 
@@ -386,19 +334,19 @@ def histogram(
     log: bool = False,
     span: tuple[float, float] | None = None,
 ) -> Histogram:
-    """Of `values` (N,) float32, those in `mask` (N,) bool; None: all.
+    """Histogram of `values` (N,) float32 of the splats in `mask` (N,) bool; None: all.
 
-    `span` is the least and greatest value shown; None: those that there are. `log` wants it above 0.
-    The ends are the values themselves, to the bit.
+    `span` is the least and greatest value shown, above 0 with `log`; None: those of the values. The ends are
+    the values themselves, to the bit.
 
     Raises:
         ValueError: `bins` or `span` make no sense; the message names them.
     """
     if not 1 <= bins <= MOST_BINS:
         raise ValueError(f"bins must be 1 to {MOST_BINS}, got {bins}")
-    chosen = np.ones(len(values), bool) if mask is None else mask
+    mask = np.ones(len(values), bool) if mask is None else mask
     if span is None:
-        low, high = value_span(values, chosen, log)
+        low, high = value_span(values, mask, log)
         if not low <= high:
             low, high = (1.0, 10.0) if log else (0.0, 1.0)
     else:
@@ -406,7 +354,7 @@ def histogram(
         if not (np.isfinite(low) and np.isfinite(high) and low <= high and (low > 0 or not log)):
             raise ValueError(f"span must be two finite numbers, ascending, above 0 if log, got {span}")
     counts = np.zeros(bins, np.int64)
-    outside = int(fill_bins(values, chosen, low, high, log, counts))
+    outside = int(fill_bins(values, mask, low, high, log, counts))
     edges = np.geomspace(low, high, bins + 1) if log else np.linspace(low, high, bins + 1)
     edges[0], edges[-1] = low, high
     return Histogram(edges=edges, counts=counts, outside=outside, log=log)
@@ -415,30 +363,26 @@ def histogram(
 def usual_span(
     values: np.ndarray, mask: np.ndarray | None = None, *, share: float = 0.999
 ) -> tuple[float, float]:
-    """The span that holds the middle `share` of the finite values: what a plot opens at, as a few splats
-    are nearly always far off. (0, 1) where there are none."""
-    chosen = values if mask is None else values[mask]
-    chosen = chosen[:: max(1, len(chosen) // 200_000)]
-    chosen = chosen[np.isfinite(chosen)]
-    if not len(chosen):
+    """The span of the middle `share` of the finite values: the initial span of a plot, as a few splats are
+    nearly always far off. (0, 1) where there are none."""
+    sample = values if mask is None else values[mask]
+    sample = sample[:: max(1, len(sample) // 200_000)]
+    sample = sample[np.isfinite(sample)]
+    if not len(sample):
         return 0.0, 1.0
-    low, high = np.quantile(chosen, [(1 - share) / 2, (1 + share) / 2])
+    low, high = np.quantile(sample, [(1 - share) / 2, (1 + share) / 2])
     return float(low), float(high)
 
 
-# ---- The eyedropper: splats of about one colour.
-#
-# Colours are compared in Oklab, where equal distances look about equally different whatever the hue and
-# however dark; in plain RGB one tolerance takes all dark greens at once and splits one bright wall.
-
-
 TOLERANCE = 0.08
-"""A shade of a colour, to the eye; black to white is 1."""
+"""Distance in Oklab of a just different shade, black to white being 1. Equal distances there look about
+equally different whatever the hue and however dark; in plain RGB one tolerance takes all dark greens at once
+and splits one bright wall."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimilarColour:
-    """Splats whose colour of the constant band, cut to what a display shows, is like `rgb`."""
+    """Splats with a colour of the constant band, clipped to [0, 1], similar to `rgb`."""
 
     rgb: tuple[float, float, float]
     """Display colour, usually 0 to 1."""
@@ -449,15 +393,15 @@ class SimilarColour:
         store(self, rgb=vector("rgb", self.rgb), tolerance=at_least("tolerance", self.tolerance, 0))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return similar(base_colours(gaussians, edits), self.rgb, self.tolerance, watch)
+        return similar(base_colours(gaussians, edits), self.rgb, self.tolerance, progress)
 
 
 def similar(
-    colours: np.ndarray, rgb: tuple[float, float, float], tolerance: float, watch: Watch = UNWATCHED
+    colours: np.ndarray, rgb: tuple[float, float, float], tolerance: float, progress: Progress = NO_PROGRESS
 ) -> np.ndarray:
-    """Which of `colours` (N, 3) float32 are within `tolerance` of `rgb`: (N,) bool; NaN is not."""
+    """Whether each of `colours` (N, 3) float32 is within `tolerance` of `rgb`: (N,) bool; NaN is not."""
     seed = np.empty((1, 3), np.float32)
     oklab(0, 1, np.array([rgb], np.float32), LINEAR, seed)
     mask = np.empty(len(colours), bool)
@@ -467,5 +411,5 @@ def similar(
         oklab(start, stop, colours, LINEAR, lab)
         within_colour(start, stop, lab, seed[0], np.float32(tolerance), mask)
 
-    in_pieces(len(colours), work, watch=watch)
+    in_pieces(len(colours), work, progress=progress)
     return mask

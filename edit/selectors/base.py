@@ -1,50 +1,74 @@
-"""What all ways of selecting have in common."""
+"""Base of selectors, attributes and detectors, and checks of their fields."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from splatview.edit.progress import UNWATCHED, Tools, Watch
-from splatview.scene import Gaussians
+from splatview.edit.tools import Tools
+from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits
+from splatview.scene.health import Finding, check
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 class Selector(Protocol):
-    """A frozen dataclass whose fields are numbers, texts, lists of them and cameras: a line of a recipe.
+    """A frozen dataclass whose fields, numbers, texts, lists of them and cameras, are those of a recipe's
+    step.
 
-    Its constructor raises ValueError that names the field where one cannot be used.
+    Its constructor raises ValueError that names a field with an unusable value.
     """
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        """Which splats are meant: (N,) bool, of all, whether shown, hidden or deleted.
+        """Splats hit: (N,) bool, of all, whether shown, hidden or deleted.
 
         Raises:
-            InputError: the selector does not fit the scene, or wants a renderer that there is not.
-            Cancelled: the watch says so.
+            InputError: the selector does not fit the scene, or needs a renderer where there is none.
+            Cancelled: nobody waits for it any more.
         """
         ...
 
 
-# ---- What the fields of a selector or detector may hold. Raises ValueError that names the field.
+@dataclass(frozen=True, kw_only=True)
+class Query:
+    """An edited scene to compute one number per splat of, and the parameters of the computation."""
+
+    gaussians: Gaussians
+    edits: SceneEdits
+    tools: Tools
+    cameras: Sequence[Camera] = ()
+    """Views for contributions; none: sample views."""
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of distances, world units."""
+    progress: Progress = NO_PROGRESS
+
+
+def finding_mask(gaussians: Gaussians, matches: Callable[[Finding], bool]) -> np.ndarray:
+    """Splats concerned by the findings of `scene.health` that `matches` accepts: (N,) bool."""
+    mask = np.zeros(len(gaussians), bool)
+    for finding in check(gaussians):
+        if matches(finding):
+            mask[finding.indices] = True
+    return mask
 
 
 def store(selector: object, **values: Any) -> None:
-    """Sets fields of a frozen dataclass that is being made: numbers become floats, lists tuples."""
+    """Sets fields of a frozen dataclass during its construction."""
     for name, value in values.items():
         object.__setattr__(selector, name, value)
 
 
 LARGEST = 1e100
-"""Of any number: what is made of it by products and squares stays finite."""
+"""Largest number allowed: products and squares of it stay finite."""
 
 MOST_POINTS = 1 << 20
-"""Of a polygon or a stroke; a day of drawing makes fewer."""
+"""Most points of a polygon or a stroke; a day of drawing makes fewer."""
 
 
 def finite(name: str, value: Any) -> float:
@@ -82,7 +106,7 @@ def choice(name: str, value: Any, choices: Iterable[str]) -> str:
 
 
 def numbers(name: str, value: Any, length: int) -> tuple[float, ...]:
-    """`length` finite numbers, of a list or a tuple."""
+    """A list or tuple of `length` finite numbers as a tuple of floats."""
     if not isinstance(value, (list, tuple)) or len(value) != length:
         raise ValueError(f"{name} must be {length} finite numbers, got {value!r}")
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(value))
@@ -95,7 +119,7 @@ def vector(name: str, value: Any) -> tuple[float, float, float]:
 
 
 def pixels(name: str, value: Any, least: int) -> tuple[tuple[float, float], ...]:
-    """At least so many points of a picture."""
+    """A list of at least `least` points [x, y], px, as a tuple."""
     if not isinstance(value, (list, tuple)) or not least <= len(value) <= MOST_POINTS:
         raise ValueError(f"{name} must be a list of at least {least} points [x, y]")
     points = []

@@ -11,11 +11,12 @@ import numpy as np
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import image_points, places_of
 from splatview.edit.kernels.polygon import in_polygon, in_rectangle, in_stroke, make_polygon, make_stroke
-from splatview.edit.progress import UNWATCHED, Tools, Watch
 from splatview.edit.selectors.base import above_zero, choice, finite, pixels, store
+from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
 from splatview.scene.edits import SceneEdits
 from splatview.scene.image_model import NEAR
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 DEPTHS = ("through", "front")
 
@@ -24,16 +25,15 @@ Bounds = tuple[float, float, float, float]
 """Least x and y, greatest x and y, px."""
 
 Inside = Callable[[np.ndarray, np.ndarray], None]
-"""Sets (P,) bool by points (P, 2) float64."""
+"""Test of points (P, 2) float64 that sets (P,) bool."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScreenRegion:
-    """Splats in a region of what `camera` sees, in pixels from the picture's top left corner.
+    """Splats in a region of the view of `camera`, in pixels from the picture's top left corner.
 
-    "through" are those whose projected mean is in the region, however deep, nearer than the near plane
-    aside; "front" are those that make the visible surface at a pixel whose centre is in it. A region may
-    reach beyond the picture.
+    "through" are those whose projected mean is in the region, however deep, behind the near plane; "front"
+    are those that dominate a pixel whose centre is in it. A region may extend beyond the picture.
     """
 
     camera: Camera
@@ -45,11 +45,11 @@ class ScreenRegion:
         choice("depth", self.depth, DEPTHS)
 
     def region(self) -> tuple[Bounds, Inside]:
-        """Where it is at most, and a test of points that may be anywhere, NaN included."""
+        """Bounds of the region, and a test of points, which may be anywhere or NaN."""
         raise TypeError(f"{type(self).__name__} is no region")
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         bounds, inside = self.region()
         if self.depth == "front":
@@ -60,7 +60,7 @@ class ScreenRegion:
         def work(start: int, stop: int) -> None:
             inside(image_points(start, stop, places, self.camera, NEAR), mask[start:stop])
 
-        in_pieces(len(mask), work, watch=watch)
+        in_pieces(len(mask), work, progress=progress)
         return mask
 
     def _front(
@@ -71,18 +71,18 @@ class ScreenRegion:
         left, right = (int(np.clip(np.floor(x), 0, width - 1)) for x in bounds[::2])
         top, bottom = (int(np.clip(np.floor(y), 0, height - 1)) for y in bounds[1::2])
         x, y = np.meshgrid(np.arange(left, right + 1) + 0.5, np.arange(top, bottom + 1) + 0.5)
-        chosen = np.empty(x.size, bool)
-        inside(np.stack([x.ravel(), y.ravel()], axis=1), chosen)
-        if chosen.any():
-            front = tools.front(gaussians, self.camera, edits)
-            indices = front[top : bottom + 1, left : right + 1].ravel()[chosen]
+        hits = np.empty(x.size, bool)
+        inside(np.stack([x.ravel(), y.ravel()], axis=1), hits)
+        if hits.any():
+            ids = tools.dominant_splats(gaussians, self.camera, edits)
+            indices = ids[top : bottom + 1, left : right + 1].ravel()[hits]
             mask[indices[indices >= 0]] = True
         return mask
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rectangle(ScreenRegion):
-    """Between two opposite corners, whichever they are, borders included."""
+    """The area between two opposite corners, whichever they are, borders included."""
 
     x0: float
     y0: float
@@ -103,8 +103,8 @@ class Rectangle(ScreenRegion):
 
 @dataclass(frozen=True, kw_only=True)
 class Polygon(ScreenRegion):
-    """Between points joined by straight lines, the last to the first. What a self-crossing outline goes
-    around, however often, is inside."""
+    """The area between points joined by straight lines, the last to the first; all that a self-crossing
+    outline goes around is inside."""
 
     points: Pixels
     """[x, y] each, at least 3."""
@@ -127,7 +127,7 @@ class Lasso(Polygon):
 
 @dataclass(frozen=True, kw_only=True)
 class Brush(ScreenRegion):
-    """What a round brush went over."""
+    """The area under a round brush's stroke."""
 
     points: Pixels
     """[x, y] each, at least 1: the path of its centre."""

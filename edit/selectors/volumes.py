@@ -1,4 +1,4 @@
-"""Regions of space: spheres and oriented boxes."""
+"""Selectors by position in space, by index or health finding, and of all splats."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.kernels.marks import in_volume, places_of
-from splatview.edit.progress import UNWATCHED, Tools, Watch
-from splatview.edit.selectors.base import above_zero, choice, numbers, store, vector, whole
+from splatview.edit.selectors.base import above_zero, choice, finding_mask, numbers, store, vector, whole
+from splatview.edit.tools import Tools
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import IDENTITY_ROTATION, Crop, Four, SceneEdits, Vector
 from splatview.scene.health import check
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """Splats whose mean is in a ball, its surface included."""
+    """Splats with their mean in a ball, its surface included."""
 
     centre: Vector
     """World units."""
@@ -30,18 +31,18 @@ class Sphere:
 
     @property
     def shape(self) -> Crop:
-        """The same as a crop, for drawing it and for cropping by it."""
+        """The same region as a crop."""
         return Crop(shape="sphere", centre=self.centre, half_extents=(self.radius, self.radius, self.radius))
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return _inside(self.shape, gaussians, edits, watch)
+        return _inside(self.shape, gaussians, edits, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Splats whose mean is in a box that may be turned, its surface included."""
+    """Splats with their mean in a box of any orientation, its surface included."""
 
     centre: Vector
     """World units."""
@@ -61,16 +62,16 @@ class Box:
 
     @property
     def shape(self) -> Crop:
-        """The same as a crop, for drawing it and for cropping by it."""
+        """The same region as a crop."""
         return Crop(shape="box", centre=self.centre, half_extents=self.half_extents, rotation=self.rotation)
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        return _inside(self.shape, gaussians, edits, watch)
+        return _inside(self.shape, gaussians, edits, progress)
 
 
-def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, watch: Watch) -> np.ndarray:
+def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, progress: Progress) -> np.ndarray:
     mask = np.empty(len(gaussians), bool)
     places, unit = places_of(gaussians, edits), np.ascontiguousarray(shape.unit_from_world)
     ellipsoid = shape.shape == "sphere"
@@ -78,11 +79,8 @@ def _inside(shape: Crop, gaussians: Gaussians, edits: SceneEdits, watch: Watch) 
     def work(start: int, stop: int) -> None:
         in_volume(start, stop, places, unit, ellipsoid, mask)
 
-    in_pieces(len(mask), work, watch=watch)
+    in_pieces(len(mask), work, progress=progress)
     return mask
-
-
-# ---- Splats named one by one, by their health, or all of them.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +109,7 @@ class IndexRuns:
         )
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         mask = np.zeros(len(gaussians), bool)
         for i, (start, count) in enumerate(self.runs):
@@ -126,7 +124,7 @@ class IndexRuns:
 
 @cache
 def health_findings() -> tuple[str, ...]:
-    """The names that `IllSplats` knows."""
+    """Names of the findings of `scene.health`."""
     none = Gaussians(
         means=np.zeros((0, 3), np.float32),
         quats=np.zeros((0, 4), np.float32),
@@ -138,7 +136,7 @@ def health_findings() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IllSplats:
+class InvalidSplats:
     """Splats that a finding of `scene.health` concerns, by what the file holds, whatever was edited."""
 
     finding: str
@@ -147,14 +145,10 @@ class IllSplats:
         choice("finding", self.finding, health_findings())
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
-        mask = np.zeros(len(gaussians), bool)
-        watch.step(0.0)
-        for finding in check(gaussians):
-            if finding.name == self.finding:
-                mask[finding.indices] = True
-        return mask
+        progress.step(0.0)
+        return finding_mask(gaussians, lambda finding: finding.name == self.finding)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +156,6 @@ class Everything:
     """All splats."""
 
     def mask(
-        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, watch: Watch = UNWATCHED
+        self, gaussians: Gaussians, edits: SceneEdits, tools: Tools, *, progress: Progress = NO_PROGRESS
     ) -> np.ndarray:
         return np.ones(len(gaussians), bool)

@@ -5,11 +5,19 @@ Each module is a theme. Where a case was seen in another project, its sentence n
 
 from __future__ import annotations
 
-from splatview.measure.hard_cases import colours, far_away, opacities, pictures, rays, rotations, shapes
-from splatview.measure.hard_cases import depth_order as order
-from splatview.measure.hard_cases import invalid_values as ill_values
-from splatview.measure.hard_cases import near_plane as near_eye
-from splatview.measure.hard_cases import surfels as discs
+from splatview.measure.hard_cases import (
+    colours,
+    depth_order,
+    far_away,
+    invalid_values,
+    near_plane,
+    opacities,
+    pictures,
+    rays,
+    rotations,
+    shapes,
+    surfels,
+)
 from splatview.measure.hard_cases.case import HardCase, Same
 from splatview.scene import InputError
 
@@ -18,12 +26,12 @@ __all__ = ["CASES", "HardCase", "Same", "find_case"]
 CASES: tuple[HardCase, ...] = (
     *rotations.CASES,
     *shapes.CASES,
-    *discs.CASES,
-    *near_eye.CASES,
+    *surfels.CASES,
+    *near_plane.CASES,
     *opacities.CASES,
     *colours.CASES,
-    *ill_values.CASES,
-    *order.CASES,
+    *invalid_values.CASES,
+    *depth_order.CASES,
     *far_away.CASES,
     *pictures.CASES,
     *rays.CASES,

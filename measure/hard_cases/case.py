@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -34,28 +34,29 @@ class Same:
     """dB, at least."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class HardCase:
     """One scene that breaks renderers, and what must happen. Indices are of splats of the scene."""
 
     name: str
-    theme: str
     what: str
     """One sentence: what is hard about it."""
     build: Callable[[], Gaussians]
+    _: KW_ONLY
+    theme: str
     cameras: tuple[Camera, ...]
     settings: Mapping[str, RenderSettings] = field(default_factory=lambda: BOTH)
     """By name; every one is drawn. Their `blend` does not matter: the renderer's own counts."""
     culled: tuple[int, ...] = ()
     """These must not show: without them every picture is the same."""
     visible: tuple[int, ...] = ()
-    """Each of these must show: without it one of the pictures differs..."""
+    """Each of these must show: without it one of the pictures differs by at least `visible_by`."""
     visible_by: float = 0.05
-    """... by at least this, somewhere (0 to 1 is black to white)."""
+    """Smallest difference, somewhere, by a splat that must show; 0 to 1 is black to white."""
     bound: float = 2e-3
-    """Largest error of float32 against the float64 reference (see `running.error_of`)."""
+    """Largest error of float32 against the float64 reference (see `run.error_of`)."""
     bound_float16: float = 4 / 255
-    """... and of a renderer that blends in float16."""
+    """Largest error of a renderer that blends in float16."""
     most_excluded: int = 0
     """Pixels of one picture that may be beyond the bound because an alpha sits on a cut or depths tie, as
     `measure.ambiguity` finds them."""

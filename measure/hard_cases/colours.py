@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -77,11 +78,7 @@ def vivid() -> Gaussians:
     return lively
 
 
-def case(name: str, what: str, build, *, cameras=AROUND, settings=ONLY_PLAIN, **statement) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
-
+case = partial(HardCase, theme=THEME, cameras=AROUND, settings=ONLY_PLAIN)
 
 CASES = (
     case(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from splatview.measure.hard_cases.case import (
@@ -82,10 +84,7 @@ def none_in_view() -> Gaussians:
     return many
 
 
-def case(name: str, what: str, build, *, cameras=(FRONT,), settings=ONLY_PLAIN, **statement) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
+case = partial(HardCase, theme=THEME, cameras=(FRONT,), settings=ONLY_PLAIN)
 
 
 def of_count(count: int, why: str, **statement) -> HardCase:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import numpy as np
 
@@ -32,11 +33,11 @@ def healthy(count: int) -> Gaussians:
 def with_slots(name: str, *values: float) -> Gaussians:
     """A splat for each component of an attribute and each value, which stands there."""
     size = int(np.prod(getattr(healthy(1), name).shape[1:], dtype=int))
-    ill = healthy(size * len(values))
-    array = getattr(ill, name).reshape(len(ill), -1)
+    broken = healthy(size * len(values))
+    array = getattr(broken, name).reshape(len(broken), -1)
     for row, (component, value) in enumerate(itertools.product(range(size), values)):
         array[row, component] = value
-    return among_neighbours(ill, degree=1)
+    return among_neighbours(broken, degree=1)
 
 
 def slots(name: str, values: int) -> tuple[int, ...]:
@@ -49,34 +50,30 @@ def payloads() -> Gaussians:
     bits = np.array(PAYLOADS, np.uint32).view(np.float32)
     parts = []
     for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
-        ill = healthy(len(bits))
-        getattr(ill, name).reshape(len(bits), -1)[:, 0] = bits
-        parts.append(ill)
+        broken = healthy(len(bits))
+        getattr(broken, name).reshape(len(bits), -1)[:, 0] = bits
+        parts.append(broken)
     return among_neighbours(*parts, degree=1)
 
 
 def nothing_right() -> Gaussians:
     """Not one good number in the scene."""
-    ill = neighbours(1)
-    for array in (ill.means, ill.quats, ill.log_scales, ill.opacity_logits, ill.sh):
+    broken = neighbours(1)
+    for array in (broken.means, broken.quats, broken.log_scales, broken.opacity_logits, broken.sh):
         array[:] = np.nan
-    return ill
+    return broken
 
 
 def crowd() -> Gaussians:
-    """Many ill splats between good ones: a compacted index is not the splat's own (LichtFeld pull 2057)."""
+    """Many invalid splats between good ones: a compacted index is not the splat's own (LichtFeld pull
+    2057)."""
     good = neighbours(1, count=120, seed=5)
     good.means[::2, 0] = np.nan
     good.quats[1::6] = 0
     return good
 
 
-def case(
-    name: str, what: str, build, *, cameras=(FRONT, TURNED), settings=ONLY_PLAIN, **statement
-) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
+case = partial(HardCase, theme=THEME, cameras=(FRONT, TURNED), settings=ONLY_PLAIN)
 
 
 def in_attribute(title: str, name: str, what: str, *values: float, **options) -> HardCase:

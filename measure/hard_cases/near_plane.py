@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from splatview.measure.hard_cases.case import (
@@ -23,11 +25,7 @@ NEAR = 2.0**-7
 
 AT_NEAR = {"plain": RenderSettings(background=(0.1, 0.2, 0.3), model=ImageModel(near=NEAR))}
 
-
-def case(name: str, what: str, build, *, cameras=(FRONT,), settings=BOTH, **statement) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
+case = partial(HardCase, theme=THEME, cameras=(FRONT,), settings=BOTH)
 
 
 def at_depth(depth: float, *, scale: float = 0.002, logit: float = 3.0) -> Gaussians:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -51,11 +52,7 @@ def all_invisible() -> Gaussians:
     return faint
 
 
-def case(name: str, what: str, build, *, cameras=(FRONT,), settings=ONLY_PLAIN, **statement) -> HardCase:
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, settings=settings, **statement
-    )
-
+case = partial(HardCase, theme=THEME, cameras=(FRONT,), settings=ONLY_PLAIN)
 
 CASES = (
     case(

@@ -25,15 +25,9 @@ BARE = {"textbook": RenderSettings(model=TEXTBOOK)}
 
 
 def case(name: str, what: str, *cameras: Camera, build=None, settings=ONLY_PLAIN, **statement) -> HardCase:
-    return HardCase(
-        name=name,
-        theme=THEME,
-        what=what,
-        build=build or partial(neighbours, 1, count=30, seed=5),
-        cameras=cameras,
-        settings=settings,
-        **{"most_excluded": 3, **statement},
-    )
+    build = build or partial(neighbours, 1, count=30, seed=5)
+    statement = {"most_excluded": 3, **statement}
+    return HardCase(name, what, build, theme=THEME, cameras=cameras, settings=settings, **statement)
 
 
 def at_pixels(pixels: list[tuple[float, float]], *, log_scale: float, opacity: float) -> Gaussians:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from splatview.measure.hard_cases.case import BOTH, ONLY_PLAIN, HardCase, camera, neighbours, splats
-from splatview.scene import Camera, Gaussians, Lens, RenderSettings, concatenate
+from splatview.measure.hard_cases.case import ONLY_PLAIN, HardCase, camera, neighbours, splats
+from splatview.scene import Camera, Gaussians, Lens, concatenate
 
 THEME = "rays"
 
@@ -78,10 +78,7 @@ def along_the_rays() -> Gaussians:
 
 
 def case(name: str, what: str, build: Callable[[], Gaussians], *cameras: Camera, **options) -> HardCase:
-    settings: Mapping[str, RenderSettings] = BOTH
-    return HardCase(
-        name=name, theme=THEME, what=what, build=build, cameras=cameras, **{"settings": settings, **options}
-    )
+    return HardCase(name, what, build, theme=THEME, cameras=cameras, **options)
 
 
 CASES = (

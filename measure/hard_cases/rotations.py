@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from splatview.measure.hard_cases.case import FRONT, TURNED, HardCase, about_axis, among_neighbours, splats
@@ -24,12 +26,7 @@ def of_lengths(*lengths: float) -> Gaussians:
 
 def case(name: str, what: str, *lengths: float, **statement) -> HardCase:
     return HardCase(
-        name=name,
-        theme=THEME,
-        what=what,
-        build=lambda: of_lengths(*lengths),
-        cameras=(FRONT, TURNED),
-        **statement,
+        name, what, partial(of_lengths, *lengths), theme=THEME, cameras=(FRONT, TURNED), **statement
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -28,8 +29,7 @@ def one(log_scales, *, quat=(1.0, 0.0, 0.0, 0.0), mean=AHEAD, logit: float = 3.0
     return among_neighbours(splats([mean], log_scales=log_scales, quats=quat, logits=logit))
 
 
-def case(name: str, what: str, build, *, cameras=(FRONT, TURNED), **statement) -> HardCase:
-    return HardCase(name=name, theme=THEME, what=what, build=build, cameras=cameras, **statement)
+case = partial(HardCase, theme=THEME, cameras=(FRONT, TURNED))
 
 
 def fan_of_needles() -> Gaussians:

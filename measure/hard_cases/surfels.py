@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from splatview.measure.hard_cases.case import (
     camera,
     splats,
 )
-from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings
+from splatview.scene import Gaussians, ImageModel, RenderSettings
 
 THEME = "discs"
 DISCS = replace(PLAIN, model=ImageModel().with_footprint("disc"))
@@ -29,20 +30,7 @@ SLOWLY = tuple(camera(turn=0.25 * step) for step in range(-3, 4))
 """Views a quarter of a degree apart, about a disc that is seen edge-on."""
 
 
-def case(
-    name: str, what: str, build, *, cameras: tuple[Camera, ...] = (FRONT, TURNED), **statement
-) -> HardCase:
-    settings = statement.pop("settings", {"discs": DISCS})
-    return HardCase(
-        name=name,
-        theme=THEME,
-        what=what,
-        build=build,
-        cameras=cameras,
-        settings=settings,
-        trains=False,
-        **statement,
-    )
+case = partial(HardCase, theme=THEME, cameras=(FRONT, TURNED), settings={"discs": DISCS}, trains=False)
 
 
 def one(scales, *, quat=(1.0, 0.0, 0.0, 0.0), mean=AHEAD, logit: float = 3.0, **more) -> Gaussians:

@@ -22,7 +22,7 @@ from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector
 from splatview.renderers.gl.scene_buffers import SceneBuffers
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
-from splatview.renderers.types import VisualMode
+from splatview.renderers.modes import MODES, VisualMode, mode_flags
 
 # ---- Early stop for blended quads: splats behind opaque blocks of the picture are not drawn.
 
@@ -31,7 +31,7 @@ BLOCK = 8
 """Pixels a block is wide and high."""
 
 HIDE_GROUP = 64
-"""Invocations of a work group of ``quads/hide.comp.glsl``."""
+"""Invocations of a work group of ``quads/cull_occluded.comp.glsl``."""
 
 
 class OcclusionPass:
@@ -40,8 +40,8 @@ class OcclusionPass:
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
         flags = {"BLOCK": BLOCK, "SLABS": SLABS}
-        self._close = load_compute(ctx, "quads/close.comp.glsl", flags)
-        self._hide = load_compute(ctx, "quads/hide.comp.glsl", flags)
+        self._close = load_compute(ctx, "quads/opaque_blocks.comp.glsl", flags)
+        self._hide = load_compute(ctx, "quads/cull_occluded.comp.glsl", flags)
         self._closed: moderngl.Buffer | None = None
         self._size = (0, 0)
 
@@ -65,7 +65,7 @@ class OcclusionPass:
             raise RuntimeError("start() comes before hide()")
         gathered.use(0)
         self._closed.bind_to_storage_buffer(0)
-        grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_gathered": 0}
+        grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_accumulation": 0}
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})
         self._close.run(-(-self._blocks // 8))
         self._ctx.memory_barrier()
@@ -86,18 +86,6 @@ class OcclusionPass:
             if thing is not None:
                 thing.release()
 
-
-MODE_FLAGS: dict[str, dict[str, bool]] = {
-    mode: {
-        "POINTS": mode == "points",
-        "DEPTH": mode == "depth",
-        "OVERDRAW": mode == "overdraw",
-    }
-    for mode in ("splats", "points", "depth", "overdraw")
-}
-
-CAN_STOP_EARLY = ("splats", "depth")
-"""Modes in which what lies behind an opaque block cannot show."""
 
 FRONT_TO_BACK = (moderngl.DST_ALPHA, moderngl.ONE, moderngl.ZERO, moderngl.ONE_MINUS_SRC_ALPHA)
 """Blend factors: source and destination of RGB, then of alpha."""
@@ -121,9 +109,9 @@ def mode_program(
     more: Mapping[str, float | bool] = MappingProxyType({}),
 ) -> tuple[moderngl.Program, moderngl.VertexArray]:
     """What draws a mode: a vertex shader from `folder` of ``shaders/``, a fragment shader from quads."""
-    surfaces = mode == "ellipsoids"
+    surfaces = MODES[mode].surfaces
     stage = "ellipsoids" if surfaces else "draw"
-    own = {"ANTIALIASED": False} if surfaces else MODE_FLAGS[mode]
+    own = {"ANTIALIASED": False} if surfaces else mode_flags(mode)
     edited = edits.now.flags(projects=surfaces, shows=mode)
     flags = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, **own, **edited, **more}
     files = f"{folder}/{stage}.vert.glsl", f"quads/{stage}.frag.glsl"
@@ -161,12 +149,12 @@ class BlendPass:
         """
         stored = (
             {**scene.flags(), **ray_flags(uniforms), "DISCS": False}
-            if mode == "ellipsoids"
+            if MODES[mode].surfaces
             else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None, **disc_flags(uniforms)}
         )
         program, array = mode_program(self._variants, self._indices, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
-        if mode == "ellipsoids":
+        if MODES[mode].surfaces:
             self._draw_ellipsoids(target, scene, projector, program, array, edits)
             return
         framebuffer = target.with_depth() if stochastic else target.framebuffer
@@ -180,7 +168,7 @@ class BlendPass:
         # moderngl's stub knows two factors, moderngl itself takes four
         factors = FRONT_TO_BACK if weights is None else SUMS
         self._ctx.blend_func = factors  # pyright: ignore[reportAttributeAccessIssue]
-        stops = early_stop > 0 and mode in CAN_STOP_EARLY and not stochastic and weights is None
+        stops = early_stop > 0 and MODES[mode].stops_early and not stochastic and weights is None
         if stops:
             self._closing.start(target.size)
         for slab in range(SLABS):

@@ -11,7 +11,8 @@ import numpy as np
 from splatview.renderers.gl.scene_buffers import Placement, placement_of, sample_step
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, TexelArray
 from splatview.renderers.gl.uniforms import set_uniforms
-from splatview.renderers.types import TINT_COUNT, Highlight, VisualMode
+from splatview.renderers.modes import MODES, VisualMode
+from splatview.renderers.request import TINT_COUNT, Highlight
 from splatview.scene.edits import (
     CROP_ROW,
     LOCKED,
@@ -30,9 +31,6 @@ from splatview.scene.edits import (
 
 FIRST_UNIT = 8
 """Texture units from here on are the edits'; drawing uses those before."""
-
-CAN_TINT: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids")
-"""Modes that show the splats' colours."""
 
 SLICE = 65_536
 """Marks compared at once, so that they stay in the caches."""
@@ -63,7 +61,7 @@ class Editing:
 
     def tints_of(self, mode: VisualMode) -> tuple | None:
         """Equal ones light up alike; None: nothing in this mode."""
-        return None if self.highlight is None or mode not in CAN_TINT else (self.highlight, self.lit)
+        return None if self.highlight is None or not MODES[mode].tintable else (self.highlight, self.lit)
 
     @property
     def places(self) -> tuple | None:
@@ -132,7 +130,7 @@ class EditTextures:
         splats = len(self._means)
         if len(edits.marks) != splats:
             raise ValueError(f"{len(edits.marks):,} marks for a scene of {splats:,} splats")
-        transmittance = highlight is not None and highlight.transmittance(edits)
+        transmittance = highlight is not None and highlight.applies_to(edits)
         matters = edits.hides or edits.adjusts
         if matters or transmittance:
             self._update_marks(edits)

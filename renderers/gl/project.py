@@ -81,7 +81,7 @@ class KeptOrder:
             raise RuntimeError("make() comes before count()")
         if self._count_kept is None:
             self._count_kept = load_compute(
-                self._ctx, "quads/count_kept.comp.glsl", {"GROUP_SIZE": GROUP_SIZE}
+                self._ctx, "quads/count_reused.comp.glsl", {"GROUP_SIZE": GROUP_SIZE}
             )
         for slot, buffer in enumerate((depth_keys, self.order, group_counts)):
             buffer.bind_to_storage_buffer(slot)

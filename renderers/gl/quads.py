@@ -1,9 +1,8 @@
-"""The main renderer, GL 4.3: project and sort in compute shaders, then draw a quad a splat."""
+"""The main renderer, GL 4.3: project and sort in compute shaders, then draw one quad per splat."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import replace
 from typing import Any
 
 import moderngl
@@ -12,14 +11,13 @@ import numpy as np
 from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import RECORD_BYTES, DepthKeys, KeptOrder, Projector, short_keys
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
 from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit, upload_steps
-from splatview.renderers.gl.uniforms import Uniform, check_rays, view_uniforms
-from splatview.renderers.types import FrameStats, Highlight, VisualMode
+from splatview.renderers.gl.uniforms import Uniform, view_uniforms
+from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
-from splatview.scene.edits import SceneEdits
 from splatview.scene.image_model import Order
 from splatview.scene.order_reuse import keeps_order
 
@@ -35,11 +33,15 @@ them: a skull of 95,000 needles has 25.9 dB with 0, 29.1 with 20, 32.1 with 40 a
 of 1,000 splats 44.8, 43.0, 40.1 and 39.2."""
 
 
-class QuadsRenderer(Renderer):
-    """The `Renderer` for GL 4.3."""
+class QuadsRenderer(GLRenderer):
+    """Renderer for OpenGL 4.3 that blends one quad per splat."""
 
     name = "quads"
-    orders: tuple[Order, ...] = ("32-bit", "16-bit", "weighted", "stochastic")
+    capabilities = Capabilities(
+        backend="quads",
+        orders=("32-bit", "16-bit", "weighted", "stochastic"),
+        precisions=("float32", "float16", "unorm8"),
+    )
 
     def __init__(
         self,
@@ -111,32 +113,23 @@ class QuadsRenderer(Renderer):
         self._kept.start_anew()
         self._projected_key = None
 
-    def draw(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        highlight: Highlight | None = None,
-    ) -> None:
-        if self._scene is None:
-            raise RuntimeError("load() comes before draw()")
+    def draw(self, request: FrameRequest) -> None:
+        self._prepare(request)
         scene = self._scene
-        sh_degree = 3 if settings.sh_degree is None else settings.sh_degree
+        assert scene is not None
+        settings, mode, camera = request.settings, request.mode, request.view
+        sh_degree = degree_of(settings)
         if self._source is not None and scene.harmonics.lacks(sh_degree):
             self.every_band = True
             self.load(self._source, scene.attributes)
             scene = self._scene
-        check_rays(camera, mode)
-        editing = self._edits.update(edits, highlight)
-        if settings.order not in self.orders:
-            raise InputError(f"{settings.order} order is not for {self.name}: {', '.join(self.orders)}")
+            assert scene is not None
+        editing = self._edits.update(request.edits, request.highlight)
         # Other modes show what an order is, or need one that is exact.
         order = settings.order if mode == "splats" else "32-bit"
         self._keeps = keeps = mode == "splats" and order not in UNSORTED and keeps_order(settings)
         projected_key = (
-            *_view_key(camera),
+            *view_key(camera),
             *(order, (settings.resort_frames, settings.resort_degrees) if keeps else None),
             *(settings.model, settings.sigma_cut, sh_degree),
             editing.footprints,
@@ -196,7 +189,7 @@ class QuadsRenderer(Renderer):
                 self._targets.shown,
                 background=settings.background,
                 camera=camera,
-                depths=depth_range(self._edits.placement, camera) if mode == "depth" else None,
+                depths=depth_range(self._edits.placement, camera),
                 weighted=order == "weighted",
             )
             self._resolved_key = resolved_key
@@ -219,7 +212,6 @@ class QuadsRenderer(Renderer):
             self._counters["sorted"] += 1
 
     def forget_order(self) -> None:
-        """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
         self._kept.resort_policy.forget()
         self._projected_key = None
 
@@ -252,14 +244,12 @@ class QuadsRenderer(Renderer):
     def read(self) -> np.ndarray:
         return self._targets.shown.read()
 
-    def _visible(self) -> int:
-        return self._projector.visible.read()
+    def _visible(self, wait: bool) -> int:
+        visible = self._projector.visible
+        return visible.read_now() if wait else visible.read()
 
-    def finished_stats(self) -> FrameStats:
-        return replace(super().finished_stats(), visible=self._projector.visible.read_now())
-
-    def release(self) -> None:
-        super().release()
+    def close(self) -> None:
+        super().close()
         if self._scene is not None:
             self._scene.release()
         self._projector.release()
@@ -274,17 +264,3 @@ def finite_box(means: np.ndarray) -> np.ndarray:
     if not len(finite):
         return np.zeros((2, 3))
     return np.stack([finite.min(axis=0), finite.max(axis=0)]).astype(np.float64)
-
-
-def _view_key(camera: Camera) -> tuple:
-    return (
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.world_to_camera.tobytes(),
-        camera.lens,
-        camera.orthographic,
-    )

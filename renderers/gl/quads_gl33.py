@@ -11,33 +11,32 @@ test. On llvmpipe frames took 0.83 to 1.13 times as long, depending on the scene
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 
+from splatview.measure.metrics import enlarged
 from splatview.renderers.gl.blend import FRONT_TO_BACK, mode_program, quad_indices
 from splatview.renderers.gl.context import check_room, no_room
 from splatview.renderers.gl.edit_textures import Editing, EditTextures
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import QUADS_PER_INSTANCE
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
 from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, SceneTextures, TexelArray, upload_steps
 from splatview.renderers.gl.sort_thread import DepthOrder, SortWorker, ViewLine
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import (
     Uniform,
-    check_rays,
     disc_flags,
     ray_flags,
     set_uniforms,
     view_uniforms,
 )
-from splatview.renderers.types import COMPUTE, Highlight, VisualMode, refusal
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.renderers.modes import MODES, VisualMode
+from splatview.renderers.request import Capabilities, FrameRequest
+from splatview.scene import Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
-from splatview.scene.edits import SceneEdits
 
 # ---- Projection without compute shaders: a pass of fragments, one a splat, into float textures.
 
@@ -265,45 +264,8 @@ class BlendPassGL33:
 OLDEST = 330
 
 
-@dataclass(frozen=True, eq=False)
-class _Wish:
-    """What a picture shows, the scene apart."""
-
-    camera: Camera
-    settings: RenderSettings
-    mode: VisualMode
-    editing: Editing
-    line: ViewLine
-    """What the order of the splats depends on."""
-
-    @property
-    def _footprints(self) -> tuple:
-        settings = self.settings
-        return (
-            settings.model,
-            settings.sigma_cut,
-            settings.sh_degree,
-            self.mode == "depth",
-            self.editing.footprints,
-        )
-
-    @property
-    def _picture(self) -> tuple:
-        return (self.settings, self.mode, self.editing.footprints, self.editing.tints_of(self.mode))
-
-    def same_footprints(self, other: _Wish | None) -> bool:
-        return (
-            other is not None
-            and self.camera.same_view(other.camera)
-            and self._footprints == other._footprints
-        )
-
-    def same_picture(self, other: _Wish | None) -> bool:
-        return other is not None and self.camera.same_view(other.camera) and self._picture == other._picture
-
-
-class QuadsGL33Renderer(Renderer):
-    """The `Renderer` for OpenGL 3.3, with the pictures of `QuadsRenderer`.
+class QuadsGL33Renderer(GLRenderer):
+    """Renderer for OpenGL 3.3, with the pictures of `QuadsRenderer`.
 
     `draw` never waits for an order: until the first one of a scene is there, it shows the background. `read`
     waits.
@@ -312,7 +274,14 @@ class QuadsGL33Renderer(Renderer):
         InputError: the context is older than OpenGL 3.3.
     """
 
-    name = "quads (OpenGL 3.3)"
+    name = "quads-gl33"
+    capabilities = Capabilities(
+        backend="quads",
+        precisions=("float32", "float16", "unorm8"),
+        attributes=("float32",),
+        reuses_order=False,
+        needs="OpenGL 4.3",
+    )
 
     def __init__(self, ctx: moderngl.Context, variants: Variants | None = None) -> None:
         if not ctx.version_code >= OLDEST:
@@ -327,18 +296,19 @@ class QuadsGL33Renderer(Renderer):
         self._order: DepthOrder | None = None
         """What `_order_texels` holds."""
         self._gathering = BlendPassGL33(ctx, self._variants)
-        self._projected: _Wish | None = None
-        self._drawn: _Wish | None = None
-        self._wanted: _Wish | None = None
+        self._projected: tuple | None = None
+        self._drawn: tuple | None = None
+        """Keys of what was projected and drawn last."""
+        self._wanted: tuple[FrameRequest, Editing, ViewLine] | None = None
+        """The latest request, its edits, and what the order of its splats depends on."""
 
     # ---- loading
 
     def load_steps(
         self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
-        problem = refusal(COMPUTE - 1, attributes=attributes)
-        if problem is not None:
-            raise InputError(problem)
+        if attributes not in self.capabilities.attributes:
+            raise InputError(f"attributes in {attributes} need OpenGL 4.3; use float32 or --renderer cpu")
         for step in upload_steps(self._ctx, gaussians, every_band=self.every_band):
             if isinstance(step, SceneTextures):
                 self._use(step, gaussians)
@@ -366,82 +336,73 @@ class QuadsGL33Renderer(Renderer):
     def forget_order(self) -> None:
         """It keeps none: the worker sorts every view."""
 
-    def draw(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        highlight: Highlight | None = None,
-    ) -> None:
-        self._ask(camera, settings, mode=mode, edits=edits, highlight=highlight)
-        scene, sorter = self._loaded()
-        if self._wanted is not None:
-            self._draw(self._wanted, scene, sorter.newest())
+    def draw(self, request: FrameRequest) -> None:
+        self._ask(request)
+        self._draw(self._sort_thread().newest())
 
-    def _loaded(self) -> tuple[SceneTextures, SortWorker]:
-        if self._scene is None or self._sorter is None:
+    def render(self, request: FrameRequest) -> np.ndarray:
+        # To draw first would be to draw in the order of an earlier view.
+        self._ask(request)
+        return enlarged(self.read(), request.camera.width, request.camera.height)
+
+    def _sort_thread(self) -> SortWorker:
+        if self._sorter is None:
             raise RuntimeError("load() comes before draw()")
-        return self._scene, self._sorter
+        return self._sorter
 
-    def _ask(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode,
-        edits: SceneEdits | None,
-        highlight: Highlight | None,
-    ) -> None:
-        # For `render` this is all: to draw would be to draw in the order of an earlier view first.
-        scene, sorter = self._loaded()
-        if self._source is not None and scene.harmonics.lacks(
-            3 if settings.sh_degree is None else settings.sh_degree
-        ):
+    def _ask(self, request: FrameRequest) -> None:
+        """Makes this the picture that `read` gives."""
+        self._prepare(request)
+        scene, source = self._scene, self._source
+        if scene is not None and source is not None and scene.harmonics.lacks(degree_of(request.settings)):
             self.every_band = True
-            self.load(self._source)
-            _, sorter = self._loaded()
-        check_rays(camera, mode)
-        editing = self._edits.update(edits, highlight)
-        problem = refusal(COMPUTE - 1, settings)
-        if problem is not None:
-            raise InputError(problem)
-        self._wanted = _Wish(camera, settings, mode, editing, _line(camera, editing, edits))
-        sorter.request(self._wanted.line)
+            self.load(source)
+        editing = self._edits.update(request.edits, request.highlight)
+        # Edits that leave every mean where it is leave the order, too.
+        line = ViewLine.of(request.view, request.edits if editing.places else None, editing.places)
+        self._wanted = request, editing, line
+        self._sort_thread().request(line)
 
-    def _draw(self, wish: _Wish, scene: SceneTextures, order: DepthOrder | None) -> None:
-        if order is self._order and wish.same_picture(self._drawn):
+    def _draw(self, order: DepthOrder | None) -> None:
+        """Brings the picture up to date, in `order`."""
+        scene = self._scene
+        if self._wanted is None or scene is None:
             return
-        settings = wish.settings
-        uniforms = view_uniforms(wish.camera, settings, scene.placement.centre)
+        request, editing, line = self._wanted
+        camera, settings, mode = request.view, request.settings, request.mode
+        view, depths = view_key(camera), MODES[mode].depths
+        projected = (view, settings.model, settings.sigma_cut, settings.sh_degree, depths, editing.footprints)
+        drawn = (view, settings, mode, editing.footprints, editing.tints_of(mode))
+        if order is self._order and drawn == self._drawn:
+            return
+        uniforms = view_uniforms(camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
-        if not wish.same_footprints(self._projected):
+        if projected != self._projected:
             with self._timers.stage("project"):
                 self._projection.run(
                     scene,
                     uniforms,
                     self._edits,
-                    sh_degree=3 if settings.sh_degree is None else settings.sh_degree,
+                    sh_degree=degree_of(settings),
                     antialiased=settings.model.antialiased,
-                    depth=wish.mode == "depth",
+                    depth=depths,
                 )
-            self._projected = wish
+            self._projected = projected
             self._counters["projected"] += 1
         with self._timers.stage("draw"):
             if order is not None and order is not self._order:
                 self._upload_order(order)
-            self._targets.fit((wish.camera.width, wish.camera.height), settings.blend, wish.mode)
-            self._gather(wish, uniforms, scene)
+            self._targets.fit((camera.width, camera.height), settings.blend, mode)
+            self._gather(mode, line, uniforms, scene)
             self._resolving.draw(
-                wish.mode,
+                mode,
                 self._targets.gathered,
                 self._targets.shown,
                 background=settings.background,
-                camera=wish.camera,
-                depths=depth_range(self._edits.placement, wish.camera) if wish.mode == "depth" else None,
+                camera=camera,
+                depths=depth_range(self._edits.placement, camera),
             )
-        self._drawn = wish
+        self._drawn = drawn
         self._counters["drawn"] += 1
         previous.use()
 
@@ -451,18 +412,20 @@ class QuadsGL33Renderer(Renderer):
         self._timers.latest["sort"] = order.milliseconds
         self._counters["sorted"] += 1
 
-    def _gather(self, wish: _Wish, uniforms: dict[str, Uniform], scene: SceneTextures) -> None:
+    def _gather(
+        self, mode: VisualMode, line: ViewLine, uniforms: dict[str, Uniform], scene: SceneTextures
+    ) -> None:
         target = self._targets.gathered
-        if wish.mode == "ellipsoids":
+        if MODES[mode].surfaces:
             self._gathering.draw_ellipsoids(target, self._projection, uniforms, self._edits, scene)
             return
         ordered = 0
         if self._order is not None:
             # Behind the eye no vertices are needed; but in the order of another view they may be before it.
-            exact = self._order.view == wish.line
+            exact = self._order.view == line
             ordered = self._order.before_eye if exact else len(self._order.order)
         self._gathering.draw_splats(
-            wish.mode,
+            mode,
             target,
             self._projection,
             uniforms,
@@ -482,17 +445,16 @@ class QuadsGL33Renderer(Renderer):
     def read(self) -> np.ndarray:
         if self._wanted is None:
             raise RuntimeError("draw() comes first")
-        scene, sorter = self._loaded()
-        self._draw(self._wanted, scene, sorter.wait())
+        self._draw(self._sort_thread().wait())
         return self._targets.shown.read()
 
-    def _visible(self) -> int:
+    def _visible(self, wait: bool) -> int:
         # Waits for the projection of the last frame, which has long been drawn when the next one asks.
         return self._projection.read_visible()
 
-    def release(self) -> None:
+    def close(self) -> None:
         self._release_scene()  # ends the sort thread
-        super().release()
+        super().close()
         self._projection.release()
         self._gathering.release()
 
@@ -504,8 +466,3 @@ class QuadsGL33Renderer(Renderer):
         self._order_texels.release()
         self._sorter = self._scene = self._source = self._order = None
         self._projected = self._drawn = self._wanted = None
-
-
-def _line(camera: Camera, editing: Editing, edits: SceneEdits | None) -> ViewLine:
-    """Edits that leave every mean where it is leave the order, too."""
-    return ViewLine.of(camera, edits if editing.places else None, editing.places)

@@ -1,25 +1,23 @@
-"""What both renderers of quads have in common: their interface, and where their pictures lie."""
+"""What the renderers by OpenGL have in common: loading, timers, and where their pictures lie."""
 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import moderngl
-import numpy as np
 
-from splatview.renderers.gl.context import describe
+from splatview.renderers.gl.context import describe, held_bytes
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.resolve import Resolving, float16_blending_truncates
 from splatview.renderers.gl.targets import PictureTargets
-from splatview.renderers.types import FrameStats, Highlight, VisualMode
-from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.attribute_formats import Attributes
-from splatview.scene.edits import SceneEdits
+from splatview.renderers.gl.uniforms import check_rays
+from splatview.renderers.request import FrameRequest, FrameStats, Renderer
+from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 
 # ---- GPU time of named stages, read back when it is ready and never waited for while drawing.
 
@@ -75,10 +73,10 @@ class StageTimers:
         return self.latest
 
 
-class Renderer(ABC):
-    """Draws scenes by `image_model` into its own texture.
+class GLRenderer(Renderer):
+    """What all renderers by OpenGL share: programs, timers, edits, targets, and where the picture lies.
 
-    Nothing is projected, sorted or drawn again while scene, camera, settings, mode and edits stay the same.
+    Nothing is projected, sorted or drawn again while a request asks for what the one before did.
     """
 
     def __init__(self, ctx: moderngl.Context, variants: Variants | None = None) -> None:
@@ -89,89 +87,22 @@ class Renderer(ABC):
         self._resolving = Resolving(ctx, self._variants)
         self._targets = PictureTargets(ctx, truncates=float16_blending_truncates(ctx))
         self._source: Gaussians | None = None
-        """The scene that is loaded."""
+        """Scene that is loaded."""
         self.every_band = False
         """Whether scenes are loaded with the bands of spherical harmonics that nobody can see, too. So it is
         once settings ask for one that is not there, which takes as long as loading the scene again."""
         self._counters = {"projected": 0, "sorted": 0, "drawn": 0}
 
-    def load(self, gaussians: Gaussians, attributes: Attributes = "float32") -> None:
-        """Replaces the scene, all at once; stored as `attributes` (`scene.stored`).
-
-        Raises:
-            InputError: the scene does not fit into the GPU's memory, buffers or textures.
-        """
-        for _ in self.load_steps(gaussians, attributes):
-            pass
-
-    @abstractmethod
-    def load_steps(
-        self, gaussians: Gaussians, attributes: Attributes = "float32"
-    ) -> Generator[float, None, None]:
-        """Replaces the scene in steps of a few milliseconds: yields the share done after each.
-
-        The scene shown so far stays until the last step; closing the generator early leaves it so.
-
-        Raises:
-            InputError: as `load`.
-        """
-
-    @abstractmethod
-    def draw(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        highlight: Highlight | None = None,
-    ) -> None:
-        """Brings `framebuffer` up to date; does nothing where it is.
-
-        `edits` of the scene that is loaded are shown; `highlight` lights up what they mark. What is only lit
-        up otherwise, as a new selection is, costs no projection and no sort.
-
-        Raises:
-            RuntimeError: no scene was loaded.
-            ValueError: the edits are another scene's.
-            InputError: they do not fit into the driver's textures.
-        """
-
-    @abstractmethod
-    def read(self) -> np.ndarray:
-        """The picture asked for last: (H, W, 4) float32, row 0 on top. Waits for it."""
-
-    def render(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        settings: RenderSettings | None = None,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        highlight: Highlight | None = None,
-    ) -> np.ndarray:
-        """Loads `gaussians` unless they are the ones loaded, draws and reads: (H, W, 4) float32."""
-        if gaussians is not self._source:
-            self.load(gaussians)
-        self._ask(camera, settings or RenderSettings(), mode=mode, edits=edits, highlight=highlight)
-        return self.read()
-
-    def _ask(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode,
-        edits: SceneEdits | None,
-        highlight: Highlight | None,
-    ) -> None:
-        """Makes this the picture that `read` gives."""
-        self.draw(camera, settings, mode=mode, edits=edits, highlight=highlight)
-
-    @abstractmethod
-    def forget_order(self) -> None:
-        """The next picture is sorted anew, whatever `RenderSettings.resort_frames` says."""
+    def _prepare(self, request: FrameRequest) -> None:
+        """Loads the request's scene where it is another one. Raises InputError for what cannot be drawn."""
+        if request.gaussians is not None and request.gaussians is not self._source:
+            self.load(request.gaussians, request.attributes)
+        if self._source is None:
+            raise RuntimeError("load() comes before draw()")
+        check_rays(request.camera, request.mode)
+        problem = self.capabilities.unsupported(request)
+        if problem is not None:
+            raise InputError(problem)
 
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
@@ -188,28 +119,38 @@ class Renderer(ABC):
         """Whether another `draw` of the same view can give a better picture, now or soon."""
         return False
 
-    @property
-    def stats(self) -> FrameStats:
-        """Of a recent frame; for drawing, as it waits for nothing."""
+    def stats(self, *, wait: bool = False) -> FrameStats:
+        if wait:
+            self._timers.finish()
         return FrameStats(
             splats=len(self._source) if self._source is not None else 0,
-            visible=self._visible(),
+            visible=self._visible(wait),
             ms=dict(self._timers.latest),
             **self._counters,
         )
 
     @abstractmethod
-    def _visible(self) -> int:
-        """Splats that were visible in a recent frame."""
+    def _visible(self, wait: bool) -> int:
+        """Splats that were visible in a recent frame, or in the last one."""
 
-    def finished_stats(self) -> FrameStats:
-        """As `stats`, of the very last frame: waits for the GPU. For benchmarks and headless renders."""
-        self._timers.finish()
-        return self.stats
+    def memory(self) -> int:
+        return held_bytes(self)
 
-    def release(self) -> None:
-        """Gives back all GPU memory; the renderer is of no use afterwards."""
+    def close(self) -> None:
         self._targets.release()
         self._edits.release()
         self._resolving.release()
         self._variants.release()
+
+
+def view_key(camera: Camera) -> tuple:
+    """Equal ones make the same picture of any scene."""
+    return (
+        *(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy),
+        *(camera.world_to_camera.tobytes(), camera.lens, camera.orthographic),
+    )
+
+
+def degree_of(settings: RenderSettings) -> int:
+    """Highest SH degree that the settings show."""
+    return 3 if settings.sh_degree is None else settings.sh_degree

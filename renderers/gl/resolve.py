@@ -9,9 +9,9 @@ from splatview.renderers.gl.programs import Variants, load_render_program
 from splatview.renderers.gl.scene_buffers import Placement
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, set_uniforms
-from splatview.renderers.types import VisualMode
+from splatview.renderers.modes import VisualMode, mode_flags
 from splatview.scene import Camera, InputError
-from splatview.scene.background import Background, Gradient, Panorama, axes_of, pixel_rays, seen
+from splatview.scene.background import Background, Gradient, Panorama, axes_of, background_colours, pixel_rays
 
 # ---- Backgrounds as the shaders take them: uniforms, and a texture only where one is a picture.
 
@@ -67,7 +67,7 @@ class BackgroundSource:
     def _show_picture(self, background: Background, camera: Camera) -> None:
         kept = self._shown
         if not (isinstance(kept, tuple) and kept[0] is background and camera.same_view(kept[1])):
-            data = np.ascontiguousarray(seen(background, camera, np.float32)).tobytes()
+            data = np.ascontiguousarray(background_colours(background, camera, np.float32)).tobytes()
             self._replace(self._ctx.texture((camera.width, camera.height), 3, data, dtype="f4"))
             self._shown = background, camera
         self._bind()
@@ -115,7 +115,7 @@ class Resolving:
         *,
         background: Background,
         camera: Camera,
-        depths: tuple[float, float] | None = None,
+        depths: tuple[float, float],
         weighted: bool = False,
     ) -> None:
         """Fills `shown`. `camera` sees the background; `depths` are those of the colour map's ends, for the
@@ -128,8 +128,7 @@ class Resolving:
         background_flags, background_values = self._background.use(background, camera)
         flags = {
             **background_flags,
-            "DEPTH": mode == "depth",
-            "OVERDRAW": mode == "overdraw",
+            **mode_flags(mode, resolved=True),
             "WEIGHTED": weights is not None,
         }
         program, array = self._variants.drawing(
@@ -143,11 +142,11 @@ class Resolving:
         else:
             gathered.texture.use(1)  # a general program has the sampler all the same
         values = {
-            "u_gathered": 0,
+            "u_accumulation": 0,
             "u_weights": 1,
             **background_values,
             "u_brightest": shown.brightest,
-            "u_depth_range": depths or (0.0, 1.0),
+            "u_depth_range": depths,
         }
         set_uniforms(program, values)
         array.render(moderngl.TRIANGLES, vertices=3)

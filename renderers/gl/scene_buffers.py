@@ -175,11 +175,11 @@ def placement_of(means: np.ndarray, log_scales: np.ndarray | None = None) -> Pla
     # On a coarse grid of float32 numbers, what lies near the centre keeps its digits relative to it.
     step = 2.0 ** np.floor(np.log2(radius)) if 0 < radius < np.inf else 0.0
     centre = np.round(median / step) * step if step > 0 else median
-    centre = centre if far else np.zeros(3)
+    centre = centre if far else np.zeros(3)  # guard: relative positions := centre = np.zeros(3)
     wide = False
     if log_scales is not None:
         some = slice(None, None, sample_step(len(means)))
-        wide = _is_wide(means[some], log_scales[some], centre)
+        wide = _is_wide(means[some], log_scales[some], centre)  # guard: digits beyond float32
     return Placement(centre=centre, median=median, radius=radius or 1.0, wide=wide)
 
 

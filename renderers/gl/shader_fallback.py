@@ -10,11 +10,9 @@ import moderngl
 
 from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.programs import Made, Variant, Variants, expand
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.modes import MODES, VisualMode
 from splatview.renderers.precompile import SIZE, ShaderPrecompiler, few_splats, precompile_job
-from splatview.renderers.types import Highlight, VisualMode
-from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.edits import SceneEdits
+from splatview.renderers.request import FrameRequest, Renderer
 from splatview.scene.framing import frame_camera
 
 PLAIN_FILES = ("project.comp", "draw.vert", "draw.frag", "ellipsoids.vert", "ellipsoids.frag", "resolve.frag")
@@ -31,9 +29,7 @@ TITLES = {
     "ANTIALIASED": "antialiasing",
     "LENS": "a lens",
     "ORTHOGRAPHIC": "parallel rays",
-    "POINTS": "points",
-    "DEPTH": "depths",
-    "OVERDRAW": "overdraw",
+    **{mode.flag: mode.name for mode in MODES.values() if mode.flag is not None},
     "WEIGHTED": "weighted order",
     "STOCHASTIC": "stochastic order",
     "DISCS": "discs",
@@ -42,10 +38,6 @@ TITLES = {
     "BEHIND": "a picture behind",
 }
 """What the user is told of flags that are on."""
-
-
-MODES: tuple[VisualMode, ...] = ("splats", "depth", "ellipsoids")
-"""Each has programs or targets that the others have not."""
 
 
 class FallbackShaders(Variants):
@@ -66,25 +58,18 @@ class FallbackShaders(Variants):
     def prepare(self, renderer: Renderer) -> None:
         """Compiles the general programs, by drawing a few splats; that scene is the renderer's then."""
         sample = few_splats()
-        camera = frame_camera(sample, *SIZE)
+        # Each has programs or targets that the others have not.
+        distinct: dict[tuple[bool, bool], VisualMode] = {
+            (mode.surfaces, mode.sums): mode.name for mode in reversed(tuple(MODES.values()))
+        }
         with self.generally():
-            renderer.load(sample)
-            for mode in MODES:
-                renderer.draw(camera, RenderSettings(), mode=mode)
+            for mode in distinct.values():
+                renderer.draw(FrameRequest(sample, frame_camera(sample, *SIZE), mode=mode))
 
-    def after_drawing(
-        self,
-        renderer: str,
-        gaussians: Gaussians,
-        camera: Camera,
-        settings: RenderSettings,
-        mode: VisualMode,
-        edits: SceneEdits | None,
-        highlight: Highlight | None,
-    ) -> None:
-        """Has compiled what general programs have just stood in for."""
+    def after_drawing(self, backend: str, request: FrameRequest) -> None:
+        """Has compiled what general programs have just stood in for; `request` names its scene."""
         waiting = self.take_waiting()
-        if not waiting or not len(gaussians):
+        if not waiting or request.gaussians is None or not len(request.gaussians):
             return
         if not self.driver_remembers:
             self._put_off |= waiting
@@ -93,15 +78,7 @@ class FallbackShaders(Variants):
             [self._key(variant) for variant in waiting],
             title_of(waiting),
             lambda: precompile_job(
-                renderer,
-                gaussians,
-                camera,
-                settings,
-                mode=mode,
-                edits=edits,
-                highlight=highlight,
-                variants=waiting,
-                gl_version=self._precompiler.gl_version,
+                backend, request, variants=waiting, gl_version=self._precompiler.gl_version
             ),
         )
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import moderngl
 import numpy as np
 
 from splatview.renderers.gl.context import check_room, no_room
-from splatview.renderers.types import VisualMode
-
-Precision = Literal["float16", "float32", "unorm8"]
+from splatview.renderers.modes import MODES, VisualMode
+from splatview.renderers.request import Precision
 
 DTYPES: dict[str, str] = {"float16": "f2", "float32": "f4", "unorm8": "f1"}
 """moderngl's names."""
@@ -90,7 +87,7 @@ class PictureTargets:
             InputError: there is not enough graphics memory.
         """
         # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
-        wide = sums or mode in ("depth", "overdraw") or (blend == "float16" and self.truncates)
+        wide = sums or MODES[mode].sums or (blend == "float16" and self.truncates)
         # Should there be no room, the next picture tries again.
         gathered, self._gathered = self._gathered, None
         self._gathered = self._fitting(gathered, size, "float32" if wide else blend)

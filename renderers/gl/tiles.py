@@ -21,9 +21,9 @@ from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
 from splatview.renderers.gl.sort import RadixSort
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, set_uniforms
-from splatview.renderers.types import Highlight, VisualMode
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
-from splatview.scene.edits import SceneEdits
+from splatview.renderers.modes import VisualMode
+from splatview.renderers.request import Capabilities, FrameRequest
+from splatview.scene import Gaussians, InputError
 
 # ---- Which splats each tile of the picture has: pairs of tile and splat, by tile and then front to back.
 #
@@ -359,14 +359,14 @@ class TilesBlendPass(BlendPass):
 
 
 class TilesRenderer(QuadsRenderer):
-    """The `Renderer` for GL 4.3 that gathers by tiles.
+    """Renderer for OpenGL 4.3 that blends by tiles; other modes than splats are drawn as quads.
 
     Raises:
         InputError: the context is older than GL 4.3.
     """
 
     name = "tiles"
-    orders = ("32-bit", "16-bit", "per-pixel")
+    capabilities = Capabilities(backend="tiles", orders=("32-bit", "16-bit", "per-pixel"))
 
     def __init__(
         self,
@@ -386,16 +386,7 @@ class TilesRenderer(QuadsRenderer):
         super()._use(scene, source)
         self._tiles.start_anew()
 
-    def draw(
-        self,
-        camera: Camera,
-        settings: RenderSettings,
-        *,
-        mode: VisualMode = "splats",
-        edits: SceneEdits | None = None,
-        highlight: Highlight | None = None,
-    ) -> None:
-        if mode == "splats":
-            self._tiles.pairs.check((camera.width, camera.height))
-        settings = replace(settings, blend="float32")
-        super().draw(camera, settings, mode=mode, edits=edits, highlight=highlight)
+    def draw(self, request: FrameRequest) -> None:
+        if request.mode == "splats":
+            self._tiles.pairs.check((request.view.width, request.view.height))
+        super().draw(replace(request, settings=replace(request.settings, blend="float32")))

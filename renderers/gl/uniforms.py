@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import moderngl
 import numpy as np
 
-from splatview.renderers.types import VisualMode
+from splatview.renderers.modes import MODES, VisualMode
 from splatview.scene import Camera, InputError, RenderSettings
-from splatview.scene.surfels import check_discs
+from splatview.scene.surfels import check_surfels
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
 
@@ -36,7 +36,7 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
     eye = camera.eye - centre
     high = eye.astype(np.float32)
     low = (eye - high).astype(np.float32)
-    check_discs(camera, model)
+    check_surfels(camera, model)
     limits = np.clip(camera.slope_limits(model.jacobian_margin), -LARGEST, LARGEST)
     rays: dict[str, Uniform] = {ORTHOGRAPHIC: camera.orthographic}
     if camera.lens is not None:
@@ -49,7 +49,7 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
             "u_lens_skew": (form.p1, form.p2),
             "u_lens_prism": (form.s1, form.s2, form.s3, form.s4),
             "u_lens_skew_last": form.skew_last,
-            LENS_REACH: min(form.reach_squared, LARGEST),
+            LENS_REACH: min(form.valid_radius_squared, LARGEST),
         }
     if model.footprint == "disc":
         sharpness = HALF_LOG2_E / model.blur if model.blur > 0 else math.inf
@@ -74,8 +74,8 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
 
 def check_rays(camera: Camera, mode: VisualMode) -> None:
     """Raises InputError where the camera's rays cannot be drawn in `mode`."""
-    if mode == "ellipsoids" and camera.lens is not None:
-        raise InputError("ellipsoids cannot be drawn through a lens; take the lens off, or show splats")
+    if MODES[mode].surfaces and camera.lens is not None:
+        raise InputError(f"{mode} cannot be drawn through a lens; take the lens off, or show splats")
 
 
 def ray_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,9 @@ from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse,
 from splatview.scene.captures.colmap import find_colmap, read_colmap
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import LoadCancelled, Watch
+from splatview.scene.progress import NO_PROGRESS, Progress
 
-__all__ = ["DEFAULT_LENS_USE", "Capture", "LensUse", "LoadCancelled", "Photo", "Pixels", "load_capture"]
+__all__ = ["DEFAULT_LENS_USE", "Capture", "LensUse", "Photo", "Pixels", "load_capture"]
 
 
 def load_capture(
@@ -24,24 +23,21 @@ def load_capture(
     downscale: int = 1,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     lens: LensUse = DEFAULT_LENS_USE,
-    progress: Callable[[float], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
+    progress: Progress = NO_PROGRESS,
 ) -> Capture:
     """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; `lens` says what is
     done about distortion; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by
-    sorted name, starting with the first, is held out unless the capture says which. `progress` gets the
-    share done, 0 to 1; `cancelled` is asked after every photo; both are called from this thread.
+    sorted name, starting with the first, is held out unless the capture says which.
 
     Raises:
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
-        LoadCancelled: `cancelled` returned true.
+        Cancelled: nobody waits for it any more.
     """
     if not (downscale >= 1 and downscale == int(downscale)):
         raise InputError(f"photos can be downscaled by a whole number of at least 1, not {downscale}")
     path = Path(path)
-    watch = Watch(progress=progress, cancelled=cancelled)
     # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         folder, posed = _read_poses(path)
@@ -51,7 +47,7 @@ def load_capture(
             downscale=downscale,
             background=background,
             lens=lens,
-            watch=watch,
+            progress=progress,
         )
 
 

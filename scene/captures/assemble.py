@@ -16,10 +16,10 @@ from splatview.scene.captures.capture import (
     Capture,
     LensUse,
     Photo,
-    PhotoEvidence,
+    PhotoStatistics,
     Pixels,
+    PosedPhoto,
     PosedPhotos,
-    Shot,
     find_mask,
     find_photo,
     largest_displacement,
@@ -29,7 +29,7 @@ from splatview.scene.captures.photos import downscaled_size, read_pixels
 from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
 from splatview.scene.errors import InputError
 from splatview.scene.formats import load_cameras
-from splatview.scene.formats.io import Watch
+from splatview.scene.progress import Progress
 
 HOLD_OUT_EVERY = 8
 """By sorted name, starting with the first: the usual split since Barron et al. 2022."""
@@ -56,23 +56,23 @@ def capture_of(
     downscale: int,
     background: tuple[float, float, float],
     lens: LensUse,
-    watch: Watch,
+    progress: Progress,
 ) -> Capture:
-    """Raises InputError, LoadCancelled."""
-    shots, twice = _unique(posed.shots)
-    _check_count(posed, shots)
-    shots, evidence = _without_lenses_that_do_not_show(shots, downscale)
-    held_out = _held_out(shots)
+    """Raises InputError, Cancelled."""
+    entries, twice = _unique(posed.entries)
+    _check_count(posed, entries)
+    entries, statistics = _without_lenses_that_do_not_show(entries, downscale)
+    held_out = _held_out(entries)
     if all(held_out):
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
     photos, hidden, transparent, kept = [], [], 0, 0
     pixel_count = hidden_pixels = 0
-    for shot, is_held_out, (pixels, is_transparent) in zip(
-        shots, held_out, _read_all(shots, downscale, background, lens, watch), strict=True
+    for entry, is_held_out, (pixels, is_transparent) in zip(
+        entries, held_out, _read_all(entries, downscale, background, lens, progress), strict=True
     ):
         if pixels.mask is not None and not pixels.mask.any():
-            hidden.append(shot.name)
+            hidden.append(entry.name)
             continue
         transparent += is_transparent
         pixel_count += pixels.image[..., 0].size
@@ -80,12 +80,12 @@ def capture_of(
         kept += pixels.image.nbytes + (0 if pixels.mask is None else pixels.mask.nbytes)
         photos.append(
             Photo(
-                name=shot.name,
-                camera=_resized(shot, downscale, lens),
+                name=entry.name,
+                camera=_resized(entry, downscale, lens),
                 held_out=is_held_out,
                 pixels=_in_memory(pixels)
                 if kept <= KEEP_BYTES
-                else _on_demand(shot, downscale, background, lens),
+                else _on_demand(entry, downscale, background, lens),
             )
         )
 
@@ -98,7 +98,7 @@ def capture_of(
             f"{len(hidden)} photos are left out, for their masks hide all of them: {_some(hidden)}"
         )
     if posed.missing:
-        total = len(posed.missing) + len(posed.shots)
+        total = len(posed.missing) + len(posed.entries)
         warnings.append(
             f"{len(posed.missing)} of {total} photos are not in {posed.images} and are left out: "
             f"{_some(posed.missing)}"
@@ -106,7 +106,7 @@ def capture_of(
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
     if lens == "undistort":
-        warnings += _lens_notes(shots)
+        warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
     points, colours = posed.points[usable], posed.point_colours[usable]
     lost = len(usable) - np.count_nonzero(usable)
@@ -123,10 +123,10 @@ def capture_of(
         points=np.ascontiguousarray(points, dtype=np.float64),
         point_colours=np.ascontiguousarray(colours),
         background=background if transparent else None,
-        evidence=replace(
-            evidence,
+        statistics=replace(
+            statistics,
             transparent=transparent,
-            masks=sum(shot.mask is not None for shot in shots),
+            masks=sum(entry.mask is not None for entry in entries),
             hidden=hidden_pixels / pixel_count,
         ),
         warnings=tuple(warnings),
@@ -140,88 +140,89 @@ def capture_of(
 
 
 def _without_lenses_that_do_not_show(
-    shots: Sequence[Shot], downscale: int
-) -> tuple[list[Shot], PhotoEvidence]:
+    entries: Sequence[PosedPhoto], downscale: int
+) -> tuple[list[PosedPhoto], PhotoStatistics]:
     """Those whose lens moves nothing by more than LEAST_DISPLACEMENT become pinholes, here and for good."""
     by_lens = {
-        _intrinsics(shot.camera): largest_displacement(shot.camera) / downscale
-        for shot in shots
-        if shot.camera.lens is not None
+        _intrinsics(entry.camera): largest_displacement(entry.camera) / downscale
+        for entry in entries
+        if entry.camera.lens is not None
     }
     kept, left_out = [], 0
-    for shot in shots:
-        shows = shot.camera.lens is None or not by_lens[_intrinsics(shot.camera)] <= LEAST_DISPLACEMENT
-        kept.append(shot if shows else replace(shot, camera=replace(shot.camera, lens=None)))
+    for entry in entries:
+        shows = entry.camera.lens is None or not by_lens[_intrinsics(entry.camera)] <= LEAST_DISPLACEMENT
+        kept.append(entry if shows else replace(entry, camera=replace(entry.camera, lens=None)))
         left_out += not shows
-    evidence = PhotoEvidence(
-        lenses=sum(shot.camera.lens is not None for shot in kept),
+    statistics = PhotoStatistics(
+        lenses=sum(entry.camera.lens is not None for entry in kept),
         lenses_left_out=left_out,
         displacement=max(by_lens.values(), default=0.0),
     )
-    return kept, evidence
+    return kept, statistics
 
 
-def _unique(shots: Sequence[Shot]) -> tuple[list[Shot], list[str]]:
+def _unique(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]:
     """Sorted by name, and the names that came again."""
-    by_name: dict[str, Shot] = {}
-    twice = [shot.name for shot in shots if by_name.setdefault(shot.name, shot) is not shot]
+    by_name: dict[str, PosedPhoto] = {}
+    twice = [entry.name for entry in entries if by_name.setdefault(entry.name, entry) is not entry]
     return [by_name[name] for name in sorted(by_name)], twice
 
 
-def _check_count(posed: PosedPhotos, shots: Sequence[Shot]) -> None:
-    if not shots:
+def _check_count(posed: PosedPhotos, entries: Sequence[PosedPhoto]) -> None:
+    if not entries:
         if not posed.missing:
             raise InputError(f"{posed.source}: names no photos")
         raise InputError(
             f"{posed.source}: none of its {len(posed.missing)} photos is in {posed.images} "
             f"(the first is {_some(posed.missing[:1])}); put them there"
         )
-    if len(shots) == 1:
+    if len(entries) == 1:
         raise InputError(
-            f"{posed.source}: only one photo ({shots[0].name}) is left to learn from; at least two are needed"
+            f"{posed.source}: only one photo ({entries[0].name}) is left to learn from; at least two are "
+            "needed"
         )
 
 
-def _held_out(shots: Sequence[Shot]) -> list[bool]:
-    if any(shot.held_out is not None for shot in shots):
-        return [bool(shot.held_out) for shot in shots]
-    return [i % HOLD_OUT_EVERY == 0 for i in range(len(shots))]
+def _held_out(entries: Sequence[PosedPhoto]) -> list[bool]:
+    if any(entry.held_out is not None for entry in entries):
+        return [bool(entry.held_out) for entry in entries]
+    return [i % HOLD_OUT_EVERY == 0 for i in range(len(entries))]
 
 
-def _resized(shot: Shot, downscale: int, lens: LensUse):
-    camera = replace(shot.camera, name=shot.name, lens=shot.camera.lens if lens == "through" else None)
+def _resized(entry: PosedPhoto, downscale: int, lens: LensUse):
+    camera = replace(entry.camera, name=entry.name, lens=entry.camera.lens if lens == "through" else None)
     width, height = downscaled_size(camera.width, camera.height, downscale)
     if not (width >= 1 and height >= 1):
         raise InputError(
-            f"{shot.path}: at {camera.width}x{camera.height} pixels nothing is left of it after "
+            f"{entry.path}: at {camera.width}x{camera.height} pixels nothing is left of it after "
             f"downscaling by {downscale}"
         )
     return camera.resized(width, height)
 
 
 def _read_all(
-    shots: Sequence[Shot],
+    entries: Sequence[PosedPhoto],
     downscale: int,
     background: tuple[float, float, float],
     lens: LensUse,
-    watch: Watch,
+    progress: Progress,
 ):
     """Yields `read_pixels` of each shot in turn."""
-    for shot in shots:
-        _resized(shot, downscale, lens)
+    for entry in entries:
+        _resized(entry, downscale, lens)
     readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
     pool = ThreadPoolExecutor(readers, thread_name_prefix="photos")
     try:
-        watch.step(0.0)
+        progress.step(0.0)
         # Only a few ahead: what is read and waits is held in memory.
         pending = [
-            pool.submit(read_pixels, shot, downscale, background, lens) for shot in shots[: 2 * readers]
+            pool.submit(read_pixels, entry, downscale, background, lens) for entry in entries[: 2 * readers]
         ]
-        for i in range(len(shots)):
+        for i in range(len(entries)):
             result = pending[i].result()
-            watch.step((i + 1) / len(shots))
-            if len(pending) < len(shots):
-                pending.append(pool.submit(read_pixels, shots[len(pending)], downscale, background, lens))
+            progress.step((i + 1) / len(entries))
+            if len(pending) < len(entries):
+                pending.append(pool.submit(read_pixels, entries[len(pending)], downscale, background, lens))
             yield result
     finally:
         pool.shutdown(cancel_futures=True)
@@ -232,9 +233,9 @@ def _in_memory(pixels: Pixels) -> Callable[[], Pixels]:
 
 
 def _on_demand(
-    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
 ) -> Callable[[], Pixels]:
-    return lambda: read_pixels(shot, downscale, background, lens)[0]
+    return lambda: read_pixels(entry, downscale, background, lens)[0]
 
 
 def _some(names: Sequence[str]) -> str:
@@ -242,10 +243,10 @@ def _some(names: Sequence[str]) -> str:
     return shown + (", ..." if len(names) > NAMES_SHOWN else "")
 
 
-def _lens_notes(shots: Sequence[Shot]) -> list[str]:
+def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:
     """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
     notes = []
-    by_lens = {_intrinsics(shot.camera): shot.camera for shot in shots if shot.camera.lens is not None}
+    by_lens = {_intrinsics(entry.camera): entry.camera for entry in entries if entry.camera.lens is not None}
     for camera in by_lens.values():
         x, y = (np.linspace(0.5, size - 0.5, 25) for size in (camera.width, camera.height))
         grid = np.stack(np.meshgrid(x, y), axis=-1)
@@ -270,9 +271,6 @@ def capture_name(path: Path) -> str:
     return path.absolute().name or "capture"
 
 
-# ---- Captures by the ``cameras.json`` that the 3DGS trainer (Kerbl et al. 2023) writes beside its results.
-
-
 FILE_NAME = "cameras.json"
 
 POINTS = ("input.ply", "points3d.ply")
@@ -288,18 +286,18 @@ def read_camera_list(folder: Path, path: Path) -> PosedPhotos:
     cameras = load_cameras(path)
     places = (folder / "images", folder / "input", folder)
     photos = next((p for p in places if any(find_photo(p, camera.name) for camera in cameras)), places[0])
-    shots, missing = [], []
+    entries, missing = [], []
     for camera in cameras:
         name, photo = tidy_name(camera.name), find_photo(photos, camera.name)
         if photo is None:
             missing.append(name)
             continue
-        shots.append(Shot(name=name, path=photo, camera=camera, mask=find_mask(folder, name)))
+        entries.append(PosedPhoto(name=name, path=photo, camera=camera, mask=find_mask(folder, name)))
     points, colours, warnings = first_points(folder, (), POINTS)
     return PosedPhotos(
         source=path,
         images=photos,
-        shots=shots,
+        entries=entries,
         missing=missing,
         points=points,
         point_colours=colours,

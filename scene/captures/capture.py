@@ -12,9 +12,6 @@ import numpy as np
 
 from splatview.scene.camera import Camera
 
-# ---- What is found out about photos while they are read, so that training does only what they call for.
-
-
 LEAST_DISPLACEMENT = 0.05
 """Px of a photo at its final size. A lens that moves no point of the picture by more is left out: nothing is
 resampled. Poses are rarely known to better than ten times this; where two pixels side by side are black and
@@ -28,8 +25,8 @@ MARGIN = 1.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoEvidence:
-    """Of all photos of a capture, at their final sizes."""
+class PhotoStatistics:
+    """Statistics of all photos of a capture, at their final sizes."""
 
     lenses: int = 0
     """Photos whose camera has a lens that is no pinhole."""
@@ -106,7 +103,7 @@ class Capture:
     """At least two photos, of which at least one is to train on; sorted by name."""
 
     name: str
-    """Of its folder."""
+    """Name of its folder."""
     photos: tuple[Photo, ...]
     points: np.ndarray
     """(P, 3) float64, finite, P >= 4: where surfaces are, or random where the capture does not say."""
@@ -114,7 +111,7 @@ class Capture:
     """(P, 3) uint8 RGB."""
     background: tuple[float, float, float] | None = None
     """What photos with transparency were laid over, RGB in 0..1; None where none has any."""
-    evidence: PhotoEvidence = field(default_factory=PhotoEvidence)
+    statistics: PhotoStatistics = field(default_factory=PhotoStatistics)
     """What was found out about the photos while they were read."""
     warnings: tuple[str, ...] = ()
     """A line each: what was left out or made up."""
@@ -142,15 +139,12 @@ class Capture:
         return EXTENT_MARGIN * radius
 
 
-# ---- What the readers of the formats hand on: where each photo lies and how it was taken.
-
-
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-"""Of photos whose names come without."""
+"""Suffixes of photos whose names come without."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Shot:
+class PosedPhoto:
     """A photo on disk with its pose."""
 
     name: str
@@ -170,7 +164,7 @@ class PosedPhotos:
     """The file or folder that names the photos."""
     images: Path
     """Where they were looked for."""
-    shots: Sequence[Shot]
+    entries: Sequence[PosedPhoto]
     missing: Sequence[str] = ()
     """Photos with a pose that are not on disk."""
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))

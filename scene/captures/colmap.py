@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatview.scene.captures.capture import PosedPhotos, Shot, find_mask, find_photo, tidy_name
+from splatview.scene.captures.capture import PosedPhoto, PosedPhotos, find_mask, find_photo, tidy_name
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
 from splatview.scene.formats.io import excerpt
@@ -43,7 +43,7 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
         raise InputError(f"{paths[1]}: holds no images: the reconstruction found no poses")
     root, photos = _photo_folder(folder, model, [image.name for image in images])
     held_out = _held_out_names(model)
-    shots, missing = [], []
+    entries, missing = [], []
     for image in images:
         path = find_photo(photos, image.name)
         name = tidy_name(image.name)
@@ -51,8 +51,8 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
             missing.append(name)
             continue
         lens = image_lens(image, intrinsics, paths)
-        shots.append(
-            Shot(
+        entries.append(
+            PosedPhoto(
                 name=name,
                 path=path,
                 camera=image_camera(image, lens, paths[1]),
@@ -64,7 +64,7 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
     return PosedPhotos(
         source=paths[1],
         images=photos,
-        shots=shots,
+        entries=entries,
         missing=missing,
         points=points,
         point_colours=colours,

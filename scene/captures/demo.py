@@ -19,6 +19,7 @@ from splatview.scene.errors import InputError
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import RenderSettings
 from splatview.scene.lens import Lens
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
 
@@ -30,7 +31,7 @@ DISTANCE = 5.6
 TURN = (-29.0, 26.0)
 """Degrees from the first view, within which no tree stands before the camera."""
 HEIGHTS = (0.55, 1.75)
-"""Of the eye over the target, in turn."""
+"""Heights of the eye over the target, in turn."""
 FOV_Y = 46.0
 
 POINTS = 6000
@@ -39,7 +40,7 @@ POINT_NOISE = 0.004
 OUTLIERS = 0.01
 """Share of the points that are wrong matches: anywhere along their ray."""
 MIN_OPACITY = 0.6
-"""Of splats that a reconstruction would find points on."""
+"""Least opacity of splats that a reconstruction would find points on."""
 
 
 def demo_truth(splats: int | None = None) -> Gaussians:
@@ -69,7 +70,7 @@ def demo_capture(
     lens: Lens | None = None,
     fov_y: float = FOV_Y,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = NO_PROGRESS,
 ) -> Capture:
     """`photos` pictures of the demo landscape by `render`, and noisy points on what they show.
 
@@ -84,18 +85,17 @@ def demo_capture(
         raise InputError(f"a demo capture needs at least two photos, got {photos}")
     if truth is None:
         truth = demo_truth(splats)
-    shots = []
+    entries = []
     for i, camera in enumerate(demo_cameras(photos, width, height, fov_y)):
         camera = replace(camera, lens=lens)
         picture = render(truth, camera, RenderSettings())[..., :3]
         image = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
         image.flags.writeable = False
-        shots.append(_photo(camera, image, i))
-        if progress is not None:
-            progress((i + 1) / photos)
-    cameras = [shot.camera for shot in shots]
+        entries.append(_photo(camera, image, i))
+        progress.step((i + 1) / photos)
+    cameras = [entry.camera for entry in entries]
     points, colours = _points(truth, cameras, np.random.default_rng(seed))
-    return Capture(name="demo", photos=tuple(shots), points=points, point_colours=colours)
+    return Capture(name="demo", photos=tuple(entries), points=points, point_colours=colours)
 
 
 def _photo(camera: Camera, image: np.ndarray, i: int) -> Photo:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     Capture,
     Photo,
+    PosedPhoto,
     PosedPhotos,
-    Shot,
     find_mask,
     find_photo,
     tidy_name,
@@ -57,7 +57,7 @@ def find_transforms(folder: Path) -> list[Frames]:
 
 def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
     """The capture in `folder` by `files` of `find_transforms`. Raises InputError."""
-    shots, missing, ply_names = [], [], []
+    entries, missing, ply_names = [], [], []
     for path, held_out in files:
         content = read_json(path, what="capture")
         frames = content.get("frames") if isinstance(content, dict) else None
@@ -74,7 +74,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
                 missing.append(name)
                 continue
             shot_held_out = held_out if held_out_names is None else name in held_out_names
-            shots.append(
+            entries.append(
                 _shot({**content, **frame}, f"{where} ({excerpt(name)})", folder, photo, shot_held_out)
             )
         if isinstance(content.get("ply_file_path"), str):
@@ -83,7 +83,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
     return PosedPhotos(
         source=files[0][0],
         images=folder,
-        shots=shots,
+        entries=entries,
         missing=missing,
         points=points,
         point_colours=colours,
@@ -92,7 +92,7 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
 
 
 def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
-    """Of nerfstudio's lists; None where the file has none."""
+    """Names in nerfstudio's lists; None where the file has none."""
     for key in ("test_filenames", "val_filenames"):
         names = content.get(key)
         if names:
@@ -102,7 +102,9 @@ def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
     return None
 
 
-def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None) -> Shot:
+def _shot(
+    values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None
+) -> PosedPhoto:
     name = tidy_name(values["file_path"])
     try:
         camera = _camera(values, where, photo, name)
@@ -110,7 +112,7 @@ def _shot(values: Mapping[str, Any], where: str, folder: Path, photo: Path, held
         raise
     except (ValueError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from None
-    return Shot(
+    return PosedPhoto(
         name=name,
         path=photo,
         camera=camera,
@@ -210,12 +212,10 @@ POINTS = "sparse_pc.ply"
 _POINT = np.dtype([(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
 
 
-def save_capture(
-    capture: Capture, folder: Path, *, progress: Callable[[float], None] = lambda share: None
-) -> None:
+def save_capture(capture: Capture, folder: Path) -> None:
     """Writes photos, poses and points into `folder`, which is made; photos' names must end in .png.
 
-    Masks and what photos were laid over are not written. `progress` gets the share done, 0 to 1.
+    Masks and what photos were laid over are not written.
 
     Raises:
         InputError: the system refuses, or the format does not know a photo's lens.
@@ -224,9 +224,8 @@ def save_capture(
     images = folder / "images"
     try:
         images.mkdir(parents=True, exist_ok=True)
-        for i, photo in enumerate(capture.photos):
+        for photo in capture.photos:
             Image.fromarray(photo.image()).save(images / photo.name)
-            progress((i + 1) / len(capture.photos))
         (folder / POINTS).write_bytes(_point_cloud(capture.points, capture.point_colours))
         content = {
             "ply_file_path": POINTS,

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from splatview.scene.camera import Camera
-from splatview.scene.captures.capture import LensUse, Pixels, Shot
+from splatview.scene.captures.capture import LensUse, Pixels, PosedPhoto
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import open_image
-from splatview.scene.lens import FISHEYE_REACH, Lens, distort, undistort
+from splatview.scene.lens import FISHEYE_RADIUS, Lens, distort, undistort
 
 # ---- Which way up a photo is: cameras store pixels as the sensor lies, and note in EXIF how they were held.
 #
@@ -87,7 +87,7 @@ def _orientation(image: Image.Image) -> int:
 
 
 ROWS_AT_ONCE = 64
-"""Of an undistorted photo: bounds the memory for its coordinates."""
+"""Rows of an undistorted photo worked on together: bounds the memory for its coordinates."""
 
 
 def undistorted(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -120,8 +120,8 @@ def undistorted(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarr
         x = there[..., 0] * camera.fx + camera.cx - 0.5
         y = there[..., 1] * camera.fy + camera.cy - 0.5
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        if np.isfinite(lens.reach):
-            inside &= np.hypot(rays[..., 0], rays[..., 1]) < lens.reach
+        if np.isfinite(lens.valid_radius):
+            inside &= np.hypot(rays[..., 0], rays[..., 1]) < lens.valid_radius
         valid[rows] = inside
         x, y = x[inside].astype(np.float32), y[inside].astype(np.float32)
         left = np.clip(x.astype(np.int64), 0, max(width - 2, 0))
@@ -140,8 +140,8 @@ def pixels_that_see(camera: Camera) -> np.ndarray | None:
     """(H, W) bool: pixels that the lens shows something at, which corners of a fisheye's picture often are
     not; None where all are."""
     lens = camera.lens
-    border = camera.seen_slopes
-    if lens is None or not max(map(abs, border)) >= min(lens.reach, FISHEYE_REACH):
+    border = camera.visible_slopes
+    if lens is None or not max(map(abs, border)) >= min(lens.valid_radius, FISHEYE_RADIUS):
         return None
     return _pixels_that_see(
         lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
@@ -223,29 +223,29 @@ def downscaled_size(width: int, height: int, downscale: int) -> tuple[int, int]:
 
 
 def read_pixels(
-    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
 ) -> tuple[Pixels, bool]:
     """The photo as it is trained on, and whether any of the background shows in it. Raises InputError."""
     # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo. Here, as each thread that
     # reads has its own state of errors.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _read_pixels(shot, downscale, background, lens)
+        return _read_pixels(entry, downscale, background, lens)
 
 
 def _read_pixels(
-    shot: Shot, downscale: int, background: tuple[float, float, float], lens: LensUse
+    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
 ) -> tuple[Pixels, bool]:
-    size = shot.camera.width, shot.camera.height
-    decoded = _decode(shot.path, size, background)
-    _check_size(shot.path, decoded.rgb, *size)
+    size = entry.camera.width, entry.camera.height
+    decoded = _decode(entry.path, size, background)
+    _check_size(entry.path, decoded.rgb, *size)
     image, mask = decoded.rgb, None
-    if shot.mask is not None:
-        mask = _decode_mask(shot.mask, size)
-        _check_size(shot.mask, mask, *size)
-    if shot.camera.lens is not None and lens == "undistort":
+    if entry.mask is not None:
+        mask = _decode_mask(entry.mask, size)
+        _check_size(entry.mask, mask, *size)
+    if entry.camera.lens is not None and lens == "undistort":
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
-        image, valid = undistorted(np.concatenate(channels, axis=2), shot.camera)
+        image, valid = undistorted(np.concatenate(channels, axis=2), entry.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
         image, mask = image[..., :3], valid
@@ -254,8 +254,8 @@ def _read_pixels(
     image.flags.writeable = False
     if mask is not None:
         mask = wholly_valid(mask, width, height)
-    if shot.camera.lens is not None and lens == "through":
-        seen = pixels_that_see(shot.camera.resized(width, height))
+    if entry.camera.lens is not None and lens == "through":
+        seen = pixels_that_see(entry.camera.resized(width, height))
         mask = seen if mask is None or seen is None else mask & seen
     if mask is not None:
         mask.flags.writeable = False

@@ -84,9 +84,6 @@ def _in_front(
     return points
 
 
-# ---- The points of captures that keep them in a .ply file.
-
-
 def first_points(
     folder: Path, named: Sequence[str], usual: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -164,9 +164,6 @@ def pond(count: int, ground, level: float, half_size: tuple[float, float], arriv
     return discs(points, normals, spacing * 1.1, sh, opacity=opacity)
 
 
-# ---- What is hardly there: mist over the water and in the valleys, clouds, and the sky behind them.
-
-
 SKY_RADIUS = 70.0
 
 

@@ -32,7 +32,7 @@ def noise(points: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _noise(points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-    """Of points (D, N), with gradients (D, GRADIENTS)."""
+    """Noise at points (D, N), with gradients (D, GRADIENTS)."""
     cells = np.floor(points)
     offsets = points - cells
     fades = offsets**3 * (offsets * (offsets * 6 - 15) + 10)
@@ -87,9 +87,6 @@ def mix(a, b, share: np.ndarray) -> np.ndarray:
     """a·(1 - share) + b·share of colours: (3,) or (N, 3) each, share (N,) -> (N, 3)."""
     share = share[:, None]
     return np.asarray(a) * (1 - share) + np.asarray(b) * share
-
-
-# ---- From points, directions and colours to Gaussians: discs that tile a surface, needles, soft balls.
 
 
 DISC_SIGMA = 0.60

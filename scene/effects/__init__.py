@@ -1,9 +1,9 @@
 """Which effects a scene calls for, with the evidence: nothing is computed that cannot be seen."""
 
 from splatview.scene.effects.appearance import antialiasing
-from splatview.scene.effects.census import census, scene_effects, view_effects, with_overrides
 from splatview.scene.effects.effect import GREY_LEVEL, VISIBLE, Effect, Saving, grey_levels
 from splatview.scene.effects.overrides import Overrides, overridable, settings_for
+from splatview.scene.effects.report import effects_report, scene_effects, view_effects, with_overrides
 from splatview.scene.effects.sh_bands import (
     degree_in_use,
     own_degrees,
@@ -19,8 +19,8 @@ __all__ = [
     "Overrides",
     "Saving",
     "antialiasing",
-    "census",
     "degree_in_use",
+    "effects_report",
     "grey_levels",
     "overridable",
     "own_degrees",

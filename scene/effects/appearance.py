@@ -10,7 +10,7 @@ import numpy as np
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
 from splatview.scene.effects.sh_bands import SLICE
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.health import Finding, sh_reach
+from splatview.scene.health import Finding, sh_bound
 from splatview.scene.image_model import BLUR, RenderSettings
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
@@ -34,7 +34,7 @@ def brightest_colour(gaussians: Gaussians) -> float:
     for start in range(0, len(gaussians), SLICE):
         sh = gaussians.sh[start : start + SLICE]
         with np.errstate(over="ignore", invalid="ignore"):
-            colours = 0.5 + SH_C0 * sh[:, 0] + sh_reach(sh)[:, 1:].sum(axis=1)
+            colours = 0.5 + SH_C0 * sh[:, 0] + sh_bound(sh)[:, 1:].sum(axis=1)
             drawn = np.isfinite(sh).all(axis=(1, 2))
         brightest = max(brightest, float(colours[drawn].max(initial=0.0)))
     return brightest
@@ -114,9 +114,9 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
     """Splats that no picture shows: they are skipped before anything else is computed."""
     findings = {finding.name: finding for finding in health}
     invisible = findings["invisible"].count
-    ill = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
-    invalid_splats = len(np.unique(np.concatenate([finding.indices for finding in ill])))
-    kinds = ", ".join(f"{finding.count:,} {finding.name}" for finding in ill if finding.count)
+    culled = [finding for finding in findings.values() if finding.culled and finding.name != "invisible"]
+    undrawable = len(np.unique(np.concatenate([finding.indices for finding in culled])))
+    kinds = ", ".join(f"{finding.count:,} {finding.name}" for finding in culled if finding.count)
     return [
         Effect(
             name="skip faint splats",
@@ -126,10 +126,10 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
         ),
         Effect(
             name="skip ill splats",
-            on=invalid_splats > 0,
-            why=f"{invalid_splats:,} of {len(gaussians):,} splats cannot be drawn"
+            on=undrawable > 0,
+            why=f"{undrawable:,} of {len(gaussians):,} splats cannot be drawn"
             + (f": {kinds}" if kinds else ""),
-            saving=_skipped(invalid_splats),
+            saving=_skipped(undrawable),
         ),
     ]
 
@@ -139,9 +139,6 @@ def _skipped(splats: int) -> Saving:
         return Saving()
     operations = splats * FOOTPRINT_OPERATIONS
     return Saving(what=f"nothing: having it saves {operations:,} operations a picture")
-
-
-# ---- Footprints: whether opacity is scaled by their area, and whether splats are flat.
 
 
 MIP_BLUR = 0.1
@@ -218,7 +215,7 @@ def flat_effect(gaussians: Gaussians) -> Effect:
 
 
 def _said_flat(comments: tuple[str, ...]) -> bool:
-    """Of several tags the last counts."""
+    """Whether the file says so; of several tags the last counts."""
     modes = [re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", text, re.IGNORECASE) for text in comments]
     said = [mode[1].lower() for mode in modes if mode]
     return bool(said) and said[-1] == "2dgs"

@@ -1,4 +1,4 @@
-"""What the census says of one effect: whether it is on, the evidence, what leaving it out saves and costs."""
+"""One effect in the report: whether it is on, the evidence, what leaving it out saves and costs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Saving:
     """What a scene is spared where an effect is left out: counted, not timed, so that one can check it."""
 
     bytes: int = 0
-    """Of memory, in a renderer that stores float32."""
+    """Bytes of memory in a renderer that stores float32."""
     splats: int = 0
-    """Not worked on, of those of the scene."""
+    """Splats of the scene that are not worked on."""
     operations: int = 0
     """Additions and multiplications a picture, were every splat in view."""
     what: str = ""
@@ -45,7 +45,7 @@ class Effect:
 
     name: str
     on: bool
-    """What the census decides: whether leaving it out could change a picture visibly."""
+    """What the analysis decides: whether leaving it out could change a picture visibly."""
     why: str
     """The evidence, with numbers, and what it means."""
     saving: Saving = Saving()
@@ -56,11 +56,11 @@ class Effect:
     can_override: bool = False
     """Whether `settings_for` takes the user's word for it."""
     forced: bool | None = None
-    """What the user has asked for; None: as the census decides."""
+    """What the user has asked for; None: as the analysis decides."""
 
     @property
     def in_force(self) -> bool:
-        """Whether it is computed, the user's word counting more than the census."""
+        """Whether it is computed, the user's word counting more than the analysis."""
         return self.on if self.forced is None else self.forced
 
     @property

@@ -1,4 +1,4 @@
-"""From the census to settings, the user's word counting more."""
+"""From the scene analysis to settings, the user's word counting more."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import ImageModel, RenderSettings
 
 Overrides = Mapping[str, bool | None]
-"""By the name of an effect: on, off, or as the census decides (None, or not named)."""
+"""By the name of an effect: on, off, or as the analysis decides (None, or not named)."""
 
 NOTHING_FORCED: Overrides = MappingProxyType({})
 
@@ -51,9 +51,6 @@ def overridable(gaussians: Gaussians) -> tuple[str, ...]:
     return (*(band_name(band) for band in range(1, gaussians.sh_degree + 1)), ANTIALIASED, FLAT)
 
 
-# ---- Effects and settings: which effects settings have on, and the same settings with one the other way.
-
-
 def in_force(gaussians: Gaussians, settings: RenderSettings) -> dict[str, bool]:
     """Whether `settings` have each effect that can be forced (`overridable`), by its name."""
     degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
@@ -65,7 +62,7 @@ def in_force(gaussians: Gaussians, settings: RenderSettings) -> dict[str, bool]:
 def as_settings_have_them(
     effects: Sequence[Effect], gaussians: Gaussians, settings: RenderSettings
 ) -> list[Effect]:
-    """`effects` of a census, with `forced` where `settings` have them otherwise."""
+    """`effects` of a report, with `forced` where `settings` have them otherwise."""
     now = in_force(gaussians, settings)
     return [
         replace(effect, forced=now[effect.name])

@@ -8,11 +8,9 @@ import numpy as np
 
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
-from splatview.scene.health import sh_reach
+from splatview.scene.health import sh_bound
 from splatview.scene.projection import FLOAT32_MAX
 
-# ---- Which coefficients of spherical harmonics have to be stored and summed: those that are not zero.
-#
 # Leaving out zeros changes no picture, not in its last bit, so nobody need be asked. What it saves depends on
 # the scene. Trained ones have hardly a zero: in `playbot` (500,000 splats, degree 2) and `skull` (94,936,
 # degree 3) every splat has its highest band, and so in scenes that this program has trained; in `train-1000`
@@ -195,7 +193,7 @@ def _dropped(sh: np.ndarray) -> np.ndarray:
     """(n, K, 3) -> (n, degree + 1): how far bands d and up together can move a splat's colour."""
     with np.errstate(over="ignore", invalid="ignore"):
         # From the highest band down: what dropping this band and all above it would cost.
-        return np.cumsum(sh_reach(sh)[:, ::-1], axis=1)[:, ::-1].max(axis=2)
+        return np.cumsum(sh_bound(sh)[:, ::-1], axis=1)[:, ::-1].max(axis=2)
 
 
 def _largest_reach(all_sh: np.ndarray) -> list[float]:

@@ -1,44 +1,110 @@
-"""Scenes and cameras from and to files: one module a format."""
+"""Scenes and cameras from and to files: the table of scene formats, each in a module of its own."""
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
-from splatview.scene.formats.io import LoadCancelled, Watch
-from splatview.scene.formats.ply import load_ply, save_ply
+from splatview.scene.formats.io import CONVERT, open_scene
+from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 __all__ = [
-    "LoadCancelled",
+    "FORMATS",
+    "Format",
+    "check_format",
     "check_saving",
     "load_cameras",
     "load_scene",
+    "name_patterns",
     "save_camera",
     "save_scene",
 ]
 
 
-def load_scene(
-    path: str | os.PathLike[str],
-    *,
-    progress: Callable[[float], None] | None = None,
-    cancelled: Callable[[], bool] | None = None,
-) -> Gaussians:
-    """The splats in a file; the format is told by its first bytes.
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format of scene files."""
 
-    `progress` gets the share done, 0 to 1; `cancelled` is asked every few milliseconds. Both are called
-    from this thread.
+    suffix: str
+    """Lower case, with its dot."""
+    sniff: Callable[[bytes], bool] = lambda start: False
+    """Whether a file with these first SNIFFED bytes is one; never, where they do not tell."""
+    read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
+    """Reader of a file from its start; the path is for messages. None: recognised and refused."""
+    write: Callable[[Gaussians, Path], None] | None = None
+    """Writer of a whole file, atomically. None: not written."""
+    article: str = "a"
+    namesakes: str = ""
+    """What else begins with the same bytes, for messages."""
+    lost: tuple[str, ...] = ()
+    """What a scene loses by being written so, a line each."""
+
+
+FORMATS = {
+    "ply": Format(suffix=".ply", sniff=is_ply, read=read_ply, write=save_ply),
+    "splat": Format(suffix=".splat"),
+    "spz": Format(suffix=".spz", article="an", sniff=lambda start: start.startswith((b"\x1f\x8b", b"NGSP"))),
+    "ksplat": Format(suffix=".ksplat"),
+    "sog": Format(
+        suffix=".sog",
+        article="an",
+        sniff=lambda start: start.startswith(b"PK\x03\x04"),
+        namesakes=" (or another zip)",
+    ),
+}
+"""Every format that is known, by name; readers, writers, messages and file dialogs go by it."""
+
+SNIFFED = 8
+"""Bytes that tell a format."""
+
+PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
+
+
+def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS) -> Gaussians:
+    """The splats in a file; the format is told by its first bytes.
 
     Raises:
         InputError: the file is missing, damaged or of another kind.
-        LoadCancelled: `cancelled` returned true.
+        Cancelled: nobody waits for it any more.
     """
-    return load_ply(Path(path), Watch(progress=progress, cancelled=cancelled))
+    path = Path(path)
+    with open_scene(path) as file:
+        return _reader(file, path)(file, path, progress)
+
+
+def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
+    """The reader of the file's format; `file` is at its start before and after. Raises InputError."""
+    start = file.read(SNIFFED)
+    file.seek(0)
+    if not start:
+        raise InputError(f"{path}: is empty")
+    sniffed = next((known for known in FORMATS.values() if known.sniff(start)), None)
+    if sniffed is not None and sniffed.read is not None:
+        return sniffed.read
+    suffix = path.suffix.lower()
+    unread = (known for known in FORMATS.values() if known.suffix == suffix and known.read is None)
+    known = sniffed or next(unread, None)
+    if known is not None:
+        namesakes = known.namesakes if sniffed else ""
+        raise InputError(
+            f"{path}: {known.article} {known.suffix} file{namesakes} is not supported yet; {CONVERT}"
+        )
+    if start.startswith(PICTURES):
+        raise InputError(f"{path}: is a picture, not a scene; give a .ply file")
+    raise InputError(f"{path}: is not a .ply file (it does not begin with the line 'ply')")
+
+
+def name_patterns(*, written: bool = False) -> str:
+    """File name patterns of all formats, or of those that are `written`, as file dialogs want them."""
+    return " ".join(f"*{known.suffix}" for known in FORMATS.values() if known.write or not written)
 
 
 def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
@@ -48,16 +114,18 @@ def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
         InputError: the suffix names no format that can be written, or the system refuses.
     """
     path = Path(path)
-    check_format(path)
-    save_ply(gaussians, path)
+    check_format(path)(gaussians, path)
 
 
-def check_format(path: Path) -> None:
-    """Raises InputError if the suffix names no format that can be written."""
-    if path.suffix.lower() != ".ply":
-        raise InputError(f"{path}: scenes are saved as .ply; give it that suffix")
+def check_format(path: Path) -> Callable[[Gaussians, Path], None]:
+    """The writer of the format that the suffix names. Raises InputError if that can be none."""
+    writers = {known.suffix: known.write for known in FORMATS.values() if known.write}
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(f"{path}: scenes are saved as {' or '.join(writers)}; give it that suffix")
     if path.name.lower().endswith(".compressed.ply"):
         raise InputError(f"{path}: compressed .ply cannot be written yet; drop .compressed from the name")
+    return writer
 
 
 def check_saving(path: Path) -> None:

@@ -105,10 +105,7 @@ def _own_camera(entry: dict[str, Any], where: str) -> Camera:
     return Camera(
         width=integer(entry, "width", where),
         height=integer(entry, "height", where),
-        fx=number(entry, "fx", where),
-        fy=number(entry, "fy", where),
-        cx=number(entry, "cx", where),
-        cy=number(entry, "cy", where),
+        **{name: number(entry, name, where) for name in INTRINSICS[2:]},
         world_to_camera=array(entry, "world_to_camera", (4, 4), where),
         name=str(entry.get("name", "")),
         lens=lens_of(entry, where),

@@ -22,7 +22,7 @@ from splatview.scene.lens import COUNTS, Lens
 from splatview.scene.projection import rotation_matrices
 
 MAX_NAME_BYTES = 4096
-"""Of an image; longer than any file system's."""
+"""Bytes of an image's name; longer than any file system's."""
 
 
 MODELS = (
@@ -39,7 +39,7 @@ MODELS = (
     "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE",
 )
-"""By COLMAP's model number."""
+"""Lens models by COLMAP's number."""
 
 ONE_FOCAL_LENGTH = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 """Models that begin with f, cx, cy; the others begin with fx, fy, cx, cy. The distortion follows."""
@@ -112,17 +112,7 @@ def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
         matrix[:3, 3] = image.translation
-        return Camera(
-            width=lens.width,
-            height=lens.height,
-            fx=lens.fx,
-            fy=lens.fy,
-            cx=lens.cx,
-            cy=lens.cy,
-            world_to_camera=matrix,
-            name=image.name,
-            lens=lens.lens,
-        )
+        return Camera(**vars(lens), world_to_camera=matrix, name=image.name)
     except ValueError as error:
         raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
 

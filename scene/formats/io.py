@@ -1,14 +1,15 @@
-"""Files that are either wholly written or not touched."""
+"""What all formats need of files: written wholly or not at all, opened, locked, quoted."""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+import stat
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
@@ -78,7 +79,34 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-# ---- Files that one process has for itself as long as it holds them open.
+@contextmanager
+def open_scene(path: Path) -> Iterator[io.BufferedReader]:
+    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError."""
+    try:
+        with open(path, "rb", opener=_open_regular) as file:
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+    except PermissionError:
+        raise InputError(f"{path}: may not be read; check its permissions") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def _open_regular(name: str, flags: int) -> int:
+    # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
+    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError
+        raise InputError(f"{name}: is a device or a pipe, not a file")
+    return descriptor
 
 
 LOCKED_BYTE = 1 << 40
@@ -114,15 +142,13 @@ def take_lock(file: IO[bytes]) -> bool:
     return True
 
 
-# ---- Quoting what a file says in a message of one line.
+CONVERT = "convert it to an uncompressed .ply, with `splat-transform IN OUT.ply` or in SuperSplat"
+"""What to do about a format that is recognised and not read."""
 
 
 def excerpt(text: str) -> str:
     """`text` quoted on one line, cut where long: for messages about files that may hold anything."""
     return ascii(text if len(text) <= 60 else text[:57] + "...")
-
-
-# ---- Values out of JSON that anybody may have written, with messages that say where it went wrong.
 
 
 MAX_JSON_BYTES = 1 << 26
@@ -186,30 +212,3 @@ def array(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str
         size = " x ".join(map(str, shape))
         raise InputError(f"{where}: {key!r} must be {size} numbers in brackets")
     return np.array(value, dtype=np.float64)
-
-
-# ---- How a long load reports where it is and learns that nobody waits for it any more.
-
-
-class LoadCancelled(Exception):
-    """The caller's `cancelled()` turned true; nothing was kept of the load."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Watch:
-    """The caller's two callbacks; both are called from the thread that loads."""
-
-    progress: Callable[[float], None] | None = None
-    """Gets the share done, 0 to 1, never falling."""
-    cancelled: Callable[[], bool] | None = None
-
-    def check(self) -> None:
-        """Call between pieces of work of a few milliseconds. Raises LoadCancelled."""
-        if self.cancelled is not None and self.cancelled():
-            raise LoadCancelled
-
-    def step(self, share: float) -> None:
-        """As `check`, and tells that `share` of the work is done."""
-        self.check()
-        if self.progress is not None:
-            self.progress(min(share, 1.0))

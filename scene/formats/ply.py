@@ -1,4 +1,4 @@
-"""Splats from a .ply in the layout that the field's trainers write.
+"""Splats from and to a .ply in the layout that the field's trainers write and every viewer opens.
 
 Means in ``x y z``; ``f_dc_0..2``; ``f_rest_*`` channel by channel; ``opacity`` a logit; ``scale_*``
 logarithms; ``rot_*`` wxyz (Kerbl et al. 2023, their released code). Properties may stand in any order.
@@ -8,73 +8,19 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import re
-import stat
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyProperty
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch, atomic_write
-from splatview.scene.formats.ply_body import Target, check_size, read_rows
+from splatview.scene.formats.io import CONVERT, atomic_write
+from splatview.scene.formats.ply_body import PlyBody, Target
 from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, Header, read_header, scalar_types
 from splatview.scene.formats.point_cloud import read_point_cloud
 from splatview.scene.gaussians import Gaussians
-
-# ---- Files that are something else: recognised by their first bytes, and refused with what to do.
-
-
-CONVERT = "convert it to an uncompressed .ply, with `splat-transform IN OUT.ply` or in SuperSplat"
-
-MAGICS = (
-    (b"\x1f\x8b", "an .spz file"),
-    (b"NGSP", "an .spz file"),
-    (b"PK\x03\x04", "an .sog file (or another zip)"),
-)
-
-SUFFIXES = {
-    ".spz": "an .spz file",
-    ".sog": "an .sog file",
-    ".splat": "a .splat file",
-    ".ksplat": "a .ksplat file",
-}
-
-PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
-
-
-def refuse_other_format(file: BinaryIO, path: Path) -> None:
-    """Raises InputError unless the file begins as a .ply does; leaves `file` at its start."""
-    start = file.read(8)
-    file.seek(0)
-    if start[:3] == b"ply" and start[3:].lstrip(b" \t").startswith((b"\n", b"\r\n")):
-        return
-    kind = next((kind for magic, kind in MAGICS if start.startswith(magic)), None)
-    kind = kind or SUFFIXES.get(path.suffix.lower())
-    if kind:
-        raise InputError(f"{path}: {kind} is not supported yet; {CONVERT}")
-    if start.startswith(PICTURES):
-        raise InputError(f"{path}: is a picture, not a scene; give a .ply file")
-    raise InputError(f"{path}: is not a .ply file (it does not begin with the line 'ply')")
-
-
-def refuse_other_ply(header: Header, path: Path) -> None:
-    """Raises InputError where the header is that of a mesh or of a compressed scene."""
-    vertex = header.elements.get("vertex")
-    names = {prop.name for prop in vertex.properties} if vertex else set()
-    if "packed_position" in names:
-        raise InputError(f"{path}: a compressed .ply is not supported yet; {CONVERT}")
-    if "opacity" in names or "f_dc_0" in names:
-        return
-    for element in header.elements.values():
-        if element.name in ("face", "tristrips") and element.count > 0:
-            raise InputError(
-                f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample "
-                "points on it, or train splats from pictures of it"
-            )
-
+from splatview.scene.progress import Progress
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -98,55 +44,43 @@ FLAT_TAG = "SplatRenderMode: 2dgs"
 """The comment by which a file says that its splats are discs."""
 
 
-def load_ply(path: Path, watch: Watch) -> Gaussians:
-    """Splats, or a point cloud as round splats. Raises InputError and LoadCancelled."""
-    try:
-        with open(path, "rb", opener=_open_regular) as file:
-            return _load(file, path, watch)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
-    except PermissionError:
-        raise InputError(f"{path}: may not be read; check its permissions") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except MemoryError:
-        raise InputError(f"{path}: does not fit in this machine's memory") from None
+def is_ply(start: bytes) -> bool:
+    """Whether a file whose first bytes are `start` says that it is a .ply."""
+    return start[:3] == b"ply" and start[3:].lstrip(b" \t").startswith((b"\n", b"\r\n"))
 
 
-def _open_regular(name: str, flags: int) -> int:
-    # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
-    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-    mode = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(mode):
-        os.close(descriptor)
-        if stat.S_ISDIR(mode):
-            raise IsADirectoryError
-        raise InputError(f"{name}: is a device or a pipe, not a file")
-    return descriptor
-
-
-def _load(file: io.BufferedReader, path: Path, watch: Watch) -> Gaussians:
-    file_bytes = os.fstat(file.fileno()).st_size
-    if file_bytes == 0:
-        raise InputError(f"{path}: is empty")
-    refuse_other_format(file, path)
+def read_ply(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+    """Splats, or a point cloud as round splats. Raises InputError and Cancelled."""
     header = read_header(file, path)
     vertex = header.elements.get("vertex")
-    refuse_other_ply(header, path)
+    _refuse_other_ply(header, path)
     if vertex is None:
         raise InputError(f"{path}: has no element vertex, so no splats")
+    body = PlyBody(file, header, path, progress)
     splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
     if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
-        return read_point_cloud(file, file_bytes, header, vertex, path, watch)
-    return _read_splats(file, file_bytes, header, vertex, path, watch)
+        return read_point_cloud(body, vertex)
+    return _read_splats(body, vertex)
 
 
-def _read_splats(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
-) -> Gaussians:
-    types = scalar_types(vertex)
+def _refuse_other_ply(header: Header, path: Path) -> None:
+    """Raises InputError where the header is that of a mesh or of a compressed scene."""
+    vertex = header.elements.get("vertex")
+    names = {prop.name for prop in vertex.properties} if vertex else set()
+    if "packed_position" in names:
+        raise InputError(f"{path}: a compressed .ply is not supported yet; {CONVERT}")
+    if "opacity" in names or "f_dc_0" in names:
+        return
+    for element in header.elements.values():
+        if element.name in ("face", "tristrips") and element.count > 0:
+            raise InputError(
+                f"{path}: is a mesh ({element.count:,} rows of {element.name}), not a splat scene; sample "
+                "points on it, or train splats from pictures of it"
+            )
+
+
+def _read_splats(body: PlyBody, vertex: PlyElement) -> Gaussians:
+    types, path = scalar_types(vertex), body.path
     rest = [name for name in types if name.startswith("f_rest_")]
     coefficients = REST_COUNTS.get(len(rest))
     rest_names = [f"f_rest_{i}" for i in range(len(rest))]
@@ -171,7 +105,7 @@ def _read_splats(
             raise InputError(
                 f"{path}: {name} is {types[name].name}, but must be a float; export the scene again"
             )
-    check_size(header, vertex, file_bytes, path)
+    body.check_size(vertex)
 
     n = vertex.count
     precise = any(types[name].itemsize == 8 for name in POSITION)
@@ -190,9 +124,9 @@ def _read_splats(
         *(([name], values) for name, values in extras.items()),
     ]
     targets = [Target(names=names, array=array) for names, array in named]
-    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+    body.read_rows(vertex, targets)
 
-    comments = header.comments
+    comments = body.header.comments
     if any(types[name].itemsize == 8 for name in used if name not in POSITION):
         comments += ("splatview: the file's doubles were rounded to float32, but for positions",)
     if "scale_2" not in types:
@@ -218,9 +152,6 @@ def _read_splats(
 def _has_bits(values: np.ndarray) -> bool:
     """Whether any bit is set: -0.0 counts."""
     return bool(values.view(f"u{values.itemsize}").any())
-
-
-# ---- Splats to a binary little endian .ply that every viewer of the field opens.
 
 
 CHUNK_BYTES = 1 << 20

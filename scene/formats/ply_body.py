@@ -14,19 +14,21 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 from plyfile import PlyElement, PlyListProperty, PlyParseError, PlyProperty
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch, excerpt
+from splatview.scene.formats.io import excerpt
 from splatview.scene.formats.ply_header import Header, scalar_types
+from splatview.scene.progress import Progress
 
 CHUNK_BYTES = 1 << 20
 """Read at once: small enough for a second-level cache and for a cancel within milliseconds."""
 
 MAX_LINE_BYTES = 1 << 22
-"""Of an ascii body; a row of a splat has some 600."""
+"""Bytes of a line of an ascii body; a row of a splat has some 600."""
 
 TEXT_CHUNK_BYTES = 1 << 18
 """Parsed at once: text takes ten times as long as binary."""
@@ -49,33 +51,6 @@ class Target:
         return self.array[start:stop].reshape(stop - start, len(self.names))
 
 
-def check_size(header: Header, element: PlyElement, file_bytes: int, path: object) -> None:
-    """Raises InputError where a file is shorter than its header says, or larger than memory.
-
-    To be called before memory is taken.
-    """
-    left = file_bytes - header.body_offset
-    for earlier in header.elements.values():
-        # In ascii every value has at least one digit and the blank or line end behind it (the last may not).
-        row_bytes = 2 * len(earlier.properties) if header.is_ascii else _min_row_bytes(earlier)
-        if earlier.count * row_bytes > left + header.is_ascii:
-            raise InputError(
-                f"{path}: the header promises {earlier.count:,} rows of {earlier.name}, but the file holds "
-                f"{max(left, 0) // row_bytes:,} at most: it is truncated or damaged; copy or export it again"
-            )
-        if earlier is element:
-            break
-        left -= earlier.count * row_bytes
-
-    # Files can be larger than memory, on purpose (sparse ones) or not.
-    needed = element.count * sum(dtype.itemsize for dtype in scalar_types(element).values())
-    if needed > physical_memory():
-        raise InputError(
-            f"{path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and this "
-            f"machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
-        )
-
-
 def _min_row_bytes(element: PlyElement) -> int:
     """Bytes of a binary row; where it has lists, of a row whose lists are empty."""
     return sum(
@@ -92,43 +67,60 @@ def physical_memory() -> float:
         return math.inf
 
 
-def read_rows(
-    file: io.BufferedReader,
-    file_bytes: int,
-    header: Header,
-    element: PlyElement,
-    targets: Sequence[Target],
-    path: object,
-    watch: Watch,
-) -> None:
-    """Fills `targets` from the rows of `element`; `file` stands at the start of the body.
+class PlyBody:
+    """Rows behind a header, read from where `file` stands. plyfile reads from it as from a stream."""
 
-    Raises:
-        InputError: the file ends too early, or a row is not what the header says.
-        LoadCancelled: see `Watch`.
-    """
-    body = _Body(file, file_bytes, header, path, watch)
-    for earlier in header.elements.values():
-        if earlier is element:
-            break
-        body.skip(earlier)
-    start = 0
-    for block in body.blocks(element):
-        stop = start + len(block)
-        _unpack(block, targets, start, stop, path)
-        start = stop
-        watch.step(start / element.count)
-
-
-class _Body:
-    """Walks a body from where `file` stands. plyfile reads from it as from a stream."""
-
-    def __init__(
-        self, file: io.BufferedReader, file_bytes: int, header: Header, path: object, watch: Watch
-    ) -> None:
-        self._file, self._file_bytes, self._header = file, file_bytes, header
-        self._path, self._watch = path, watch
+    def __init__(self, file: io.BufferedReader, header: Header, path: Path, progress: Progress) -> None:
+        self.header, self.path = header, path
+        self._file, self._file_bytes = file, os.fstat(file.fileno()).st_size
+        self._progress = progress
         self._lines = 0
+
+    def check_size(self, element: PlyElement) -> None:
+        """Raises InputError where the file is shorter than its header says, or `element` larger than memory.
+
+        To be called before memory is taken.
+        """
+        left, is_ascii = self._file_bytes - self.header.body_offset, self.header.is_ascii
+        for earlier in self.header.elements.values():
+            # In ascii every value has at least one digit and the blank or line end behind it (the last may
+            # not).
+            row_bytes = 2 * len(earlier.properties) if is_ascii else _min_row_bytes(earlier)
+            if earlier.count * row_bytes > left + is_ascii:
+                raise InputError(
+                    f"{self.path}: the header promises {earlier.count:,} rows of {earlier.name}, but the "
+                    f"file holds {max(left, 0) // row_bytes:,} at most: it is truncated or damaged; copy or "
+                    "export it again"
+                )
+            if earlier is element:
+                break
+            left -= earlier.count * row_bytes
+
+        # Files can be larger than memory, on purpose (sparse ones) or not.
+        needed = element.count * sum(dtype.itemsize for dtype in scalar_types(element).values())
+        if needed > physical_memory():
+            raise InputError(
+                f"{self.path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and "
+                f"this machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
+            )
+
+    def read_rows(self, element: PlyElement, targets: Sequence[Target]) -> None:
+        """Fills `targets` from the rows of `element`.
+
+        Raises:
+            InputError: the file ends too early, or a row is not what the header says.
+            Cancelled: nobody waits for it any more.
+        """
+        for earlier in self.header.elements.values():
+            if earlier is element:
+                break
+            self.skip(earlier)
+        start = 0
+        for block in self.blocks(element):
+            stop = start + len(block)
+            _unpack(block, targets, start, stop, self.path)
+            start = stop
+            self._progress.step(start / element.count)
 
     def read(self, size: int) -> bytes:
         """Bytes of a binary body. Raises EOFError where a damaged list asks for more than any file has."""
@@ -140,10 +132,10 @@ class _Body:
         """The next line of an ascii body that is not blank; empty at the end of the file."""
         while line := self._file.readline(MAX_LINE_BYTES):
             if len(line) == MAX_LINE_BYTES:
-                raise InputError(f"{self._path}: a line of the body is endless; the file is damaged")
+                raise InputError(f"{self.path}: a line of the body is endless; the file is damaged")
             self._lines += 1
             if self._lines % WALK == 0:
-                self._watch.check()
+                self._progress.check()
             if line.strip():
                 return line.decode("latin-1")
         return ""
@@ -153,27 +145,27 @@ class _Body:
         dtype = element.dtype()
         if not element.properties:
             return
-        if self._header.is_ascii:
+        if self.header.is_ascii:
             # A line a row, whatever is in it.
             if sum(1 for _ in islice(iter(self.readline, ""), element.count)) < element.count:
                 raise self._ended(element)
         elif dtype.hasobject:
             for _ in self.blocks(element):
                 # Who skips has no progress to tell, but must hear a cancel.
-                self._watch.check()
+                self._progress.check()
         else:
             self._file.seek(element.count * dtype.itemsize, io.SEEK_CUR)
 
     def blocks(self, element: PlyElement) -> Iterator[np.ndarray]:
         """Rows of `element` as structured arrays, each overwritten by the next; of float64 in ascii."""
-        is_ascii, name, properties = self._header.is_ascii, element.name, element.properties
+        is_ascii, name, properties = self.header.is_ascii, element.name, element.properties
         if is_ascii:
             # Some programs write whole numbers as 7.0.
             properties = [
                 prop if isinstance(prop, PlyListProperty) else PlyProperty(prop.name, "f8")
                 for prop in properties
             ]
-        dtype = PlyElement(name, properties, 0).dtype(self._header.byte_order)
+        dtype = PlyElement(name, properties, 0).dtype(self.header.byte_order)
         if dtype.hasobject:
             chunk = WALK // len(properties)
         else:
@@ -199,7 +191,7 @@ class _Body:
                 raise
             except (PlyParseError, ValueError, OverflowError) as error:
                 raise InputError(
-                    f"{self._path}: rows {start:,} to {start + count - 1:,} of {name} are not what the "
+                    f"{self.path}: rows {start:,} to {start + count - 1:,} of {name} are not what the "
                     f"header promises ({excerpt(getattr(error, 'message', str(error)))}); the file is "
                     "truncated or damaged; copy or export it again"
                 ) from None
@@ -207,23 +199,23 @@ class _Body:
 
     def _with_lists(self, piece: PlyElement) -> np.ndarray:
         """The next rows, as many as `piece` has, by plyfile."""
-        if self._header.is_ascii:
+        if self.header.is_ascii:
             with warnings.catch_warnings():
                 # plyfile has numpy warn of every empty list.
                 warnings.filterwarnings("ignore", "loadtxt: input contained no data", UserWarning)
                 piece._read_txt(self)
         else:
-            piece._read_bin(self, self._header.byte_order)
+            piece._read_bin(self, self.header.byte_order)
         return piece.data
 
     def _ended(self, element: PlyElement) -> InputError:
         return InputError(
-            f"{self._path}: the file ends within the {element.count:,} rows of {element.name} that its "
+            f"{self.path}: the file ends within the {element.count:,} rows of {element.name} that its "
             "header promises; it is truncated, or was cut while it was read"
         )
 
 
-def _unpack(block: np.ndarray, targets: Sequence[Target], start: int, stop: int, path: object) -> None:
+def _unpack(block: np.ndarray, targets: Sequence[Target], start: int, stop: int, path: Path) -> None:
     """Rows of every target from `block`, a structured array, which may be overwritten."""
     columns = {name: i for i, name in enumerate(block.dtype.names or ())}
     dtypes = {block.dtype[i] for i in columns.values()}

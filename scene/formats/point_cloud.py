@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import io
-from pathlib import Path
-
 import numpy as np
 from plyfile import PlyElement
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import Watch
-from splatview.scene.formats.ply_body import Target, check_size, read_rows
-from splatview.scene.formats.ply_header import Header, scalar_types
+from splatview.scene.formats.ply_body import PlyBody, Target
+from splatview.scene.formats.ply_header import scalar_types
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.sh import rgb_to_sh
 
@@ -30,17 +26,15 @@ CLAMP = 4.0
 """A splat is at most this much larger or smaller than the median: lone points do not become balls."""
 
 
-def read_point_cloud(
-    file: io.BufferedReader, file_bytes: int, header: Header, vertex: PlyElement, path: Path, watch: Watch
-) -> Gaussians:
-    """Round splats at the points, coloured as they are, sized by `spacing`. Raises as `load_ply`."""
+def read_point_cloud(body: PlyBody, vertex: PlyElement) -> Gaussians:
+    """Round splats at the points, coloured as they are, sized by `spacing`. Raises as `PlyBody.read_rows`."""
     types = scalar_types(vertex)
     missing = [name for name in "xyz" if name not in types]
     if missing:
         raise InputError(
-            f"{path}: the points have no {', '.join(missing)}; it is neither splats nor a point cloud"
+            f"{body.path}: the points have no {', '.join(missing)}; it is neither splats nor a point cloud"
         )
-    check_size(header, vertex, file_bytes, path)
+    body.check_size(vertex)
     n = vertex.count
     exact_in_float32 = all(np.can_cast(types[name], np.float32) for name in "xyz")
     means = np.empty((n, 3), dtype=np.float32 if exact_in_float32 else np.float64)
@@ -52,7 +46,7 @@ def read_point_cloud(
     if colour_names:
         targets.append(Target(names=colour_names, array=colours))
     targets += [Target(names=[name], array=values) for name, values in extras.items()]
-    read_rows(file, file_bytes, header, vertex, targets, path, watch)
+    body.read_rows(vertex, targets)
 
     if colour_names:
         colours /= _white(colours, types[colour_names[0]])
@@ -69,7 +63,7 @@ def read_point_cloud(
         opacity_logits=np.full(n, OPACITY_LOGIT, dtype=np.float32),
         sh=rgb_to_sh(colours).astype(np.float32)[:, None],
         comments=(
-            *header.comments,
+            *body.header.comments,
             f"splatview: made from a point cloud of {n} points ({look}): round splats, sigma = "
             f"{SIGMA_OF_SPACING:g} x distance to near points",
         ),

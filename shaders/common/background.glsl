@@ -1,5 +1,5 @@
-// What is seen behind the scene, as scene/background.py has it. Flags: GRADIENT, PANORAMA, BEHIND (a picture
-// of what this view sees, for cameras whose rays no matrix gives); none: one colour.
+// The background, as scene/background.py defines it. Flags: GRADIENT, PANORAMA, BEHIND (a picture
+// of what this view shows, for cameras whose rays no matrix gives); none: one colour.
 uniform vec3 u_background;          // the colour; with GRADIENT that of straight down
 uniform vec3 u_top;                 // that of straight up
 uniform mat3 u_background_rays;     // takes (x, y, 1), px, to the background's axes: right, up, front

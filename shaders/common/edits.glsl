@@ -1,4 +1,4 @@
-// What editing makes of a splat, by scene/edits.py: nothing at all where no flag is set.
+// A splat after its edits, by scene/edits.py: unchanged, at no cost, where no flag is set.
 // Flags: HIDES (some splats are hidden or deleted), ADJUSTS (some have an adjustment), CROPS,
 // ROW_TEXELS and CROP_TEXELS (of a row), and those of marks.
 #include "common/projection.glsl"
@@ -16,11 +16,11 @@ Splat unedited(vec3 position, vec4 quat, vec3 scale, float opacity) {
     return Splat(position, from_eye(position), quat, scale, opacity);
 }
 
-uniform sampler2D u_palette;       // rows of scene/adjustment.py, in fours
+uniform sampler2D u_palette;       // table of scene/edits.py, in texels of four numbers
 uniform uint u_last_adjustment;
 
 
-// Index of the adjustment of `splat`, 0 for the identity. Marks may be newer than the palette.
+// Palette index of `splat`, 0 for the identity. Marks may be newer than the palette.
 uint adjustment_of(uint splat) { return min(mark_of(splat) >> uint(PALETTE_SHIFT), u_last_adjustment); }
 
 vec4 palette_texel(uint entry, uint index) {
@@ -33,24 +33,24 @@ vec4 quat_product(vec4 p, vec4 q) {
 
 void adjust(uint entry, inout Splat s) {
     vec4 x = palette_texel(entry, 0u), y = palette_texel(entry, 1u), z = palette_texel(entry, 2u);
-    vec3 turned = vec3(dot(x.xyz, s.position), dot(y.xyz, s.position), dot(z.xyz, s.position));
+    vec3 rotated = vec3(dot(x.xyz, s.position), dot(y.xyz, s.position), dot(z.xyz, s.position));
     vec3 shift = vec3(x.w, y.w, z.w);
     vec4 rest = palette_texel(entry, 8u);  // factor on scales; the digits that `shift` lost in float32
-    s.position = turned + shift;
+    s.position = rotated + shift;
     // Not from `position`: eye and shift may both be far off, and what they share cancels exactly.
-    s.offset = (turned + (shift - u_eye_high)) + (rest.yzw - u_eye_low);
+    s.offset = (rotated + (shift - u_eye_high)) + (rest.yzw - u_eye_low);
     s.quat = quat_product(palette_texel(entry, 3u), s.quat);
     s.scale *= rest.x;
     vec4 map = palette_texel(entry, 7u);  // gain, offset, low, high
     if (is_finite(s.opacity)) s.opacity = clamp(map.x * s.opacity + map.y, map.z, map.w);
 }
 
-uniform sampler2D u_crops;  // rows of scene/crop.py, in fours
+uniform sampler2D u_crops;  // table of scene/edits.py, in texels of four numbers
 uniform uint u_crop_count;
 
 vec4 crop_texel(uint crop, uint index) { return texelFetch(u_crops, texel_of(crop * uint(CROP_TEXELS) + index), 0); }
 
-// What is in any crop that keeps its inside (all, if there is none), but for what is in one that removes it.
+// Whether a position is in any crop that keeps its inside (if there is one), and in none that removes it.
 bool is_cropped_in(vec3 position) {
     bool keeps = false, kept = false;
     for (uint crop = 0u; crop < u_crop_count; crop++) {
@@ -68,7 +68,7 @@ bool is_cropped_in(vec3 position) {
     return kept || !keeps;
 }
 
-// Makes of an unedited splat what the edits make of it; false where they leave it out.
+// Applies the edits to an unedited splat; false where they hide it.
 bool edit(uint splat, inout Splat s) {
     if (HIDES && (mark_of(splat) & uint(NOT_SHOWN)) != 0u) return false;
     if (ADJUSTS) {

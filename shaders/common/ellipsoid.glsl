@@ -31,10 +31,10 @@ void place_ellipsoid(uint splat, Splat s, vec3 colour) {
     if (!edit(splat, s) || !(s.opacity >= LEAST_OPACITY)) return;
     vec3 t = u_camera_from_world * s.offset;
     float largest = max(max(abs(s.quat.x), abs(s.quat.y)), max(abs(s.quat.z), abs(s.quat.w)));
-    mat3 turned = u_camera_from_world * rotation_matrix(s.quat, largest);
+    mat3 rotated = u_camera_from_world * rotation_matrix(s.quat, largest);
     float pixel = (ORTHOGRAPHIC ? 1.0 : t.z) / u_focal.x;
     vec3 half_axes = max(s.scale * SIGMAS, vec3(LEAST_PIXELS * pixel));
-    mat3 axes = mat3(turned[0] * half_axes.x, turned[1] * half_axes.y, turned[2] * half_axes.z);
+    mat3 axes = mat3(rotated[0] * half_axes.x, rotated[1] * half_axes.y, rotated[2] * half_axes.z);
     vec3 row_x = vec3(axes[0].x, axes[1].x, axes[2].x);
     vec3 row_y = vec3(axes[0].y, axes[1].y, axes[2].y);
     vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
@@ -51,7 +51,7 @@ void place_ellipsoid(uint splat, Splat s, vec3 colour) {
         high = min(high, vec2(x.y, y.y) * u_focal + u_principal + 0.5);
         if (any(greaterThanEqual(low, high))) return;
     }
-    v_to_sphere = transpose(mat3(turned[0] / half_axes.x, turned[1] / half_axes.y, turned[2] / half_axes.z));
+    v_to_sphere = transpose(mat3(rotated[0] / half_axes.x, rotated[1] / half_axes.y, rotated[2] / half_axes.z));
     v_centre = v_to_sphere * t;
     v_colour = colour;
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1);

@@ -7,7 +7,7 @@ uniform vec3 u_lens_divide;   // d1, d2, d3
 uniform vec2 u_lens_skew;     // p1, p2
 uniform vec4 u_lens_prism;    // s1, s2, s3, s4
 uniform bool u_lens_skew_last;
-uniform float u_lens_reach;   // r², or the largest number
+uniform float u_lens_reach;   // greatest r² that the lens maps, or the largest number
 
 const float LEAST_RADIUS_SQUARED = 1e-16;
 const float LEAST_BEND = 0.41421356, MOST_BEND = 2.41421356;  // tan of 22.5 and 67.5 degrees
@@ -51,7 +51,7 @@ vec2 lens_skew(vec2 w) {
         2.0 * p2 * w.x * w.y + p1 * (q + 2.0 * w.y * w.y) + q * (u_lens_prism.z + u_lens_prism.w * q));
 }
 
-// Of the derivatives here and below, 2x2, the columns are by x and by y.
+// 2x2 derivatives, here and below: the columns are by x and by y.
 mat2 lens_skew_jacobian(vec2 w) {
     float q = dot(w, w), p1 = u_lens_skew.x, p2 = u_lens_skew.y;
     vec2 prism = 2.0 * (u_lens_prism.xz + 2.0 * q * u_lens_prism.yw);

@@ -1,4 +1,4 @@
-// What editing has noted of each splat, see scene/edits.py; only programs that ask for it read the texture.
+// Flags and palette index of each splat (marks of scene/edits.py); only programs that use them read the texture.
 // Flags: TEXTURE_WIDTH, PALETTE_SHIFT, NOT_SHOWN (state flags), TINT_COUNT.
 #include "common/texels.glsl"
 

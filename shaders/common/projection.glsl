@@ -1,6 +1,6 @@
 // EWA projection of one Gaussian, by the rules of scene/image_model.py (steps 1 to 3) and in the forms of
 // scene/projection.py that keep float32 accurate. Flags: ANTIALIASED, LENS, ORTHOGRAPHIC, DISCS (splats are
-// flat: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/per_pixel.py has it).
+// surfels: without ANTIALIASED and LENS), SLOPES (depth pixel by pixel, as raster/forward_per_pixel.py has it).
 #include "common/lens.glsl"
 #include "common/numbers.glsl"
 
@@ -14,10 +14,10 @@ uniform vec4 u_ray_limits;         // least and greatest t.xy / t.z that the Jac
 uniform float u_near;
 uniform float u_blur;              // px²
 uniform float u_alpha_cut;
-uniform float u_least_share;       // of its opacity, below which a splat's alpha is 0 too
+uniform float u_least_share;       // share of its opacity below which a splat's alpha is 0, too
 
 #if HAS_DISCS
-#include "common/disc_projection.glsl"
+#include "common/surfel_projection.glsl"
 #endif
 
 const float MIN_QUAT_COMPONENT = 1e-30;
@@ -32,16 +32,16 @@ struct Footprint {
     float depth;     // t.z
     vec3 direction;  // unit, world axes, from the eye
 #if HAS_SLOPES
-    vec2 depth_slope; // world units a px: where a pixel's ray meets the splat's densest point, less `depth`
+    vec2 depth_slope; // world units per px: depth of the densest point on a pixel's ray, less `depth`
 #endif
 #if HAS_DISCS
-    Disc disc;       // what decides alpha: the conic and its axes are those of an ellipse around it
+    Surfel surfel;       // decides alpha: the conic and its axes are those of an ellipse around it
 #endif
 };
 
 mat3 rotation_matrix(vec4 quat, float largest) {
     // By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
-    vec4 q = normalize(quat / largest);
+    vec4 q = normalize(quat / largest);  // guard: largest component first := vec4 q = normalize(quat);
     float w = q.x, x = q.y, y = q.z, z = q.w;
     return mat3(
         1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
@@ -57,17 +57,20 @@ vec3 from_eye(vec3 position) { return (position - u_eye_high) - u_eye_low; }
 bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f) {
     vec3 t = u_camera_from_world * offset;
     float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
-    if (!(t.z >= u_near) || !(largest >= MIN_QUAT_COMPONENT)) return false;
-    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;
+    if (!(t.z >= u_near)) return false;  // guard: near plane
+    if (!(largest >= MIN_QUAT_COMPONENT)) return false;  // guard: zero quaternions
+    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;  // guard: opacity
+    // guard: finite footprints
     if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
 
     vec2 ray = ORTHOGRAPHIC ? t.xy : t.xy / t.z;
     f.mean = ray * u_focal + u_principal;
     if (LENS) {
-        if (!(dot(ray, ray) < u_lens_reach)) return false;
+        if (!(dot(ray, ray) < u_lens_reach)) return false;  // guard: fold of the lens
         f.mean = lens_point(ray) * u_focal + u_principal;
     }
     f.depth = t.z;
+    // guard: largest offset first := f.direction = normalize(offset);
     f.direction = normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)));
     if (ORTHOGRAPHIC) f.direction = vec3(u_camera_from_world[0].z, u_camera_from_world[1].z, u_camera_from_world[2].z);
 
@@ -78,7 +81,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     vec3 m0 = vec3(axes[0].x, axes[1].x, axes[2].x), m1 = vec3(axes[0].y, axes[1].y, axes[2].y);
     vec2 scaled = u_focal;
     if (!ORTHOGRAPHIC) {
-        vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);
+        vec2 slope = clamp(ray, u_ray_limits.xy, u_ray_limits.zw);  // guard: slope clamp := vec2 slope = ray;
         vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
         m0 -= slope.x * row_z;
         m1 -= slope.y * row_z;
@@ -95,18 +98,19 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
 #if HAS_DISCS
     if (DISCS) {
         float least = max(u_alpha_cut, u_least_share * opacity);
-        float disc_reach = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : DISC_MOST_REACH;
-        if (!disc_of(t, unit_axes, scale, disc_reach, f.disc, m0, m1)) return false;
+        float surfel_radius_squared = least > 0.0 ? max(2.0 * log(opacity / least), 0.0) + 1e-3 : UNBOUNDED_RADIUS_SQUARED;
+        if (!surfel_of(t, unit_axes, scale, surfel_radius_squared, f.surfel, m0, m1)) return false;
     }
 #endif
-    if (!is_finite(m0) || !is_finite(m1)) return false;
+    if (!is_finite(m0) || !is_finite(m1)) return false;  // guard: finite footprints
     vec3 entries = max(abs(m0), abs(m1));
-    float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);
+    float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);  // guard: spread := float spread = 1.0;
     m0 /= spread;
     m1 /= spread;
     float blur = u_blur / spread / spread;
     float m00 = dot(m0, m0), m11 = dot(m1, m1), xy = dot(m0, m1);
     vec3 area = cross(m0, m1);
+    // guard: determinant as a sum := float det_unblurred = m00 * m11 - xy * xy;
     float det_unblurred = dot(area, area);
     float det = det_unblurred + blur * (m00 + m11) + blur * blur;
     float xx = m00 + blur, yy = m11 + blur;
@@ -124,9 +128,10 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     vec2 covariance = spread * vec2(dot(m0, along_z), dot(m1, along_z));
     float whitened = f.conic.x * covariance.x + f.conic.y * covariance.y;
     f.depth_slope = vec2(f.conic.x * whitened, f.conic.y * whitened + f.conic.z * f.conic.z * covariance.y);
-    // What a determinant without digits says is not used.
+    // A determinant that has lost its digits is not used.
     if (!(det > 1e-9 * xx * yy) || !is_finite(f.depth_slope)) f.depth_slope = vec2(0.0);
 #endif
+    // guard: finite footprints
     if (!is_finite(f.conic) || !is_finite(f.mean) || !is_finite(vec2(xx, yy) * spread * spread)) return false;
 
     // The ellipse alpha = cut: along the eigenvectors, 1-sigma lengths sqrt(eigenvalue).
@@ -139,9 +144,9 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         float stretch = max(abs(along.x), abs(along.y));
         along = stretch > 0.0 ? normalize(along / stretch) : vec2(1.0, 0.0);
         // A little wide, because log() is only good to 1e-4 or so on some drivers.
-        float reach = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
-        f.major_axis = along * (reach * sqrt(major));
-        f.minor_axis = reach * sqrt(det / major);
+        float radius = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
+        f.major_axis = along * (radius * sqrt(major));
+        f.minor_axis = radius * sqrt(det / major);
         vec2 across = f.minor_axis * vec2(-along.y, along.x);
         vec2 extent = min(sqrt(f.major_axis * f.major_axis + across * across), WHOLE_IMAGE) + 0.02;
         // Off screen: no pixel centre within the box.

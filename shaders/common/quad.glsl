@@ -1,16 +1,16 @@
 // The quad that one splat covers on screen, and what its fragments need. Row 0 of the target is the
-// picture's top row. Flags: POINTS (discs of one size), DISCS (flat splats: a and b are of an ellipse around).
+// picture's top row. Flags: POINTS (dots of one size), DISCS (surfels: a and b are of an ellipse around them).
 #include "common/falloff.glsl"
 
 uniform vec2 u_size;
 uniform float u_alpha_cut;
-uniform float u_least_share;  // of its opacity, below which a splat's alpha is 0 too
+uniform float u_least_share;  // share of its opacity below which a splat's alpha is 0, too
 
 flat out vec4 v_shape;    // mean.xy px, then a, b in the unit that makes the exponent one of 2
 flat out vec2 v_c_cut;    // c, and the alpha below which there is none
 flat out vec4 v_colour;   // rgb, opacity
 #if HAS_DISCS
-flat out vec4 v_rows;     // see common/disc.glsl
+flat out vec4 v_rows;     // see common/surfel.glsl
 flat out vec4 v_plane;
 #endif
 

@@ -1,12 +1,12 @@
 // Real spherical harmonics to degree SH_DEGREE (0 to 3), in the sign convention of trained files:
 // band 1 is -C1 y, +C1 z, -C1 x (Kerbl et al. 2023). Flag: SH_DEGREE.
 
-// The includer says where coefficients live and how many bands a splat has; what a place is, only it knows.
+// The includer defines where coefficients lie and how many bands a splat has; a place means what it chooses.
 uint sh_place(uint splat);
 int sh_own_degree(uint place);
 vec3 sh_coefficient(uint place, int index);
 
-// 0.5 + SH of `splat` in unit direction `d` from the eye; not clamped, so that NaN can still be seen.
+// 0.5 + SH of `splat` in unit direction `d` from the eye; not clamped, so that NaN can still be detected.
 vec3 sh_colour(uint splat, vec3 d) {
     uint place = sh_place(splat);
     int degree = min(SH_DEGREE, sh_own_degree(place));

@@ -1,4 +1,4 @@
-// The flags that a general program takes from uniforms, so that one program has every effect. What is not
+// The flags that the uber-shader takes from uniforms, so that one program has every effect. What is not
 // here is fixed in it, too: sizes, and how attributes are stored, which is known when a scene is loaded.
 uniform bool u_flags_antialiased;
 uniform bool u_flags_lens;

@@ -1,4 +1,4 @@
-// Lights marked splats up, for the eyes of an editor. Flags: TINTS, and those of marks.
+// Highlights splats by their flags, for editing. Flags: TINTS, and those of marks.
 #include "common/marks.glsl"
 
 uniform vec4 u_tints[TINT_COUNT];  // colour and strength by state flags

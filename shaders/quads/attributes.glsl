@@ -1,5 +1,5 @@
-// A page's attributes as they are stored, by scene/stored.py. Flags: ATTRIBUTES (0 float32, 1 float16, 2 the
-// same with 8-bit harmonics); for those who ask for rests, WIDE (positions have some).
+// A page's attributes as they are stored, by scene/attribute_formats.py. Flags: ATTRIBUTES (0 float32, 1 float16, 2 the
+// same with 8-bit harmonics); for programs that use rests, WIDE (positions have them).
 
 layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
 #if ATTRIBUTES == 0
@@ -24,5 +24,5 @@ vec3 position_of(uint local) {
     return vec3(positions[3u * local], positions[3u * local + 1u], positions[3u * local + 2u]);
 }
 
-// What float32 has left over of the position, in a page of `count` splats of a wide scene.
+// The position less its float32 rounding, in a page of `count` splats of a wide scene.
 vec3 position_rest_of(uint local, uint count) { return position_of(count + local); }

@@ -1,6 +1,6 @@
 // Appends the visible splats in the order of their indices: with a stable sort after it, splats of equal
 // depth are drawn by index, the same in every frame, which slots from an atomic counter would not give.
-// Flags: GROUP_SIZE, KEPT (instead in the order of a list of all splats, which takes no sort).
+// Flags: GROUP_SIZE, KEPT (in a reused depth order of all splats instead, which takes no sort).
 #include "quads/culled.glsl"
 layout(local_size_x = GROUP_SIZE) in;
 
@@ -9,7 +9,7 @@ layout(std430, binding = 1) readonly buffer GroupStarts { uint group_starts[]; }
 layout(std430, binding = 2) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 3) writeonly buffer Order { uint order[]; };
 #if HAS_KEPT
-layout(std430, binding = 4) readonly buffer Kept { uint kept[]; };
+layout(std430, binding = 4) readonly buffer ReusedOrder { uint reused[]; };
 #endif
 uniform uint u_splats;
 uniform uint u_key_base;   // keys are counted from it...
@@ -27,7 +27,7 @@ void main() {
     uint key = CULLED;
     if (splat < u_splats) {
 #if HAS_KEPT
-        splat = kept[splat];
+        splat = reused[splat];
 #endif
         key = depth_keys[splat];
     }

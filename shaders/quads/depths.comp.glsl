@@ -1,4 +1,4 @@
-// The depth key of every splat of a page, seen or not, and its number. Flags: GROUP_SIZE, ANTIALIASED, and those
+// Depth key and index of every splat of a page, visible or not. Flags: GROUP_SIZE, ANTIALIASED, and those
 // of attributes and edits.
 #include "common/edits.glsl"
 layout(local_size_x = GROUP_SIZE) in;
@@ -19,7 +19,7 @@ void main() {
     Splat s = unedited(position_of(local), vec4(1.0, 0.0, 0.0, 0.0), vec3(1.0), 1.0);
     edit(splat, s);
     float depth = (u_camera_from_world * s.offset).z;
-    // What is before the near plane, or has no depth, is never drawn.
+    // A splat before the near plane, or of no depth, is never drawn.
     uint key = depth >= u_near ? floatBitsToUint(depth) | 0x80000000u : 0u;
     keys[splat] = min((max(key, u_key_base) - u_key_base) >> u_key_shift, u_key_most);
     order[splat] = splat;

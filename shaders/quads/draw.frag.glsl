@@ -1,14 +1,14 @@
-// One splat at one pixel. The target holds the colour gathered so far and, in alpha, the transmittance T:
+// One splat at one pixel. The target holds the colour accumulated so far and, in alpha, the transmittance T:
 // blended front to back by rgb += T·(alpha·colour), T *= 1 - alpha.
 // Time on llvmpipe relative to this: alpha 0 in place of discard 0.98 (GPUs gain more from discarding),
 // noperspective in place of flat inputs 1.00, boxes along the axes in place of the eigenvectors 1.00, a
 // constant colour in place of all of main 0.74: most of it is reading and writing the target.
-// Flags: POINTS, OVERDRAW (counts splats in place of blending them), STOCHASTIC (is opaque, as often as alpha
-// says; what is nearest then is the colour that the blend has on average. Enderton et al. 2010), WEIGHTED (sums
+// Flags: POINTS, OVERDRAW (counts splats in place of blending them), STOCHASTIC (opaque, as often as alpha
+// says; the nearest colour is then that of the blend on average. Enderton et al. 2010), WEIGHTED (sums
 // in any order, nearer splats counting more; the blend adds colours and multiplies T. McGuire and Bavoil 2013),
-// DISCS (splats are flat).
+// DISCS (splats are surfels).
 #if HAS_DISCS
-#include "common/disc.glsl"
+#include "common/surfel.glsl"
 flat in vec4 v_rows;
 flat in vec4 v_plane;
 #endif
@@ -48,8 +48,9 @@ void main() {
         vec2 whitened = vec2(v_shape.z * d.x + v_shape.w * d.y, v_c_cut.x * d.y);
         float power = dot(whitened, whitened);
 #if HAS_DISCS
-        if (DISCS) power = disc_power(v_rows, v_plane, d);
+        if (DISCS) power = surfel_power(v_rows, v_plane, d);
 #endif
+        // guard: cap of alpha := alpha = min(v_colour.a * exp2(-power), 1.0);
         alpha = min(v_colour.a * exp2(-power), u_max_alpha);
         if (!(alpha >= v_c_cut.y)) discard;
     }
@@ -63,7 +64,7 @@ void main() {
 #if HAS_STOCHASTIC
     if (STOCHASTIC) {
         if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
-        colour = vec4(v_colour.rgb, 0.0);  // no light comes through
+        colour = vec4(v_colour.rgb, 0.0);  // opaque: the transmittance is 0
     }
 #endif
 }

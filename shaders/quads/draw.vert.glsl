@@ -1,4 +1,4 @@
-// Four vertices a splat, nearest splat first.
+// Four vertices per splat, nearest splat first.
 // Flags: QUADS_PER_INSTANCE, POINTS, DEPTH (the splat's depth in place of its colour), STOCHASTIC (in any
 // order, for a depth test), WEIGHTED (in any order, with a weight by depth), DISCS, TINTS, TEXTURE_WIDTH.
 #include "quads/culled.glsl"
@@ -21,12 +21,12 @@ flat out uint v_splat;
 #endif
 #if HAS_WEIGHTED
 uniform float u_nearest;      // depth at which weights are 1, world units
-uniform float u_weight_fall;  // natural logarithm of the weight that a unit of depth costs
+uniform float u_weight_fall;  // decrease of the weight's natural logarithm per world unit of depth
 flat out float v_weight;
-const float LEAST_WEIGHT = 1e-12;  // what is behind everything else still has a colour
+const float LEAST_WEIGHT = 1e-12;  // the farthest splat still has a colour
 #endif
 uniform uint u_slab;
-uniform float u_brightest;  // what the target can hold: infinity times no light would be NaN
+uniform float u_brightest;  // greatest value of the target: infinity times a transmittance of 0 would be NaN
 
 void main() {
     uint slot = slab_starts[u_slab] + uint(gl_InstanceID) * uint(QUADS_PER_INSTANCE) + uint(gl_VertexID >> 2);

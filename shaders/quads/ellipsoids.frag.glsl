@@ -1,4 +1,4 @@
-// Where the pixel's ray meets the ellipsoid: depth, normal, and the light of a lamp at the eye.
+// Intersection of the pixel's ray with the ellipsoid: depth, normal, and shading by a lamp at the eye.
 // Flag: ORTHOGRAPHIC.
 uniform vec2 u_focal;
 uniform vec2 u_principal;
@@ -17,7 +17,7 @@ void main() {
     vec3 ray = vec3(ORTHOGRAPHIC ? vec2(0.0) : place, 1.0);
     vec3 centre = v_centre;
     if (ORTHOGRAPHIC) centre -= v_to_sphere * vec3(place, 0.0);
-    // |e z - centre| = 1; the discriminant as |e|² - |e x c|², which keeps its digits on thin discs.
+    // |e z - centre| = 1; the discriminant as |e|² - |e x c|², which keeps its digits on thin ellipsoids.
     vec3 e = v_to_sphere * ray;
     vec3 moment = cross(e, centre);
     float ee = dot(e, e);

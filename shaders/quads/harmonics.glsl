@@ -1,5 +1,5 @@
-// A page's spherical harmonics. Flags: SH_WORDS (32-bit words a splat has), OWN_DEGREES (splats have words by
-// their own degrees, and places that say so come first: viewer/gl/harmonics.py), ATTRIBUTES.
+// A page's spherical harmonics. Flags: SH_WORDS (32-bit words per splat), OWN_DEGREES (splats have words by
+// their own degrees, and places that say so come first: renderers/gl/scene_buffers.py), ATTRIBUTES.
 
 layout(std430, binding = 3) readonly buffer Harmonics { uint sh[]; };
 

@@ -1,4 +1,4 @@
-// One invocation a splat: footprint, colour and depth key. A culled splat gets the key CULLED and no record.
+// One invocation per splat: footprint, colour and depth key. A culled splat gets the key CULLED and no record.
 // Flags: GROUP_SIZE, WIDE, SH_DEGREE, ANTIALIASED, and those of attributes, harmonics and edits.
 #include "quads/culled.glsl"
 #include "common/edits.glsl"
@@ -18,7 +18,7 @@ layout(std430, binding = 6) writeonly buffer Colours { vec4 colours[]; };   // r
 layout(std430, binding = 7) writeonly buffer DepthKeys { uint depth_keys[]; };
 layout(std430, binding = 8) buffer GroupCounts { uint group_counts[]; };
 #if HAS_DISCS
-layout(std430, binding = 9) writeonly buffer Discs { vec4 discs[]; };       // two a splat: rows, plane
+layout(std430, binding = 9) writeonly buffer Discs { vec4 discs[]; };       // two per splat: rows, plane
 #endif
 #if HAS_SLOPES
 layout(std430, binding = 10) writeonly buffer Slopes { vec4 slopes[]; };    // of depth, then depth
@@ -41,14 +41,15 @@ void main() {
     Footprint f;
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) return;
     vec3 colour = graded(splat, sh_colour(local, harmonics_direction(splat, f.direction)));
-    if (!is_finite(colour)) return;
+    if (!is_finite(colour)) return;  // guard: finite colours
     shapes[splat] = vec4(f.mean, f.conic.xy);
     bounds[splat] = vec4(f.conic.z, f.minor_axis, f.major_axis);
+    // guard: colours at least 0 := colours[splat] = vec4(colour, f.opacity);
     colours[splat] = vec4(max(colour, vec3(0.0)), f.opacity);
 #if HAS_DISCS
     if (DISCS) {
-        discs[2u * splat] = f.disc.rows;
-        discs[2u * splat + 1u] = f.disc.plane;
+        discs[2u * splat] = f.surfel.rows;
+        discs[2u * splat + 1u] = f.surfel.plane;
     }
 #endif
 #if HAS_SLOPES

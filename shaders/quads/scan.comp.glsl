@@ -5,7 +5,7 @@ layout(local_size_x = SCAN_SIZE) in;
 layout(std430, binding = 0) buffer GroupCounts { uint group_counts[]; };
 layout(std430, binding = 1) writeonly buffer GroupStarts { uint group_starts[]; };
 layout(std430, binding = 2) writeonly buffer Visible { uint visible; };
-layout(std430, binding = 3) writeonly buffer Commands { uint commands[]; };  // DrawElementsIndirectCommand a slab
+layout(std430, binding = 3) writeonly buffer Commands { uint commands[]; };  // one DrawElementsIndirectCommand per slab
 layout(std430, binding = 4) writeonly buffer Slabs { uint slab_starts[]; };
 uniform uint u_groups;
 uniform float u_slab_ends[SLABS];  // shares of the visible splats, growing
@@ -20,8 +20,8 @@ void main() {
     for (uint group = first; group < last; group++) sum += group_counts[group];
     sums[me] = sum;
     barrier();
-    for (uint reach = 1u; reach < uint(SCAN_SIZE); reach <<= 1u) {
-        uint below = me >= reach ? sums[me - reach] : 0u;
+    for (uint stride = 1u; stride < uint(SCAN_SIZE); stride <<= 1u) {
+        uint below = me >= stride ? sums[me - stride] : 0u;
         barrier();
         sums[me] += below;
         barrier();

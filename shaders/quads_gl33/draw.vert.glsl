@@ -12,8 +12,8 @@ uniform sampler2D u_colours;   // alpha is 0 where the splat is culled
 uniform sampler2D u_rows;
 uniform sampler2D u_planes;
 #endif
-uniform int u_ordered;         // how many of `u_order` to draw
-uniform float u_brightest;     // what the target can hold: infinity times no light would be NaN
+uniform int u_ordered;         // number of splats of `u_order` to draw
+uniform float u_brightest;     // greatest value of the target: infinity times a transmittance of 0 would be NaN
 
 void main() {
     place_nothing();

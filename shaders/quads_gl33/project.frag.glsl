@@ -1,4 +1,4 @@
-// One fragment a splat: footprint and colour, into textures that the draw fetches from. A culled splat
+// One fragment per splat: footprint and colour, into textures that the draw fetches from. A culled splat
 // is discarded: its texels stay 0, and the query of samples passed counts the others.
 // Flags: TEXTURE_WIDTH, SH_DEGREE, OWN_DEGREES (see u_sh), ANTIALIASED, DEPTH (the depth in place of the
 // colour), and those of edits.
@@ -9,13 +9,13 @@
 uniform sampler2D u_positions;  // xyz relative to the scene's centre, opacity
 uniform sampler2D u_quats;      // wxyz, raw
 uniform sampler2D u_scales;     // standard deviations
-uniform sampler2DArray u_sh;    // one layer a coefficient; or, by degrees, one coefficient after the other
+uniform sampler2DArray u_sh;    // one layer per coefficient; with OWN_DEGREES one coefficient after the other
 #if HAS_OWN_DEGREES
 uniform usampler2D u_places;    // where a splat's coefficients begin, times four, plus its degree
 uniform int u_sh_layer;         // texels of one layer
 #endif
 #if HAS_WIDE
-uniform sampler2D u_rests;      // what float32 has left over of the positions
+uniform sampler2D u_rests;      // positions less their float32 rounding
 #endif
 uniform int u_splats;
 
@@ -23,7 +23,7 @@ layout(location = 0) out vec4 shape;   // mean.xy, a, b
 layout(location = 1) out vec4 bounds;  // c, minor axis, major axis.xy
 layout(location = 2) out vec4 colour;  // rgb, opacity
 #if HAS_DISCS
-layout(location = 3) out vec4 rows;    // see common/disc.glsl
+layout(location = 3) out vec4 rows;    // see common/surfel.glsl
 layout(location = 4) out vec4 plane;
 #endif
 
@@ -59,7 +59,7 @@ void main() {
     bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);
     colour = vec4(max(rgb, vec3(0.0)), f.opacity);
 #if HAS_DISCS
-    rows = DISCS ? f.disc.rows : vec4(0.0);
-    plane = DISCS ? f.disc.plane : vec4(0.0);
+    rows = DISCS ? f.surfel.rows : vec4(0.0);
+    plane = DISCS ? f.surfel.plane : vec4(0.0);
 #endif
 }

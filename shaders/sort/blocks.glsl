@@ -1,4 +1,4 @@
-// How keys are dealt out: a workgroup owns a block of consecutive keys, and each of its invocations a
+// Distribution of the keys: a workgroup owns a block of consecutive keys, and each of its invocations a
 // run of KEYS_PER_INVOCATION consecutive keys in it. Ranks then follow from counting alone, in the
 // order of the input, so the sort is stable without atomics or any promise about scheduling.
 //
@@ -10,9 +10,9 @@
 layout(local_size_x = WORKGROUP) in;
 
 struct Plan {
-    uint block_groups[3]; // indirect dispatch: one workgroup a block
+    uint block_groups[3]; // indirect dispatch: one workgroup per block
     uint count;
-    uint digit_groups[3]; // indirect dispatch: one workgroup a digit value, none where nothing is to sort
+    uint digit_groups[3]; // indirect dispatch: one workgroup per digit value, none where there are no keys
     uint blocks;
 };
 

@@ -1,4 +1,4 @@
-// Turns each digit value's counts into the keys in earlier blocks. One workgroup a digit value.
+// Turns each digit value's counts into the keys in earlier blocks. One workgroup per digit value.
 
 #include "sort/blocks.glsl"
 #include "sort/sum_before.glsl"

@@ -10,7 +10,7 @@ layout(std430, binding = 6) restrict writeonly buffer SortedValues { uint sorted
 
 #define DIGITS_PER_INVOCATION ((RADIX + WORKGROUP - 1) / WORKGROUP)
 
-// [digit value]: what to add to a rank in the block sorted by this digit for the place among all keys
+// [digit value]: offset from a rank in the block sorted by this digit to the place among all keys
 shared uint offsets[RADIX];
 
 // Replaces this block's counts by the rank in the block of the next key of that digit and invocation.

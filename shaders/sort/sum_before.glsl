@@ -7,8 +7,8 @@ uint sum_before(uint value) {
     uint me = gl_LocalInvocationID.x;
     sums[me] = value;
     barrier();
-    for (uint reach = 1u; reach < uint(WORKGROUP); reach <<= 1u) {
-        uint below = me >= reach ? sums[me - reach] : 0u;
+    for (uint stride = 1u; stride < uint(WORKGROUP); stride <<= 1u) {
+        uint below = me >= stride ? sums[me - stride] : 0u;
         barrier();
         sums[me] += below;
         barrier();

@@ -1,22 +1,22 @@
-// What a tile has, in batches in local memory: what every way of blending does before it blends.
+// A tile's splats, in batches in local memory: the part that all ways of blending share.
 // Flags: REST (tries all splats that found no room among the pairs), WORKGROUP, BATCH, ROUNDS, TINTS, DISCS
-// (splats are flat), SLOPES (depth pixel by pixel), and those of outline.
+// (splats are surfels), SLOPES (depth pixel by pixel), and those of outline.
 #include "tiles/outline.glsl"
 #include "tiles/plan.glsl"
 #include "common/falloff.glsl"
 #include "common/tint.glsl"
 #if HAS_DISCS
-#include "common/disc.glsl"
+#include "common/surfel.glsl"
 #endif
 
 layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
 #if HAS_DISCS
-layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two a splat: rows, plane
+layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two per splat: rows, plane
 #endif
-layout(rgba32f, binding = 0) uniform image2D u_gathered;                       // rgb, T
+layout(rgba32f, binding = 0) uniform image2D u_accumulation;                       // rgb, T
 uniform uint u_round;
-uniform uint u_first;  // of the tile's splats, and at most how many from there on
+uniform uint u_first;  // range of the tile's splats: the first, and the greatest count
 uniform uint u_most;
 uniform float u_max_alpha;
 uniform float u_early_stop;
@@ -76,7 +76,7 @@ bool touches(uint splat, ivec2 tile) {
     return tile.x >= columns.x && tile.x <= columns.y;
 }
 
-// Keeps what touches the tile, in order.
+// Keeps the splats that touch the tile, in order.
 uint fill_batch(uint first, uint count, ivec2 tile) {
     uint me = gl_LocalInvocationID.x;
     for (uint word = me; word < WORDS; word += uint(WORKGROUP)) hits[word] = 0u;
@@ -102,7 +102,7 @@ uint fill_batch(uint first, uint count, ivec2 tile) {
 }
 #endif
 
-// Of the tile's splats in this dispatch, first and end; to be called by all of a work group.
+// First and end of the tile's splats in this dispatch; to be called by all of a work group.
 uvec2 range_of(uint number) {
 #if HAS_REST
     uvec2 range = uvec2(plan.rest_first, plan.rest_end);

@@ -1,5 +1,5 @@
-// Blends what a tile has into the picture, front to back, a batch at a time; one work group a tile. It starts
-// from what the target holds, so one picture may take several of these, nearer splats first.
+// Blends a tile's splats into the picture, front to back, a batch at a time; one work group per tile. It starts
+// from the target's content, so one picture may take several of these, nearer splats first.
 // Flags: those of batches.
 #include "tiles/batches.glsl"
 #define PIXELS (TILE * TILE / WORKGROUP)
@@ -15,11 +15,11 @@ void main() {
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
     uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
     if (range.x == range.y) return;
-    ivec2 size = imageSize(u_gathered), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
+    ivec2 size = imageSize(u_accumulation), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T
     for (int i = 0; i < PIXELS; i++) {
         ivec2 pixel = own + step_to(i);
-        sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_gathered, pixel) : vec4(0.0);  // beside it: closed
+        sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // outside it: opaque
     }
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
         if (me == 0u) open_pixels = 0u;
@@ -42,7 +42,7 @@ void main() {
                 vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, c * d.y);
                 float power = dot(whitened, whitened);
 #if HAS_DISCS
-                if (DISCS) power = disc_power(rows, plane, d);
+                if (DISCS) power = surfel_power(rows, plane, d);
 #endif
                 float alpha = min(colour.a * exp2(-power), u_max_alpha);
                 alpha = alpha >= cut ? alpha : 0.0;  // NaN too
@@ -54,6 +54,6 @@ void main() {
     }
     for (int i = 0; i < PIXELS; i++) {
         ivec2 pixel = own + step_to(i);
-        if (all(lessThan(pixel, size))) imageStore(u_gathered, pixel, sums[i]);
+        if (all(lessThan(pixel, size))) imageStore(u_accumulation, pixel, sums[i]);
     }
 }

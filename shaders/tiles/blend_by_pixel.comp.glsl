@@ -1,11 +1,11 @@
-// Blends what a tile has, each pixel in the order of the depths along its own ray as far as NEAREST splats that
-// are held back tell it: see raster/per_pixel.py. One invocation a pixel; PIXELS work groups a tile.
+// Blends a tile's splats, each pixel in the order of the depths along its own ray, as far as a buffer of its NEAREST
+// splats can sort them: see raster/forward_per_pixel.py. One invocation per pixel; PIXELS work groups per tile.
 // Flags: those of batches, with SLOPES, and NEAREST.
 #include "tiles/batches.glsl"
 
 layout(local_size_x = WORKGROUP) in;
 
-uniform uint u_pixel;  // the first of each invocation's that is drawn, as many as work groups in z
+uniform uint u_pixel;  // first of each invocation's pixels that are drawn, one per work group in z
 
 const float BEFORE_ALL = -1e30;
 
@@ -15,9 +15,9 @@ void main() {
     uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
     if (range.x == range.y) return;
     ivec2 pixel = tile * TILE + ivec2(index % TILE, index / TILE);
-    bool inside = all(lessThan(pixel, imageSize(u_gathered)));
-    vec4 sum = inside ? imageLoad(u_gathered, pixel) : vec4(0.0);  // rgb, T; beside the picture: closed
-    // Held back, nearest first; those that are not there yet are before all, and let all light through.
+    bool inside = all(lessThan(pixel, imageSize(u_accumulation)));
+    vec4 sum = inside ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // rgb, T; outside the picture: opaque
+    // The buffer, nearest first; its empty places are before all, with an alpha of 0.
     float depths[NEAREST];
     vec4 held[NEAREST];  // rgb, alpha
     for (int i = 0; i < NEAREST; i++) {
@@ -37,7 +37,7 @@ void main() {
             vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, batch_cs[k] * d.y);
             float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
             if (!(alpha >= max(u_alpha_cut, u_least_share * colour.a)) || !(sum.a >= u_early_stop)) continue;
-            // It takes its place from behind, after those of equal depth; what falls out in front is blended.
+            // Inserted from behind, after those of equal depth; the splat that drops out in front is blended.
             float z = depth.z + dot(depth.xy, d);
             vec4 carried = vec4(colour.rgb, alpha);
             for (int i = NEAREST - 1; i >= 0; i--) {  // without branches: compilers unroll it into registers
@@ -58,5 +58,5 @@ void main() {
         sum.rgb += sum.a * held[i].a * held[i].rgb;
         sum.a *= 1.0 - held[i].a;
     }
-    if (inside) imageStore(u_gathered, pixel, sum);
+    if (inside) imageStore(u_accumulation, pixel, sum);
 }

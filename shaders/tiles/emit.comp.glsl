@@ -1,4 +1,4 @@
-// Writes one round's pairs of tile and splat, nearest splat first; one invocation a splat.
+// Writes one round's pairs of tile and splat, nearest splat first; one invocation per splat.
 // Flags: those of slots.
 #include "tiles/slots.glsl"
 #include "tiles/saturating.glsl"
@@ -9,7 +9,7 @@ layout(std430, binding = 6) readonly buffer Starts { uint block_starts[]; };
 layout(std430, binding = 7) writeonly buffer PairTiles { uint pair_tiles[]; };
 layout(std430, binding = 8) writeonly buffer PairSplats { uint pair_splats[]; };
 uniform uint u_round_first;  // pairs in earlier rounds
-uniform uint u_capacity;     // pairs a round
+uniform uint u_capacity;     // pairs per round
 uniform uint u_room;         // pairs in all rounds
 
 void write_pair(uint at, uint tile, uint splat) {
@@ -33,6 +33,6 @@ void main() {
         for (int column = columns.x; column <= columns.y && at < end; column++)
             write_pair(at++, uint(row * u_tiles.x + column), splat);
     }
-    // A compiler may round otherwise here than in the count: what that leaves over is in no tile.
+    // A compiler may round otherwise here than in the count: surplus pairs are in no tile.
     while (at < end) write_pair(at++, uint(u_tiles.x * u_tiles.y), splat);
 }

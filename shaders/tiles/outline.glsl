@@ -1,5 +1,5 @@
 // The ellipse within which one splat's alpha reaches the cut, and the tiles that have a pixel centre in it.
-// Everything is a little wide, never narrow: what a pixel sees is decided by its alpha alone.
+// Everything is a little wide, never narrow: alpha alone decides what a pixel shows.
 // Flag: TILE (pixels that a tile is wide and high).
 
 layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };    // mean.xy, a, b
@@ -7,17 +7,17 @@ layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };    // c, 
 layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };  // rgb, opacity
 uniform ivec2 u_tiles;  // columns, rows
 uniform float u_alpha_cut;
-uniform float u_least_share;  // of its opacity, below which a splat's alpha is 0 too
+uniform float u_least_share;  // share of its opacity below which a splat's alpha is 0, too
 
 struct Outline {
     vec2 mean;      // px
     vec3 conic;     // a, b, c in 1/px: q = (a dx + b dy)² + (c dy)², see common/projection.glsl
-    float reach;    // the ellipse is q = reach²
-    float height;   // px, of its upper half
-    float leaning;  // where it is widest to the right: this share of `height` above the mean
+    float radius;    // the ellipse is q = radius²
+    float height;   // px, half of the ellipse's height
+    float shear;  // place of the rightmost point: this share of `height` above the mean
 };
 
-const float EVERYWHERE = 1e18;    // reach without an alpha cut
+const float EVERYWHERE = 1e18;    // radius without an alpha cut
 const float LEAST_CONIC = 1e-20;  // 1/px; projection culls what is flatter
 const float LEAST_PAD = 0.02;     // px
 const float ROUNDING = 2e-6;      // of the numbers that make up an edge
@@ -26,13 +26,13 @@ Outline outline_of(uint splat) {
     Outline o;
     o.mean = shapes[splat].xy;
     o.conic = vec3(shapes[splat].zw, bounds[splat].x);
-    o.reach = EVERYWHERE;
+    o.radius = EVERYWHERE;
     // 1e-3 because log() is only good to 1e-4 or so on some drivers.
     float opacity = colours[splat].a, cut = max(u_alpha_cut, u_least_share * opacity);
-    if (cut > 0.0) o.reach = sqrt(max(2.0 * log(opacity / cut), 0.0) + 1e-3);
-    o.height = o.reach / max(o.conic.z, LEAST_CONIC);
-    float steep = length(o.conic.yz);
-    o.leaning = steep > 0.0 ? o.conic.y / steep : 0.0;
+    if (cut > 0.0) o.radius = sqrt(max(2.0 * log(opacity / cut), 0.0) + 1e-3);
+    o.height = o.radius / max(o.conic.z, LEAST_CONIC);
+    float column_length = length(o.conic.yz);
+    o.shear = column_length > 0.0 ? o.conic.y / column_length : 0.0;
     return o;
 }
 
@@ -59,11 +59,11 @@ ivec2 columns_of(Outline o, int row) {
     float pad = LEAST_PAD + ROUNDING * abs(o.mean.y);
     float top = float(row * TILE) + 0.5 - o.mean.y;
     vec2 strip = clamp(vec2(top - pad, top + float(TILE - 1) + pad), vec2(-o.height), vec2(o.height));
-    // The right edge a dx = -b dy + sqrt(reach² - (c dy)²) is concave: farthest out where its slope is 0 or,
+    // The right edge a dx = -b dy + sqrt(radius² - (c dy)²) is concave: farthest out where its slope is 0 or,
     // where that is beside the strip, at the strip's nearer border. The left edge is its mirror image.
-    vec2 widest = clamp(vec2(o.leaning, -o.leaning) * o.height, strip.xx, strip.yy);
+    vec2 widest = clamp(vec2(o.shear, -o.shear) * o.height, strip.xx, strip.yy);
     vec2 down = o.conic.z * widest;
-    vec2 half_width = sqrt(max(vec2(o.reach * o.reach) - down * down, vec2(0.0)));
+    vec2 half_width = sqrt(max(vec2(o.radius * o.radius) - down * down, vec2(0.0)));
     float a = max(o.conic.x, LEAST_CONIC);
     vec2 middle = -o.conic.y * widest / a;
     vec2 edges = o.mean.x + middle + vec2(-1.0, 1.0) * half_width / a;

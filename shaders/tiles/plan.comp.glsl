@@ -7,7 +7,7 @@ layout(local_size_x = 1) in;
 layout(std430, binding = 0) readonly buffer Visible { uint visible; };
 layout(std430, binding = 1) readonly buffer Ends { uint ends[]; };
 layout(std430, binding = 2) readonly buffer Starts { uint block_starts[]; };
-uniform uint u_capacity;  // pairs a round
+uniform uint u_capacity;  // pairs per round
 uniform uint u_rounds;
 uniform ivec2 u_tiles;
 

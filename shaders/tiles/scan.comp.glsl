@@ -17,8 +17,8 @@ void main() {
     for (uint block = first; block < last; block++) sum = saturating_sum(sum, blocks[block]);
     sums[me] = sum;
     barrier();
-    for (uint reach = 1u; reach < uint(WORKGROUP); reach <<= 1u) {
-        uint below = me >= reach ? sums[me - reach] : 0u;
+    for (uint stride = 1u; stride < uint(WORKGROUP); stride <<= 1u) {
+        uint below = me >= stride ? sums[me - stride] : 0u;
         barrier();
         sums[me] = saturating_sum(sums[me], below);
         barrier();

@@ -15,7 +15,7 @@ from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import operation_from_json
 from splatview.edit.recipe import recipe_of, save_recipe
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, look_at
 from splatview.scene.formats import load_scene, save_scene
 
@@ -62,7 +62,7 @@ def recipe(path: Path, *steps: dict[str, Any]) -> Path:
 
 
 def test_a_recorded_recipe_gives_the_bytes_of_the_export(scene, splatview, tmp_path):
-    document = Document(load_scene(scene), name=scene.name, tools=RasterTools())
+    document = Document(load_scene(scene), name=scene.name, tools=CpuRenderer())
     for step in (
         {"op": "select", "by": {"kind": "rectangle", **REGION, "depth": "front"}},
         {"op": "grow", "distance": 0.2},

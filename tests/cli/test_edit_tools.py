@@ -7,7 +7,7 @@ import pytest
 
 from splatview.edit.document import Document
 from splatview.edit.operations import operation_from_json
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import bake
 from splatview.scene.reference import render
@@ -27,7 +27,7 @@ def document() -> Document:
             opacity_logits=np.array([6, 6, 6, -3], np.float32),
             sh=np.random.default_rng(0).normal(0, 0.5, (4, 1, 3)).astype(np.float32),
         ),
-        tools=RasterTools(),
+        tools=CpuRenderer(),
     )
 
 
@@ -37,7 +37,7 @@ def do(document: Document, *steps: dict) -> None:
 
 
 def centre(document: Document) -> int:
-    front = document.tools.front(document.gaussians, CAMERA, document.edits)
+    front = document.tools.dominant_splats(document.gaussians, CAMERA, document.edits)
     assert front.shape == (48, 64)
     assert front.dtype == np.int32
     assert front[0, 0] == -1
@@ -84,7 +84,7 @@ def test_pictures_are_those_of_the_baked_scene(document):
         {"op": "transform", "translation": [0.5, 0, 0]},
         {"op": "grade", "grade": {"contrast": 2}},
     )
-    picture = document.tools.render(document.gaussians, CAMERA, document.edits)
+    picture = document.tools.picture(document.gaussians, CAMERA, document.edits)
     truth = render(bake(document.gaussians, document.edits), CAMERA, RenderSettings())
     assert np.abs(picture - truth).max() < 1e-4
 

@@ -1,286 +1,86 @@
 """Guards are taken out of a copy of the package one at a time: each time a hard case must turn red.
 
-Some guards stand behind others: what is not finite in a splat's values makes its footprint so as well, and
-either test would do. Those are taken out together.
+A guard is marked in its source by a comment at the end of its line, or on the line before:
+
+    if (!(t.z >= u_near)) return false;  // guard: near plane
+    centre = centre if far else np.zeros(3)  # guard: relative positions := centre = np.zeros(3)
+
+Without the guard the line is gone or, after `:=`, another stands in its place. Some guards stand behind
+others: what is not finite in a splat's values makes its footprint so as well, and either test would do. Those
+have one name in their file and are taken out together.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from splatview.measure.hard_cases import find_case
+
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("edit", "measure", "raster", "scene", "shaders", "trainer", "viewer")
+PACKAGES = ("cli", "edit", "measure", "raster", "renderers", "scene", "shaders", "trainer", "viewer")
 
+MARKER = re.compile(r"(?P<guard>.*?) *(?://|#) guard: (?P<name>[^:]+?)(?: := (?P<without>.*))?")
+"""A line of source with a marker."""
 
-@dataclass(frozen=True)
-class Removal:
-    """One guard less."""
-
-    what: str
-    file: str
-    renderer: str
-    case: str
-    """One that turns red."""
-    changes: dict[str, str]
-    """Text as it stands in the file, once, to what stands in its place."""
-
-
-PROJECTION, PROJECT = "shaders/common/projection.glsl", "shaders/quads/project.comp.glsl"
-
-SHADERS = (
-    Removal("near plane", PROJECTION, "quads", "at and behind the eye", {"!(t.z >= u_near) || ": ""}),
-    Removal(
-        "zero quaternions",
-        PROJECTION,
-        "quads",
-        "quaternion below the least",
-        {" || !(largest >= MIN_QUAT_COMPONENT)": ""},
-    ),
-    Removal(
-        "opacity",
-        PROJECTION,
-        "quads",
-        "NaN opacity logits",
-        {"(!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;": "(false) return false;"},
-    ),
-    Removal(
-        "finite values and footprints",
-        PROJECTION,
-        "quads",
-        "footprint beyond float32",
-        {
-            "!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)": "false",
-            "    if (!is_finite(m0) || !is_finite(m1)) return false;\n": "",
-            "!is_finite(f.conic) || !is_finite(f.mean) || ": "",
-            "!is_finite(vec2(xx, yy) * spread * spread)": "false",
-        },
-    ),
-    Removal("largest quaternion first", PROJECTION, "quads", "tiny quaternion", {"quat / largest)": "quat)"}),
-    Removal(
-        "clamp", PROJECTION, "quads", "grazing splat", {"clamp(ray, u_ray_limits.xy, u_ray_limits.zw)": "ray"}
-    ),
-    Removal(
-        "spread",
-        PROJECTION,
-        "quads",
-        "largest footprint",
-        {"max(max(max(entries.x, entries.y), entries.z), 1.0);": "1.0;"},
-    ),
-    Removal(
-        "determinant as a sum",
-        PROJECTION,
-        "quads",
-        "needle of 10⁴ px",
-        {"float det_unblurred = dot(area, area);": "float det_unblurred = m00 * m11 - xy * xy;"},
-    ),
-    Removal(
-        "direction by its largest component",
-        PROJECTION,
-        "quads",
-        "star at 10²⁵",
-        {"normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)))": "normalize(offset)"},
-    ),
-    Removal("finite colours", PROJECT, "quads", "NaN SH", {"    if (!is_finite(colour)) return;\n": ""}),
-    Removal("colours at least 0", PROJECT, "quads", "SH far below 0", {"max(colour, vec3(0.0))": "colour"}),
-    Removal(
-        "cap of alpha", "shaders/quads/draw.frag.glsl", "quads", "capped alpha", {"u_max_alpha);": "1.0);"}
-    ),
-    Removal(
-        "relative positions",
-        "viewer/gl/placement.py",
-        "quads",
-        "10⁷ m from the origin",
-        {"centre = centre if far else np.zeros(3)": "centre = np.zeros(3)", "wide=wide)": "wide=False)"},
-    ),
-    Removal(
-        "what float32 leaves over of positions",
-        "viewer/gl/placement.py",
-        "quads",
-        "two towns 20 km apart",
-        {"wide=wide)": "wide=False)"},
-    ),
-)
-
-TRUTH = "scene/projection.py"
-
-REFERENCE = (
-    Removal(
-        "near plane",
-        TRUTH,
-        "reference",
-        "at and behind the eye",
-        {"t[:, 2] >= model.near": "t[:, 2] > -np.inf"},
-    ),
-    Removal(
-        "zero quaternions",
-        TRUTH,
-        "reference",
-        "quaternion below the least",
-        {"np.abs(quats).max(axis=1) >= MIN_QUAT_COMPONENT": "True"},
-    ),
-    Removal(
-        "finite footprints",
-        TRUTH,
-        "reference",
-        "footprint beyond float32",
-        {" & _finite(real_covariances)": ""},
-    ),
-    Removal("finite SH", TRUTH, "reference", "infinite SH", {", used_sh):": "):"}),
-    Removal(
-        "finite colours", TRUTH, "reference", "SH sum beyond float32", {"    drawn &= _finite(colours)\n": ""}
-    ),
-    Removal(
-        "largest quaternion first",
-        TRUTH,
-        "reference",
-        "tiny quaternion",
-        {"quats / np.abs(quats).max(axis=1, keepdims=True)": "quats"},
-    ),
-    Removal(
-        "direction by its largest component",
-        TRUTH,
-        "reference",
-        "star at 10²⁵",
-        {"offsets / np.abs(offsets).max(axis=1, keepdims=True, initial=0)": "offsets * 1.0"},
-    ),
-    Removal(
-        "clamp",
-        TRUTH,
-        "quads",
-        "grazing splat",
-        {"np.clip(x / z, u_min, u_max), np.clip(y / z, v_min, v_max)": "x / z, y / z"},
-    ),
-    Removal(
-        "order of ties",
-        TRUTH,
-        "quads",
-        "depth tie",
-        {'np.argsort(t[indices, 2], kind="stable")': 'np.argsort(t[indices, 2], kind="stable")[::-1]'},
-    ),
-    Removal(
-        "cap of alpha", "scene/reference.py", "quads", "capped alpha", {"settings.model.max_alpha, ": "1, "}
-    ),
-)
-
-RASTER = "raster/project.py"
-
-CPU = (
-    Removal(
-        "near plane",
-        RASTER,
-        "cpu",
-        "at and behind the eye",
-        {"keep_if_at_least(one, tz, fill(tz, view.near))": "one"},
-    ),
-    Removal(
-        "zero quaternions",
-        RASTER,
-        "cpu",
-        "quaternion below the least",
-        {"keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))": "drawn"},
-    ),
-    Removal(
-        "finite colours",
-        RASTER,
-        "cpu",
-        "NaN SH",
-        {
-            "if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):": "if False:",
-            "if not (is_finite(red) and is_finite(green) and is_finite(blue)):": "if False:",
-        },
-    ),
-    Removal(
-        "clamp",
-        "raster/optics.py",
-        "cpu",
-        "grazing splat",
-        {"min(max(x_by_z, view.min_u), view.max_u)": "x_by_z"},
-    ),
-    Removal(
-        "colours at least 0",
-        RASTER,
-        "cpu",
-        "SH far below 0",
-        {"max(red, 0.0), max(green, 0.0), max(blue, 0.0)": "red, green, blue"},
-    ),
-)
-
-DISC = "shaders/common/disc.glsl"
-
-DISCS = (
-    Removal(
-        "least slope",
-        DISC,
-        "quads",
-        "disc edge-on along a column",
-        {"slope >= DISC_LEAST_SLOPE": "slope >= -1.0"},
-    ),
-    Removal("near plane of discs", DISC, "quads", "disc through the near plane", {" && lean <= plane.w": ""}),
-    Removal(
-        "least width",
-        "shaders/common/disc_projection.glsl",
-        "quads",
-        "needle of a disc",
-        {"    s = max(s, DISC_LEAST_WIDTH * away / u_focal.x);\n": ""},
-    ),
-    Removal(
-        "widest ellipse",
-        "shaders/common/disc_projection.glsl",
-        "quads",
-        "largest disc",
-        {" || !(max(entries.x, entries.y) <= WIDEST)": "", "!is_finite(m0) || !is_finite(m1)": "false"},
-    ),
-    Removal(
-        "near plane of discs",
-        "raster/discs.py",
-        "cpu",
-        "disc through the near plane",
-        {"    slope = keep_if_at_least(slope, most_lean, lean)\n": ""},
-    ),
-    Removal(
-        "least slope",
-        "raster/discs.py",
-        "cpu",
-        "disc edge-on along a column",
-        {"slope = keep_if_at_least(slope, slope, fill(slope, DISC_LEAST_SLOPE))": "pass"},
-    ),
-)
+PROJECTION, TRUTH, RASTER = "shaders/common/projection.glsl", "scene/projection.py", "raster/project.py"
+PROJECT, FRAGMENT = "shaders/quads/project.comp.glsl", "shaders/quads/draw.frag.glsl"
+SURFEL, SURFELS = "shaders/common/surfel.glsl", "shaders/common/surfel_projection.glsl"
+BUFFERS, OPTICS = "renderers/gl/scene_buffers.py", "raster/camera_models.py"
 
 FOLDED = "a lens that folds back"
 
-RAYS = (
-    Removal(
-        "reach of the lens",
-        PROJECTION,
-        "quads",
-        FOLDED,
-        {"        if (!(dot(ray, ray) < u_lens_reach)) return false;\n": ""},
-    ),
-    Removal(
-        "reach of the lens",
-        TRUTH,
-        "reference",
-        FOLDED,
-        {"(axis=1) < camera.lens.form.reach_squared": "(axis=1) < np.inf"},
-    ),
-    Removal(
-        "reach of the lens",
-        "raster/optics.py",
-        "cpu",
-        FOLDED,
-        {"keep_if_below(drawn, tx * tx + ty * ty, tz * tz * lens.reach_squared)": "drawn"},
-    ),
-)
+CASES = {
+    (PROJECTION, "near plane"): ("quads", "at and behind the eye"),
+    (PROJECTION, "zero quaternions"): ("quads", "quaternion below the least"),
+    (PROJECTION, "opacity"): ("quads", "NaN opacity logits"),
+    (PROJECTION, "finite footprints"): ("quads", "footprint beyond float32"),
+    (PROJECTION, "largest component first"): ("quads", "tiny quaternion"),
+    (PROJECTION, "slope clamp"): ("quads", "grazing splat"),
+    (PROJECTION, "spread"): ("quads", "largest footprint"),
+    (PROJECTION, "determinant as a sum"): ("quads", "needle of 10⁴ px"),
+    (PROJECTION, "largest offset first"): ("quads", "star at 10²⁵"),
+    (PROJECTION, "fold of the lens"): ("quads", FOLDED),
+    (PROJECT, "finite colours"): ("quads", "NaN SH"),
+    (PROJECT, "colours at least 0"): ("quads", "SH far below 0"),
+    (FRAGMENT, "cap of alpha"): ("quads", "capped alpha"),
+    (SURFEL, "least slope"): ("quads", "disc edge-on along a column"),
+    (SURFEL, "near plane"): ("quads", "disc through the near plane"),
+    (SURFELS, "least width"): ("quads", "needle of a disc"),
+    (SURFELS, "widest ellipse"): ("quads", "largest disc"),
+    (BUFFERS, "relative positions"): ("quads", "10⁷ m from the origin"),
+    (BUFFERS, "digits beyond float32"): ("quads", "two towns 20 km apart"),
+    (TRUTH, "near plane"): ("reference", "at and behind the eye"),
+    (TRUTH, "zero quaternions"): ("reference", "quaternion below the least"),
+    (TRUTH, "finite footprints"): ("reference", "footprint beyond float32"),
+    (TRUTH, "finite SH"): ("reference", "infinite SH"),
+    (TRUTH, "finite colours"): ("reference", "SH sum beyond float32"),
+    (TRUTH, "largest component first"): ("reference", "tiny quaternion"),
+    (TRUTH, "largest offset first"): ("reference", "star at 10²⁵"),
+    (TRUTH, "fold of the lens"): ("reference", FOLDED),
+    (TRUTH, "slope clamp"): ("quads", "grazing splat"),
+    (TRUTH, "order of ties"): ("quads", "depth tie"),
+    ("scene/reference.py", "cap of alpha"): ("quads", "capped alpha"),
+    (RASTER, "near plane"): ("cpu", "at and behind the eye"),
+    (RASTER, "zero quaternions"): ("cpu", "quaternion below the least"),
+    (RASTER, "finite colours"): ("cpu", "NaN SH"),
+    (RASTER, "colours at least 0"): ("cpu", "SH far below 0"),
+    (OPTICS, "slope clamp"): ("cpu", "grazing splat"),
+    (OPTICS, "fold of the lens"): ("cpu", FOLDED),
+    ("raster/surfels.py", "near plane"): ("cpu", "disc through the near plane"),
+    ("raster/surfels.py", "least slope"): ("cpu", "disc edge-on along a column"),
+}
+"""File and name of each guard -> renderer and hard case that turns red without it."""
 
-EVERYTHING = (*SHADERS, *REFERENCE, *CPU, *DISCS, *RAYS)
+ALSO = {(BUFFERS, "relative positions"): "digits beyond float32"}
+"""A guard of the same file that would do instead and is taken out with it."""
 
 RUN = """
 import sys
@@ -291,18 +91,36 @@ sys.exit(main(["stability", "--json", *sys.argv[2:]]))
 """
 
 
-def package_without(removal: Removal, folder: Path) -> None:
-    """A copy of the package in `folder`, less the guard."""
-    for package in PACKAGES:
-        shutil.copytree(
-            ROOT / package, folder / "splatview" / package, ignore=shutil.ignore_patterns("__pycache__")
-        )
-    path = folder / "splatview" / removal.file
-    text = path.read_text(encoding="utf8")
-    for guard, without in removal.changes.items():
-        assert text.count(guard) == 1, f"{removal.file} has {text.count(guard)} times: {guard}"
-        text = text.replace(guard, without)
-    path.write_text(text, encoding="utf8")
+def guards_in(text: str) -> list[tuple[str, int, str]]:
+    """Name, line (from 0) and what is to stand in the line's place without the guard ("": nothing)."""
+    found = []
+    for number, line in enumerate(text.splitlines()):
+        if marked := MARKER.fullmatch(line):
+            alone = not marked["guard"].strip()
+            found.append((marked["name"], number + alone, marked["without"] or ""))
+    return found
+
+
+def without(text: str, name: str) -> str:
+    """The source less the guards of that name."""
+    lines = text.splitlines()
+    places = [(number, other) for marked, number, other in guards_in(text) if marked == name]
+    assert places, f'no comment "guard: {name}"'
+    for number, other in places:
+        line = lines[number]
+        marked = MARKER.fullmatch(line)
+        guard = (marked["guard"] if marked else line).strip()
+        assert guard and guard != other, f"line {number + 1} is its own replacement"
+        lines[number] = line[: len(line) - len(line.lstrip())] + other
+    return "\n".join(lines) + "\n"
+
+
+def copied_package(folder: Path) -> Path:
+    """The package in `folder`, less compiled files."""
+    package = folder / "splatview"
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, package / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return package
 
 
 def stability(folder: Path, renderer: str, case: str) -> tuple[int, list[dict]]:
@@ -320,24 +138,42 @@ def stability(folder: Path, renderer: str, case: str) -> tuple[int, list[dict]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("removal", EVERYTHING, ids=lambda removal: f"{removal.what} in {removal.file}")
-def test_without_a_guard_a_case_turns_red(removal: Removal, tmp_path: Path) -> None:
-    package_without(removal, tmp_path)
-    code, rows = stability(tmp_path, removal.renderer, removal.case)
+@pytest.mark.parametrize(("file", "name"), CASES)
+def test_without_a_guard_a_case_turns_red(file: str, name: str, tmp_path: Path) -> None:
+    path = copied_package(tmp_path) / file
+    text = without(path.read_text(encoding="utf8"), name)
+    if (file, name) in ALSO:
+        text = without(text, ALSO[file, name])
+    path.write_text(text, encoding="utf8")
+    code, rows = stability(tmp_path, *CASES[file, name])
     assert code == 1
     assert any(row["failures"] for row in rows)
 
 
-def test_guards_are_where_this_file_says(tmp_path: Path) -> None:
-    """Quick: so that a guard that is written anew is noticed at once, and its case is a case."""
-    from splatview.measure.hard_cases import find_case
-
-    for removal in EVERYTHING:
-        text = (ROOT / removal.file).read_text(encoding="utf8")
-        assert all(text.count(guard) == 1 for guard in removal.changes), removal
-        find_case(removal.case)
+def test_every_guard_has_a_case_and_every_case_a_guard() -> None:
+    sources = [
+        path for name in PACKAGES for path in (ROOT / name).rglob("*") if path.suffix in (".py", ".glsl")
+    ]
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf8") for path in sources}
+    found = {(file, name) for file, text in texts.items() for name, _, _ in guards_in(text)}
+    assert found == set(CASES)
+    for _, case in CASES.values():
+        find_case(case)
+    for file, name in CASES:
+        if file.endswith(".py"):
+            compile(without(texts[file], name), file, "exec")
 
 
 def test_with_all_guards_the_copy_is_green(tmp_path: Path) -> None:
-    package_without(Removal("nothing", PROJECTION, "", "", {}), tmp_path)
+    copied_package(tmp_path)
     assert stability(tmp_path, "reference", "NaN means")[0] == 0
+
+
+def test_a_line_is_removed_or_replaced() -> None:
+    text = "a = 1  # guard: one\n    # guard: two := b = 0\n    b = max(c, 0)\nd = 2  # guard: two := d = 3\n"
+    assert without(text, "one") == "\n" + text.partition("\n")[2]
+    assert without(text, "two").splitlines()[2:] == ["    b = 0", "d = 3"]
+    with pytest.raises(AssertionError, match="three"):
+        without(text, "three")
+    with pytest.raises(AssertionError, match="its own replacement"):
+        without("a = 1  # guard: one := a = 1\n", "one")

@@ -14,12 +14,14 @@ from splatview.cli import ladder, render
 from splatview.cli.ladder import draw_truths
 from splatview.cli.main import main
 from splatview.measure.knobs import KNOBS, Knob, Plan, apply_choices
-from splatview.measure.ladder import climb, rungs_for
+from splatview.measure.ladder import draw_by_path, run_ladder, rungs_for
 from splatview.measure.metrics import psnr
+from splatview.renderers import FrameRequest, Renderer
 from splatview.renderers.gl.context import create_headless_context
-from splatview.renderers.headless import HeadlessRenderer, SceneArtist, make_headless
+from splatview.renderers.headless import HeadlessScene, make_headless
+from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, look_at
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.formats import save_scene
 
 EXACT_DB = 60.0
@@ -51,24 +53,24 @@ def truth(scene) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def artists(scene) -> dict[str, SceneArtist]:
-    return {name: SceneArtist(make_headless(name), scene, turned) for name in renderers()}
+def scenes(scene) -> dict[str, HeadlessScene]:
+    return {name: HeadlessScene(make_headless(name), scene, turned) for name in renderers()}
 
 
 def turned(camera: Camera, degrees: float) -> Camera:
-    return turned_about(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
+    return orbited(camera, np.array(TARGET), np.array((0.0, -1.0, 0.0)), degrees)
 
 
-def drawn(artist: SceneArtist, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:
-    plan = apply_choices(Plan(), choices, artist.name)
-    artist.prepare(camera, plan)
-    return artist.draw(camera, plan)
+def drawn(scene: HeadlessScene, choices: dict[str, str], camera: Camera = CAMERA) -> np.ndarray:
+    plan = apply_choices(Plan(), choices, scene.name)
+    scene.prepare(plan)
+    return draw_by_path(scene, camera, plan)[0]
 
 
 def shared_renderers():
-    made: dict[str, HeadlessRenderer] = {}
+    made: dict[str, Renderer] = {}
 
-    def make(name: str, *, mode: str = "splats") -> HeadlessRenderer:
+    def make(name: str, *, mode: str = "splats") -> Renderer:
         if name not in made:
             made[name] = make_headless(name)
         return made[name]
@@ -101,8 +103,8 @@ def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys, monkeypa
         *("--renderers", ",".join(names)),
     )
     rungs = json.loads(text)["rungs"]
-    artists = [SceneArtist(make_headless(name), scene) for name in names]
-    expected = {(r.artist.name, r.knob, r.value) for r in rungs_for(artists, Plan(), used_sh_degree=3)}
+    scenes = [HeadlessScene(make_headless(name), scene) for name in names]
+    expected = {(r.renderer.name, r.knob, r.value) for r in rungs_for(scenes, Plan(), used_sh_degree=3)}
     assert {(r["renderer"], r["knob"], r["value"]) for r in rungs} == expected
     reference = rendered("--renderer", "reference")
     for rung in rungs:
@@ -114,11 +116,11 @@ def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys, monkeypa
 
 
 @pytest.mark.parametrize(("name", "knob"), owned(), ids=lambda x: getattr(x, "name", x))
-def test_the_exact_end_of_every_knob_is_exact_and_the_others_are_not(artists, truth, name, knob):
-    if name not in artists:
+def test_the_exact_end_of_every_knob_is_exact_and_the_others_are_not(scenes, truth, name, knob):
+    if name not in scenes:
         pytest.skip("no OpenGL 4.3")
     best, *coarser = (
-        psnr(drawn(artists[name], {knob.name: value.text}), truth) for value in knob.values_for(name)
+        psnr(drawn(scenes[name], {knob.name: value.text}), truth) for value in knob.values_for(name)
     )
     assert best >= EXACT_DB
     # Above so much, roundings decide.
@@ -129,27 +131,31 @@ def test_the_exact_end_of_every_knob_is_exact_and_the_others_are_not(artists, tr
         assert min(coarser) < best
 
 
-@pytest.mark.parametrize("name", ["cpu", "quads"])
-def test_splats_kept_are_the_same_whatever_is_drawn(artists, scene, name):
-    from splatview.renderers.headless import reduced
+def fewer(scene: Gaussians, share: float) -> Gaussians:
+    made = reduced(FrameRequest(scene, CAMERA, kept=share)).gaussians
+    assert made is not None
+    return made
 
-    if name not in artists:
+
+@pytest.mark.parametrize("name", ["cpu", "quads"])
+def test_splats_kept_are_the_same_whatever_is_drawn(scenes, scene, name):
+    if name not in scenes:
         pytest.skip("no OpenGL 4.3")
-    half, quarter = (reduced(scene, Plan(kept=share)) for share in (0.5, 0.25))
+    half, quarter = (fewer(scene, share) for share in (0.5, 0.25))
     assert (len(half), len(quarter)) == (200, 100)
-    assert reduced(scene, Plan(kept=0.5)) is half
+    assert fewer(scene, 0.5) is half
     rows = {row.tobytes() for row in half.means}
     assert all(row.tobytes() in rows for row in quarter.means), "a smaller share is part of a larger one"
-    direct = make_headless(name).draw(half, CAMERA, Plan().settings)
-    np.testing.assert_array_equal(drawn(artists[name], {"keep": "50"}), direct)
+    direct = make_headless(name).render(FrameRequest(half, CAMERA))
+    np.testing.assert_array_equal(drawn(scenes[name], {"keep": "50"}), direct)
 
 
 @pytest.mark.parametrize("value", ["3-sigma", "2-sigma"])
-def test_renderers_cut_alike(artists, value):
-    if len(artists) == 1:
+def test_renderers_cut_alike(scenes, value):
+    if len(scenes) == 1:
         pytest.skip("no OpenGL 4.3")
-    pictures = {name: drawn(artist, {"cut": value}) for name, artist in artists.items()}
-    exact = drawn(artists["cpu"], {})
+    pictures = {name: drawn(each, {"cut": value}) for name, each in scenes.items()}
+    exact = drawn(scenes["cpu"], {})
     assert np.abs(pictures["cpu"] - exact).max() > 0.01
     for name in ("quads", "tiles"):
         apart = np.abs(pictures[name] - pictures["cpu"]).max(axis=2)
@@ -157,19 +163,19 @@ def test_renderers_cut_alike(artists, value):
 
 
 @pytest.mark.parametrize("name", ["quads", "tiles"])
-def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(artists, scene, name):
-    if name not in artists:
+def test_fewer_bits_are_fewer_bytes_and_the_values_that_cpu_draws(scenes, scene, name):
+    if name not in scenes:
         pytest.skip("no OpenGL 4.3")
     # One that has drawn nothing else: an order that was kept would count.
-    artists = {**artists, name: SceneArtist(make_headless(name), scene)}
+    scenes = {**scenes, name: HeadlessScene(make_headless(name), scene)}
     held = []
     for knob in (knob for knob in KNOBS if knob.name == "attributes"):
         for value in knob.values:
-            picture = drawn(artists[name], {knob.name: value.text, "sh-degree": "3"})
-            held.append(artists[name].memory(Plan()))
-            assert psnr(picture, drawn(artists["cpu"], {knob.name: value.text})) > EXACT_DB
-    assert held[0] - held[1] == len(artists[name].scene) * (236 - 124), "float16, but for positions"
-    assert held[1] - held[2] == len(artists[name].scene) * (96 - 56), "a byte in place of two, and a step"
+            picture = drawn(scenes[name], {knob.name: value.text, "sh-degree": "3"})
+            held.append(scenes[name].memory())
+            assert psnr(picture, drawn(scenes["cpu"], {knob.name: value.text})) > EXACT_DB
+    assert held[0] - held[1] == len(scenes[name].gaussians) * (236 - 124), "float16, but for positions"
+    assert held[1] - held[2] == len(scenes[name].gaussians) * (96 - 56), "a byte in place of two, and a step"
 
 
 def test_a_scene_that_pops_does_so_in_the_global_order_only():
@@ -187,8 +193,10 @@ def test_a_scene_that_pops_does_so_in_the_global_order_only():
 
     camera = look_at((-1e-4, 0, -2.5), (0, 0, 0), up=(0, -1, 0), width=40, height=33)
     truths, _ = draw_truths(sheets, [camera], Plan().settings)
-    rungs = rungs_for([SceneArtist(make_headless("cpu"), sheets)], Plan(), used_sh_degree=0, knobs=["order"])
-    made = climb(rungs, [camera], truths, moved=beside, seconds=1, rounds=3)
+    rungs = rungs_for(
+        [HeadlessScene(make_headless("cpu"), sheets)], Plan(), used_sh_degree=0, knobs=["order"]
+    )
+    made = run_ladder(rungs, [camera], truths, moved=beside, seconds=1, rounds=3)
     popping = {one.rung.value: one.popping for one in made.rungs}
     assert popping["cpu"] > 0.3
     assert popping["per-pixel"] < 0.01

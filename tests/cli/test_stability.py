@@ -11,10 +11,11 @@ import pytest
 from PIL import Image
 
 from splatview.cli.main import main
+from splatview.cli.stability import GL_NAMES, NAMES, case_renderers
 from splatview.measure.hard_cases import CASES
 from splatview.measure.hard_cases.run import CaseRenderer, run_case
-from splatview.renderers import headless as renderers_of
-from splatview.renderers.headless import GL_NAMES, NAMES, case_renderers
+from splatview.renderers import FrameRequest
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import InputError
 
 THEMES = sorted({case.theme for case in CASES})
@@ -51,8 +52,8 @@ def test_every_case(made, name, theme) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def broken(gaussians, camera, settings) -> np.ndarray:
-    image = np.zeros((camera.height, camera.width, 4), np.float32)
+def broken(self: CpuRenderer, request: FrameRequest) -> np.ndarray:
+    image = np.zeros((request.camera.height, request.camera.width, 4), np.float32)
     image[0, 0, 0] = np.nan
     return image
 
@@ -60,7 +61,7 @@ def broken(gaussians, camera, settings) -> np.ndarray:
 @pytest.fixture
 def broken_cpu(monkeypatch) -> None:
     """A CPU renderer that draws nothing, and one NaN."""
-    monkeypatch.setattr(renderers_of, "draw_by_cpu", broken)
+    monkeypatch.setattr(CpuRenderer, "render", broken)
 
 
 def test_a_green_case_is_exit_code_0(capsys) -> None:

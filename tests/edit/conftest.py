@@ -83,7 +83,7 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 class ReferenceTools:
-    """`splatview.edit.progress.Tools` by the float64 reference: for pictures of a few thousand pixels."""
+    """`splatview.edit.tools.Tools` by the float64 reference: for pictures of a few thousand pixels."""
 
     def _weights(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits):
         """Indices (V,) of the scene and what each adds to each pixel, (V, H·W)."""
@@ -95,7 +95,7 @@ class ReferenceTools:
         before = np.cumprod(np.vstack([np.ones((1, x.size)), 1 - alpha]), axis=0)[:-1]
         return kept[footprints.indices], alpha * before
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         indices, weights = self._weights(gaussians, camera, edits)
         front = np.full(camera.width * camera.height, -1, np.int32)
         if len(indices):
@@ -110,7 +110,7 @@ class ReferenceTools:
             total[indices] += weights.sum(axis=1)
         return total
 
-    def render(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
+    def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         return reference.render(bake(gaussians, edits), camera).astype(np.float32)
 
 

@@ -20,11 +20,12 @@ from splatview.edit.detectors import (
     UnseenSplats,
     contributions,
 )
-from splatview.edit.progress import Cancelled, NoTools, Watch
 from splatview.edit.serialization import from_json, to_json
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import DELETED, HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment
 from splatview.scene.framing import robust_bounds
+from splatview.scene.progress import Cancelled, Progress
 
 
 def grid(edit_helpers, edge: int):
@@ -152,7 +153,7 @@ def test_what_all_have_in_common(edit_helpers, edited, reference_tools, kind):
     cameras = [look_at((0, 0, -3), (0, 0, 0), width=16, height=12)]
     detector = from_json(cls, json.loads(json.dumps(to_json(cls()))))
     assert detector == cls()
-    scores = detector.scores(scene, edits, reference_tools, cameras, watch=Watch())
+    scores = detector.scores(scene, edits, reference_tools, cameras, progress=Progress())
     assert scores.shape == (60,)
     assert scores.dtype == np.float32
     low, high = cls.slider
@@ -167,7 +168,7 @@ def test_what_all_have_in_common(edit_helpers, edited, reference_tools, kind):
         assert text
         assert "\n" not in text
     with pytest.raises(Cancelled):
-        detector.scores(scene, edits, reference_tools, cameras, watch=Watch(cancelled=lambda: True))
+        detector.scores(scene, edits, reference_tools, cameras, progress=Progress(cancelled=lambda: True))
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from splatview.edit.detectors import IsolatedClusters, SparseSplats
-from splatview.edit.progress import Cancelled, NoTools, Watch
+from splatview.edit.tools import NoTools
 from splatview.scene import Gaussians, concatenate
 from splatview.scene.demo import demo_scene
 from splatview.scene.edits import DELETED, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, adjusted_means
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
+from splatview.scene.progress import Cancelled, Progress
 
 SINGLES = 150
 CLUSTERS = 30
@@ -169,8 +170,8 @@ def test_they_can_be_stopped(ring):
     scene, _ = ring
     for detector in (IsolatedClusters(), SparseSplats()):
         with pytest.raises(Cancelled):
-            detector.scores(scene, no_edits(scene), NoTools(), watch=Watch(cancelled=lambda: True))
+            detector.scores(scene, no_edits(scene), NoTools(), progress=Progress(cancelled=lambda: True))
         shares: list[float] = []
-        detector.scores(scene, no_edits(scene), NoTools(), watch=Watch(progress=shares.append))
+        detector.scores(scene, no_edits(scene), NoTools(), progress=Progress(report=shares.append))
         assert shares == sorted(shares)
         assert shares[-1] == 1

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from splatview.edit.document import Document
 from splatview.edit.export import export
 from splatview.edit.operations import Transform, operation_from_json
-from splatview.edit.progress import Cancelled, Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from splatview.scene import InputError
 from splatview.scene.formats import load_scene
+from splatview.scene.progress import Cancelled, Progress
 
 STEPS: list[dict[str, Any]] = [
     {"op": "select", "by": {"kind": "sphere", "centre": [0.1, 0, 0], "radius": 0.7}},
@@ -152,12 +152,12 @@ def test_replaying_tells_how_far_it_is_and_can_be_stopped(scene_file):
     shares: list[float] = []
     recipe = Recipe(steps=tuple(map(operation_from_json, STEPS)), scene={})
     document = Document(load_scene(scene_file()))
-    replay(recipe, document, watch=Watch(progress=shares.append))
+    replay(recipe, document, progress=Progress(report=shares.append))
     assert shares == sorted(shares)
     assert len(shares) > 0
     stopped = Document(load_scene(scene_file()))
     with pytest.raises(Cancelled):
-        replay(recipe, stopped, watch=Watch(cancelled=lambda: stopped.history.position == 2))
+        replay(recipe, stopped, progress=Progress(cancelled=lambda: stopped.history.position == 2))
     assert stopped.history.position == 0
 
 

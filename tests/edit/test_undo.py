@@ -136,7 +136,7 @@ OPERATION_STEPS = {
 class MadeUpTools:
     """Contributions that depend on no renderer."""
 
-    def front(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
+    def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
         return np.arange(camera.width * camera.height, dtype=np.int32).reshape(camera.height, -1) % len(
             gaussians
         )
@@ -144,7 +144,7 @@ class MadeUpTools:
     def contributions(self, gaussians: Gaussians, cameras: Any, edits: Any) -> np.ndarray:
         return np.sin(np.arange(len(gaussians), dtype=np.float64)) ** 2
 
-    def render(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
+    def picture(self, gaussians: Gaussians, camera: Camera, edits: Any) -> np.ndarray:
         return np.zeros((camera.height, camera.width, 4), np.float32)
 
 

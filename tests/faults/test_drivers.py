@@ -20,6 +20,7 @@ from splatview.scene.formats import save_scene
 from splatview.viewer import app as app_module
 from splatview.viewer import platform as display
 from splatview.viewer import viewport
+from splatview.viewer.app import window_state
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
 
@@ -64,7 +65,7 @@ def test_a_driver_that_cannot_draw_splats_leaves_it_to_the_processor(monkeypatch
 
 
 def test_a_picture_that_cannot_be_drawn_is_told_of_once() -> None:
-    app = AppState(preferences=Preferences(smooth=False))
+    app = window_state(preferences=Preferences(smooth=False))
     problems = ["800x600 px need 7 MiB of graphics memory"] * 3 + ["another"]
 
     def draw(*arguments: Any, **options: Any) -> None:

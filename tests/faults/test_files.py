@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.cli import run_lock as claims
+from splatview.cli import run_lock
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
@@ -23,10 +23,12 @@ from splatview.edit.operations import Delete, SelectAll, operation_from_json
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.formats.io import take_lock
-from splatview.viewer import commands as actions
+from splatview.viewer import camera
 from splatview.viewer import open as opening
+from splatview.viewer.app import window_state
 from splatview.viewer.editing import files
-from splatview.viewer.editing.session import continue_editing
+from splatview.viewer.editing.files import Restoring
+from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.preferences import Preferences, beside, load_bookmarks
 from splatview.viewer.state import AppState
 
@@ -44,7 +46,7 @@ def scene(tmp_path: Path, random_gaussians: Callable[..., Gaussians]) -> Path:
 def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Path) -> AppState:
     """A window's state with `scene` open, and without a picture."""
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
-    made = AppState(preferences=Preferences(smooth=False))
+    made = window_state(preferences=Preferences(smooth=False))
     opening.open_paths(made, [scene])
     run(made, lambda: made.loading is None)
     return made
@@ -57,14 +59,14 @@ def run(app: AppState, until: Callable[[], bool]) -> None:
         assert time.monotonic() < limit
         opening.continue_loading(app)
         app.run_posted()
-        continue_editing(app)
+        app.feature(Editing).before_frame(app)
         time.sleep(0.002)
 
 
 def export(app: AppState, path: Path) -> None:
     files.export_to(app, path)
-    run(app, lambda: app.session is not None and app.session.job is None)
-    continue_editing(app)
+    run(app, lambda: (session := session_of(app)) is not None and session.job is None)
+    app.feature(Editing).before_frame(app)
 
 
 class FullDisk:
@@ -130,7 +132,8 @@ def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(app, tmp
         export(app, out)
     assert app.problem == f"{out}: cannot be written: No space left on device"
     assert out.read_bytes() == b"as it was"
-    assert app.session is not None and app.session.document.history.modified is False
+    session = session_of(app)
+    assert session is not None and session.document.history.modified is False
     assert not list(tmp_path.glob(".*.tmp"))
     app.problem = None
     export(app, out)
@@ -142,7 +145,9 @@ def test_a_scene_that_others_change_is_not_exported_over(app, scene, tmp_path, r
     save_scene(random_gaussians(25, sh_degree=0), scene)
     theirs = scene.read_bytes()
     np.testing.assert_array_equal(app.scene.gaussians.means, before)
-    app.session.apply(SelectAll())
+    session = session_of(app)
+    assert session is not None
+    session.apply(SelectAll())
     export(app, scene)
     assert "another program has changed it since it was opened here" in app.problem
     assert scene.read_bytes() == theirs
@@ -174,26 +179,29 @@ def test_a_file_cut_off_in_place_hurts_nothing_that_is_open(app, scene, tmp_path
 def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
     app, scene, random_gaussians, monkeypatch
 ) -> None:
-    app.session.apply(SelectAll())
-    app.session.apply(Delete())
-    app.session.close()
-    app.session = None
+    session = session_of(app)
+    assert session is not None
+    session.apply(SelectAll())
+    session.apply(Delete())
+    session.close()
+    app.feature(Editing).session = None
     save_scene(random_gaussians(61, sh_degree=1, seed=9), scene)
     files.look_for_abandoned(app)
-    (journal,) = app.abandoned
+    (journal,) = app.feature(Restoring).abandoned
     files.restore(app, journal)
     run(app, lambda: app.loading is None)
-    files.continue_restoring(app)
+    app.feature(Restoring).before_frame(app)
     assert "The scene has changed since it was edited" in app.problem
-    assert app.session is not None and app.session.document.history.position == 0
+    session = session_of(app)
+    assert session is not None and session.document.history.position == 0
     assert journal.file.exists(), "they may fit the file's backup"
 
 
 CLAIMING = """
 import sys, time
 from pathlib import Path
-from splatview.cli.run_lock import claim
-claim(Path(sys.argv[1]))
+from splatview.cli.run_lock import lock_run
+lock_run(Path(sys.argv[1]))
 print("mine", flush=True)
 time.sleep(60)
 """
@@ -202,20 +210,20 @@ time.sleep(60)
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_two_runs_do_not_write_the_same_checkpoint(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(claims, "_held", {})
+    monkeypatch.setattr(run_lock, "_held", {})
     ours = tmp_path / "toy.checkpoint.safetensors"
     other = subprocess.Popen([sys.executable, "-c", CLAIMING, str(ours)], stdout=subprocess.PIPE, text=True)
     assert other.stdout is not None and other.stdout.readline() == "mine\n"
     with pytest.raises(InputError, match=rf"process {other.pid}\) trains into it; wait for it, or name"):
-        claims.claim(ours)
-    claims.claim(tmp_path / "another.safetensors")
+        run_lock.lock_run(ours)
+    run_lock.lock_run(tmp_path / "another.safetensors")
     other.kill()
     other.communicate()
-    claims.claim(ours)
-    claims.claim(ours)
+    run_lock.lock_run(ours)
+    run_lock.lock_run(ours)
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", "/proc/nowhere")
-    claims.claim(tmp_path / "third.safetensors")
-    for file in claims._held.values():
+    run_lock.lock_run(tmp_path / "third.safetensors")
+    for file in run_lock._held.values():
         file.close()
 
 
@@ -290,20 +298,20 @@ def test_programs_side_by_side_do_not_spoil_each_others_files(scene, tmp_path) -
 
 
 def test_bookmarks_of_another_window_on_the_scene_stay(app, scene) -> None:
-    actions.add_bookmark(app)
-    other = AppState(preferences=Preferences(smooth=False))
+    camera.add_bookmark(app)
+    other = window_state(preferences=Preferences(smooth=False))
     opening.open_paths(other, [scene])
     run(other, lambda: other.loading is None)
-    actions.rename_bookmark(other, 0, "Door")
-    actions.add_bookmark(other)
-    actions.add_bookmark(app)
+    camera.rename_bookmark(other, 0, "Door")
+    camera.add_bookmark(other)
+    camera.add_bookmark(app)
     names = sorted(bookmark.name for bookmark in load_bookmarks(scene))
     assert names == ["Door", "View 1", "View 2"], "theirs and ours, equal ones once"
     for _ in range(len(app.bookmarks)):
-        actions.delete_bookmark(app, 0)
+        camera.delete_bookmark(app, 0)
     assert load_bookmarks(scene) == [], "what is deleted does not come back"
     beside(scene).write_text("{ damaged")
-    actions.add_bookmark(app)
+    camera.add_bookmark(app)
     assert "not a bookmarks file" in (app.problem or "")
     assert beside(scene).read_text() == "{ damaged"
 

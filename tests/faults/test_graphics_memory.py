@@ -20,8 +20,9 @@ import pytest
 from splatview.renderers.gl.context import create_headless_context, held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, look_at
 
 MOST_ALLOCATIONS = 60
@@ -79,7 +80,7 @@ class Refusing:
 def test_whatever_allocation_is_refused_the_old_scene_stays(
     ctx: moderngl.Context,
     camera: Camera,
-    kind: type[Renderer],
+    kind: type[GLRenderer],
     quietly: bool,
     monkeypatch: pytest.MonkeyPatch,
     random_gaussians: Callable[..., Gaussians],
@@ -87,7 +88,10 @@ def test_whatever_allocation_is_refused_the_old_scene_stays(
     small, large = random_gaussians(40, sh_degree=1), random_gaussians(5000, sh_degree=1, seed=1)
     elsewhere = look_at((1, 0, -3), (0, 0, 0), up=(0, -1, 0), width=64, height=48)
     renderer = kind(ctx)
-    before, aside = renderer.render(small, camera), renderer.render(small, elsewhere)
+    before, aside = (
+        renderer.render(FrameRequest(small, camera)),
+        renderer.render(FrameRequest(small, elsewhere)),
+    )
     refusing = Refusing(monkeypatch, quietly=quietly)
     for allowed in range(MOST_ALLOCATIONS):
         held = held_bytes(renderer)
@@ -101,27 +105,27 @@ def test_whatever_allocation_is_refused_the_old_scene_stays(
             break
         assert held_bytes(renderer) == held, f"after {allowed} allocations"
         # Both views: one might be a picture that is still there.
-        np.testing.assert_array_equal(renderer.render(small, camera), before)
-        np.testing.assert_array_equal(renderer.render(small, elsewhere), aside)
+        np.testing.assert_array_equal(renderer.render(FrameRequest(small, camera)), before)
+        np.testing.assert_array_equal(renderer.render(FrameRequest(small, elsewhere)), aside)
     else:
         pytest.fail("loading never succeeds")
     assert allowed > 5
-    assert np.isfinite(renderer.render(large, camera)).all()
-    renderer.release()
+    assert np.isfinite(renderer.render(FrameRequest(large, camera))).all()
+    renderer.close()
 
 
 @pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer, QuadsGL33Renderer])
 def test_a_picture_without_room_is_tried_again(
     ctx: moderngl.Context,
     camera: Camera,
-    kind: type[Renderer],
+    kind: type[GLRenderer],
     monkeypatch: pytest.MonkeyPatch,
     random_gaussians: Callable[..., Gaussians],
 ) -> None:
     scene = random_gaussians(300)
     whole = kind(ctx)
-    wanted = whole.render(scene, camera)
-    whole.release()
+    wanted = whole.render(FrameRequest(scene, camera))
+    whole.close()
     refusing = Refusing(monkeypatch, quietly=False)
     allowed = 0
     for allowed in range(MOST_ALLOCATIONS):
@@ -129,14 +133,14 @@ def test_a_picture_without_room_is_tried_again(
         renderer.load(scene)
         refusing.left, refusing.refused = allowed, False
         try:
-            image = renderer.render(scene, camera)
+            image = renderer.render(FrameRequest(scene, camera))
         except InputError as error:
             assert "graphics memory" in str(error)
             refusing.left = sys.maxsize
-            image = renderer.render(scene, camera)
+            image = renderer.render(FrameRequest(scene, camera))
         refusing.left = sys.maxsize
         np.testing.assert_array_equal(image, wanted)
-        renderer.release()
+        renderer.close()
         if not refusing.refused:
             break
     assert 2 <= allowed < MOST_ALLOCATIONS - 1
@@ -148,8 +152,8 @@ import numpy as np
 from splatview.scene import Gaussians, InputError, look_at
 from splatview.renderers.gl.context import create_headless_context
 from splatview.renderers.gl.context import held_bytes
-from splatview.viewer.picture import GpuPicture
-from splatview.scene import RenderSettings
+from splatview.renderers import FrameRequest
+from splatview.viewer.picture import Picture
 
 def scene(n):
     rng = np.random.default_rng(1)
@@ -162,10 +166,10 @@ def scene(n):
     )
 
 small, large = scene(500), scene(1_500_000)
-picture = GpuPicture(create_headless_context(), "quads")
+picture = Picture(create_headless_context(), "quads")
 first, second = (look_at((x, 0, -3), (0, 0, 0), up=(0, -1, 0), width=96, height=64) for x in (0, 1))
 list(picture.load_steps(small))
-wanted = [picture.read(camera, RenderSettings(), "splats") for camera in (first, second)]
+wanted = [picture.read(FrameRequest(None, camera)) for camera in (first, second)]
 held = held_bytes(picture)
 pages = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 for mib in map(int, sys.argv[1:]):
@@ -179,7 +183,7 @@ for mib in map(int, sys.argv[1:]):
     resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     assert held_bytes(picture) == held
     for camera, picture_before in zip((first, second), wanted):
-        assert np.array_equal(picture.read(camera, RenderSettings(), "splats"), picture_before)
+        assert np.array_equal(picture.read(FrameRequest(None, camera)), picture_before)
 for _ in picture.load_steps(large):
     pass
 print("loaded in the end")

@@ -58,7 +58,7 @@ def test_a_request_to_end_saves(capture: Path, tmp_path: Path, name: str) -> Non
 def test_photos_that_are_removed_are_in_memory(capture: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     step = session.TrainingRun.step
 
-    def remove(self: session.TrainingRun) -> session.Progress:
+    def remove(self: session.TrainingRun) -> session.RunProgress:
         if self.trainer.counters.iteration == 5:
             shutil.rmtree(capture)
         return step(self)

@@ -23,21 +23,22 @@ class Clocked:
     def __init__(self, gaussians, hidden: float = 0.0):
         self.gaussians, self.hidden = gaussians, hidden
 
-    def prepare(self, camera: Camera, plan: Plan) -> None:
+    def supports(self, plan: Plan) -> bool:
+        return True
+
+    def turned(self, camera: Camera, degrees: float) -> Camera:
+        return camera
+
+    def prepare(self, plan: Plan) -> None:
         """Nothing to do."""
 
-    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return reference.render(self.gaussians, camera, plan.settings)
-
-    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return self.draw(camera, plan)
-
-    def timed(self, camera: Camera, plan: Plan) -> float:
+    def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         degree = plan.settings.sh_degree
         bands = self.gaussians.sh_degree if degree is None else degree
-        return 1.0 + 2.0 * bands + self.hidden + 1e-6 * (time.perf_counter() % 1)
+        milliseconds = 1.0 + 2.0 * bands + self.hidden + 1e-6 * (time.perf_counter() % 1)
+        return reference.render(self.gaussians, camera, plan.settings), milliseconds
 
-    def memory(self, plan: Plan) -> int:
+    def memory(self) -> int:
         return 0
 
 

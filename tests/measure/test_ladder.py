@@ -11,13 +11,13 @@ import pytest
 
 from splatview.measure.knobs import Plan
 from splatview.measure.ladder import (
-    NUDGED,
+    JITTERED,
     Ladder,
     Measured,
-    climb,
     mark_front,
     noise_floor,
     noise_of,
+    run_ladder,
     rungs_for,
 )
 from splatview.measure.ladder_plot import plot
@@ -36,20 +36,24 @@ class Pretender:
         self.name, self.milliseconds, self.error = name, milliseconds, error
         self.cameras: list[bytes] = []
 
-    def prepare(self, camera: Camera, plan: Plan) -> None:
+    def supports(self, plan: Plan) -> bool:
+        return True
+
+    def turned(self, camera: Camera, degrees: float) -> Camera:
+        return camera
+
+    def prepare(self, plan: Plan) -> None:
         self.prepared = plan
 
-    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
+    def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         assert self.prepared == plan
+        begun = time.perf_counter()
         degree = 3 if plan.settings.sh_degree is None else plan.settings.sh_degree
         time.sleep((self.milliseconds - 2 * (3 - degree)) / 1e3 * plan.resolution)
         self.cameras.append(camera.world_to_camera.tobytes())
-        return TRUTH + self.error + 0.01 * (3 - degree)
+        return TRUTH + self.error + 0.01 * (3 - degree), 1e3 * (time.perf_counter() - begun)
 
-    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return self.draw(camera, plan)
-
-    def memory(self, plan: Plan) -> int:
+    def memory(self) -> int:
         return 1 << 20
 
 
@@ -61,10 +65,10 @@ def moved(view: int, number: int) -> Camera:
 
 @pytest.fixture(scope="module")
 def ladder():
-    artists = [Pretender("cpu", 12, 1e-6), Pretender("quads", 30, 1e-3)]
-    rungs = rungs_for(artists, Plan(), used_sh_degree=3, knobs=["sh-degree", "resolution"])
-    made = climb(rungs, [CAMERA] * 2, [TRUTH] * 2, moved=moved, seconds=60, rounds=4)
-    return made, artists
+    renderers = [Pretender("cpu", 12, 1e-6), Pretender("quads", 30, 1e-3)]
+    rungs = rungs_for(renderers, Plan(), used_sh_degree=3, knobs=["sh-degree", "resolution"])
+    made = run_ladder(rungs, [CAMERA] * 2, [TRUTH] * 2, moved=moved, seconds=60, rounds=4)
+    return made, renderers
 
 
 def found(made, knob: str, value: str) -> Measured:
@@ -73,7 +77,7 @@ def found(made, knob: str, value: str) -> Measured:
 
 def test_each_renderer_has_its_defaults_and_each_value_that_differs(ladder):
     made, _ = ladder
-    names = [(one.rung.artist.name, one.rung.knob, one.rung.value) for one in made.rungs]
+    names = [(one.rung.renderer.name, one.rung.knob, one.rung.value) for one in made.rungs]
     knobs = [
         ("sh-degree", "2"),
         ("sh-degree", "1"),
@@ -101,15 +105,15 @@ def test_errors_are_those_against_the_truth(ladder):
 
 def test_popping_is_the_largest_change_under_a_tiny_turn(ladder):
     class Popper(Pretender):
-        def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-            picture = super().draw(camera, plan)
-            if camera.world_to_camera.tobytes() == moved(0, NUDGED).world_to_camera.tobytes():
+        def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
+            picture, milliseconds = super().draw(camera, plan)
+            if camera.world_to_camera.tobytes() == moved(0, JITTERED).world_to_camera.tobytes():
                 picture[3, 4, 1] += 0.125
-            return picture
+            return picture, milliseconds
 
     made, _ = ladder
     assert made.baseline.popping == 0
-    popper = climb(
+    popper = run_ladder(
         rungs_for([Popper("cpu", 1, 0)], Plan(), used_sh_degree=0, knobs=["blend"]),
         [CAMERA] * 2,
         [TRUTH] * 2,
@@ -131,13 +135,13 @@ def test_times_are_ratios_to_the_baseline_beside(ladder):
 
 
 def test_no_timed_frame_is_drawn_twice(ladder):
-    _, artists = ladder
+    _, renderers = ladder
     still = {
         CAMERA.world_to_camera.tobytes(),
-        *(moved(v, NUDGED).world_to_camera.tobytes() for v in range(2)),
+        *(moved(v, JITTERED).world_to_camera.tobytes() for v in range(2)),
     }
-    for artist in artists:
-        timed = [camera for camera in artist.cameras if camera not in still]
+    for renderer in renderers:
+        timed = [camera for camera in renderer.cameras if camera not in still]
         assert len(set(timed)) == len(timed) > 0
 
 
@@ -199,7 +203,7 @@ def test_differences_within_the_noise_are_no_claim(ladder):
 def test_a_cancelled_ladder_says_so():
     calls = iter(range(100))
     rungs = rungs_for([Pretender("cpu", 8, 0)], Plan(), used_sh_degree=3)
-    made = climb(
+    made = run_ladder(
         rungs, [CAMERA], [TRUTH], moved=moved, seconds=60, rounds=9, cancelled=lambda: next(calls) > 8
     )
     assert not made.complete
@@ -207,15 +211,15 @@ def test_a_cancelled_ladder_says_so():
 
 
 def test_a_ladder_is_over_in_time_and_names_what_it_left_out():
-    artists = [Pretender("cpu", 10, 1e-6), Pretender("quads", 300, 1e-3)]
-    rungs = rungs_for(artists, Plan(), used_sh_degree=0, knobs=["resolution", "blend", "keep"])
+    renderers = [Pretender("cpu", 10, 1e-6), Pretender("quads", 300, 1e-3)]
+    rungs = rungs_for(renderers, Plan(), used_sh_degree=0, knobs=["resolution", "blend", "keep"])
     begun = time.perf_counter()
-    made = climb(rungs, [CAMERA], [TRUTH], moved=moved, seconds=4)
+    made = run_ladder(rungs, [CAMERA], [TRUTH], moved=moved, seconds=4)
     assert time.perf_counter() - begun < 8, "it was promised half of that"
-    shown = [(one.rung.artist.name, one.rung.value) for one in made.rungs]
+    shown = [(one.rung.renderer.name, one.rung.value) for one in made.rungs]
     assert ("cpu", "1/4") in shown and ("quads", "quads") in shown
     assert made.left_out and len(made.rungs) + len(made.left_out) == len(rungs)
-    assert {rung.artist.name for rung in made.left_out} == {"quads"}
+    assert {rung.renderer.name for rung in made.left_out} == {"quads"}
     assert all(len(one.ratios) >= 3 for one in made.rungs[1:]) and made.needed > 4
     text = left_out_text(made)
     assert "quads: " in text and "--seconds" in text
@@ -223,8 +227,8 @@ def test_a_ladder_is_over_in_time_and_names_what_it_left_out():
 
 
 def test_the_best_buys_are_said_in_words():
-    artist = Pretender("cpu", 1, 0)
-    rungs = rungs_for([artist], Plan(), used_sh_degree=3, knobs=["sh-degree"])
+    renderer = Pretender("cpu", 1, 0)
+    rungs = rungs_for([renderer], Plan(), used_sh_degree=3, knobs=["sh-degree"])
     prices = ((1.0, 120.0), (0.8, 70.0), (0.6, 45.0), (0.3, 25.0))
     measured = tuple(
         Measured(rung=each, ratios=[ratio] * 3, noise=0.02, psnr=psnr)

@@ -7,7 +7,7 @@ import pytest
 
 from splatview.measure.knobs import PATH_TURN, Plan, knob, path_to_view
 from splatview.scene import RenderSettings, look_at
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.order_reuse import ResortPolicy
 
 CAMERA = look_at((1, -0.5, -3), (0, 0, 0), up=(0, -1, 0), width=8, height=6)
@@ -26,7 +26,7 @@ def test_on_its_path_the_first_frame_alone_is_sorted_and_the_next_would_be(value
     resort_policy = ResortPolicy()
     due = [
         resort_policy.due(
-            turned_about(CAMERA, np.zeros(3), UP, degrees), settings, key=None, centre=np.zeros(3), radius=1.0
+            orbited(CAMERA, np.zeros(3), UP, degrees), settings, key=None, centre=np.zeros(3), radius=1.0
         )
         for degrees in path
     ]
@@ -39,7 +39,7 @@ def test_the_older_an_order_may_be_the_longer_its_path():
 
 
 def test_a_camera_turned_about_a_point_sees_it_in_the_same_place():
-    turned = turned_about(CAMERA, np.zeros(3), UP, 30.0)
+    turned = orbited(CAMERA, np.zeros(3), UP, 30.0)
     assert np.linalg.norm(turned.eye) == pytest.approx(np.linalg.norm(CAMERA.eye))
     before, after = (c.R_camera_world @ -c.eye for c in (CAMERA, turned))
     np.testing.assert_allclose(before, after, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Lenses and parallel rays on the CPU: against the reference, and against a pinhole's picture resampled."""
+"""Lenses and parallel rays on the CPU: against a pinhole's picture resampled."""
 
 from __future__ import annotations
 
@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import psnr
-from splatview.raster import contributions, front, render
+from splatview.raster import contributions, dominant_splats, render
 from splatview.raster.camera_models import atan_lanes
 from splatview.raster.compiling import kernel
 from splatview.raster.simd import LANES, load, store
-from splatview.scene import Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
+from splatview.scene import Gaussians, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import undistort
 
 PINHOLE = look_at((0.2, 0.1, -1.3), (0, 0, 0), up=(0, -1, 0), fov_y=75, width=75, height=51)
 LENSES = {
     "OPENCV": (-0.2, 0.05, 0.01, -0.02),
-    "FULL_OPENCV": (0.1, -0.05, 0.01, -0.02, 0.02, 0.2, 0.05, 0.01),
     "OPENCV_FISHEYE": (0.05, -0.02, 0.01, 0.003),
-    "FOV": (1.2,),
-    "THIN_PRISM_FISHEYE": (0.03, 0.01, 0.01, -0.02, 0.0, 0.01, 0.02, -0.01),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (0.03, 0.01, -0.01, 0.02, 0.0, 0.01, 0.01, -0.02, 0.02, 0.01, -0.01, 0.02),
 }
 CAMERAS = {
     **{name: replace(PINHOLE, lens=Lens(model=name, parameters=LENSES[name])) for name in LENSES},
@@ -46,25 +42,17 @@ def test_angles_are_right_to_the_last_places():
     assert np.isnan(out[:LANES]).all()
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-@pytest.mark.parametrize("kind", CAMERAS)
-def test_as_the_reference(random_gaussians, kind, antialiased):
-    scene = random_gaussians(400, sh_degree=2, seed=8)
-    settings = RenderSettings(model=ImageModel(antialiased=antialiased), background=(0.1, 0.2, 0.3))
-    image = render(scene, CAMERAS[kind], settings)
-    assert np.abs(image - reference.render(scene, CAMERAS[kind], settings)).max() < 2e-3
-
-
 @pytest.mark.parametrize("kind", ["OPENCV", "parallel"])
-def test_per_pixel_order_weights_and_fronts(random_gaussians, kind):
-    """What else takes a camera: a single splat is the same in any order, and the front is what covers."""
+def test_per_pixel_order_contributions_and_ids(random_gaussians, kind):
+    """What else takes a camera: a single splat is the same in any order, and the dominant one is what
+    covers."""
     one = random_gaussians(1, seed=3)
     one.opacity_logits[:] = 4.0
     one.means[:] = (0.1, 0.1, 0.2)
     image = render(one, CAMERAS[kind], RenderSettings(order="per-pixel"))
     truth = reference.render(one, CAMERAS[kind])
     assert np.abs(image - truth).max() < 2e-3
-    np.testing.assert_array_equal(front(one, CAMERAS[kind]) == 0, truth[..., 3] >= 0.5)
+    np.testing.assert_array_equal(dominant_splats(one, CAMERAS[kind]) == 0, truth[..., 3] >= 0.5)
     assert contributions(one, [CAMERAS[kind]])[0] == pytest.approx(truth[..., 3].sum(), rel=1e-4)
 
 

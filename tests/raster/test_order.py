@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from splatview import raster
 from splatview.raster.parameters import TILE
 from splatview.raster.project import LOG2_OPACITY, A, B, C, X, Y
-from splatview.raster.sort import key_scale, radix_sort
+from splatview.raster.sort import DepthKeys, radix_sort
 from splatview.scene import RenderSettings, look_at
 
 
@@ -32,7 +32,7 @@ def test_radix_sort_is_stable(count, bits, threads):
 @settings(max_examples=200, deadline=None)
 def test_keys_keep_the_order_of_depths(depths):
     values = np.sort(np.array(depths))
-    base, shift, bits = key_scale(values[0], values[-1])
+    base, shift, bits = DepthKeys.spanning(values[0], values[-1])
     ordered = values.view(np.int64) ^ ((values.view(np.int64) >> 63) & 0x7FFFFFFFFFFFFFFF)
     keys = [(int(value) - base) >> shift for value in ordered]
     assert keys == sorted(keys)
@@ -43,7 +43,7 @@ def test_keys_keep_the_order_of_depths(depths):
 def test_keys_tell_apart_what_float32_does_not():
     depths = np.array([3.0, 3.00000001, 7.0])
     assert np.float32(depths[0]) == np.float32(depths[1])
-    base, shift, _ = key_scale(depths[0], depths[2])
+    base, shift, _ = DepthKeys.spanning(depths[0], depths[2])
     first, second, _ = ((int(bits) - base) >> shift for bits in depths.view(np.int64))
     assert first < second
 

@@ -16,6 +16,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import load_capture
 from splatview.scene.captures.demo import demo_capture, demo_truth
 from splatview.scene.formats import load_scene
+from splatview.scene.progress import Progress
 
 
 @pytest.fixture
@@ -37,7 +38,7 @@ def small_demo(monkeypatch, tmp_path: Path) -> list[int]:
 
 def test_what_is_read_back_is_what_was_made(small_demo: list[int]) -> None:
     shares: list[float] = []
-    folder = module.cached_demo_capture(progress=shares.append)
+    folder = module.cached_demo_capture(progress=Progress(report=shares.append))
     assert shares == sorted(shares) and shares[-1] == 1
     made = demo_capture(render, photos=10, width=48, height=36, splats=3000)
     read = load_capture(folder)

@@ -9,7 +9,7 @@ import pytest
 
 from splatview.measure.metrics import largest_error, psnr
 from splatview.scene import Camera, InputError, RenderSettings, reference
-from splatview.scene.background import Gradient, seen
+from splatview.scene.background import Gradient, background_colours
 from splatview.scene.depth_of_field import Aperture, camera_at, disc_point, mean_picture
 from splatview.scene.lens import Lens
 
@@ -105,8 +105,8 @@ def test_more_samples_come_nearer(camera, random_gaussians):
 def test_the_background_is_out_of_focus_too(camera):
     sky = Gradient(top=(1, 1, 1), bottom=(0, 0, 0))
     lens = Aperture(diameter=1.0, focus=1.0)
-    through = mean_picture(lambda pinhole: seen(sky, pinhole), camera, lens, 64)
-    pinholes = [seen(sky, camera_at(camera, lens, index)) for index in range(64)]
+    through = mean_picture(lambda pinhole: background_colours(sky, pinhole), camera, lens, 64)
+    pinholes = [background_colours(sky, camera_at(camera, lens, index)) for index in range(64)]
     np.testing.assert_allclose(through, np.mean(pinholes, axis=0))
     assert np.ptp(pinholes, axis=0).max() > 0.2
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splatview.scene import Camera, InputError, RenderSettings, look_at, reference
-from splatview.scene.background import Gradient, Panorama, lay_over, seen
+from splatview.scene.background import Gradient, Panorama, background_colours, composite_over
 from splatview.scene.formats.panorama import LARGEST_SIDE, load_panorama
 from splatview.scene.lens import Lens
 
@@ -19,7 +19,7 @@ BLUE, BROWN = (0.2, 0.4, 1.0), (0.5, 0.3, 0.1)
 def colour_towards(background: Gradient | Panorama, direction: tuple[float, float, float]) -> np.ndarray:
     """By a camera of one pixel that looks there."""
     camera = look_at((5, 6, 7), np.add((5, 6, 7), direction), width=1, height=1, fov_y=1)
-    return seen(background, camera)[0, 0]
+    return background_colours(background, camera)[0, 0]
 
 
 def panorama(width: int = 8, height: int = 4) -> Panorama:
@@ -74,7 +74,7 @@ def test_the_sides_of_a_panorama_meet_without_a_seam():
     ramp = np.abs(np.linspace(-1, 1, 256, endpoint=False))  # goes round: black in front, white behind
     pixels = np.repeat((ramp * 255).astype(np.uint8)[None, :, None], 128, axis=0).repeat(3, axis=2)
     behind = look_at((0, 0, 0), (0, 0, -1), up=(0, -1, 0), width=200, height=20, fov_y=8)
-    row = seen(Panorama(pixels=pixels), behind)[10, :, 0]
+    row = background_colours(Panorama(pixels=pixels), behind)[10, :, 0]
     assert row.min() > 0.7
     assert np.abs(np.diff(row)).max() < 2 / 255
 
@@ -82,7 +82,7 @@ def test_the_sides_of_a_panorama_meet_without_a_seam():
 def test_float32_is_float64_to_a_grey_level_of_a_hard_picture(rng):
     noise = Panorama(pixels=rng.integers(0, 256, (512, 1024, 3), dtype=np.uint8))
     camera = look_at((0, 0, 0), (1, -2, -1), up=(0, -1, 0.3), width=160, height=90, fov_y=80)
-    error = np.abs(seen(noise, camera, np.float32) - seen(noise, camera))
+    error = np.abs(background_colours(noise, camera, np.float32) - background_colours(noise, camera))
     assert error.max() < 1e-3  # rounding moves a ray by up to 1e-6 of a turn: 1e-3 of this picture's pixels
 
 
@@ -93,17 +93,23 @@ def test_pixels_of_all_cameras_look_where_points_are_seen():
     sky = Gradient(top=BLUE, bottom=BROWN)
     for camera in (pinhole, fisheye):
         point = camera.R_camera_world.T @ camera.points_at((7.5, 21.5), 2.0)
-        assert seen(sky, camera)[21, 7] == pytest.approx(colour_towards(sky, tuple(point)), abs=1e-7)
-    assert not np.allclose(seen(sky, pinhole)[0, 0], seen(sky, fisheye)[0, 0], atol=1e-3)
-    assert np.ptp(seen(sky, parallel).reshape(-1, 3), axis=0).max() == 0
-    assert seen(sky, parallel)[0, 0] == pytest.approx(colour_towards(sky, tuple(pinhole.forward)))
+        assert background_colours(sky, camera)[21, 7] == pytest.approx(
+            colour_towards(sky, tuple(point)), abs=1e-7
+        )
+    assert not np.allclose(
+        background_colours(sky, pinhole)[0, 0], background_colours(sky, fisheye)[0, 0], atol=1e-3
+    )
+    assert np.ptp(background_colours(sky, parallel).reshape(-1, 3), axis=0).max() == 0
+    assert background_colours(sky, parallel)[0, 0] == pytest.approx(
+        colour_towards(sky, tuple(pinhole.forward))
+    )
 
 
 def test_where_a_lens_shows_nothing_it_is_black():
     camera = look_at((0, 0, 0), (0, 0, 1), width=60, height=40, fov_y=100)
     camera = replace(camera, lens=Lens(model="FOV", parameters=(1.2,)))
     for background in (Gradient(top=BLUE, bottom=BROWN), replace(panorama(), pixels=panorama().pixels + 1)):
-        picture = seen(background, camera)
+        picture = background_colours(background, camera)
         nothing = ~np.isfinite(camera.points_at(np.mgrid[:40, :60][::-1].transpose(1, 2, 0) + 0.5, 1)).all(
             axis=2
         )
@@ -118,10 +124,10 @@ def test_light_that_comes_through_is_the_backgrounds(random_gaussians):
     for background in (Gradient(top=BLUE, bottom=BROWN), panorama(64, 32)):
         image = reference.render(scene, camera, RenderSettings(background=background))
         black = reference.render(scene, camera, RenderSettings())
-        expected = black[..., :3] + (1 - black[..., 3:]) * seen(background, camera)
+        expected = black[..., :3] + (1 - black[..., 3:]) * background_colours(background, camera)
         np.testing.assert_allclose(image[..., :3], expected, atol=1e-15)
         np.testing.assert_array_equal(image[..., 3], black[..., 3])
-        lay_over(black, background, camera)
+        composite_over(black, background, camera)
         np.testing.assert_allclose(black, image, atol=1e-15)
 
 
@@ -166,5 +172,5 @@ def test_what_compresses_best_is_not_refused(tmp_path):
 
 def test_a_background_knows_its_camera():
     camera = Camera(width=3, height=2, fx=1, fy=1, cx=0, cy=0, world_to_camera=np.eye(4))
-    assert seen((0.1, 0.2, 0.3), camera).tolist() == [0.1, 0.2, 0.3]
-    assert seen(panorama(), camera, np.float32).shape == (2, 3, 3)
+    assert background_colours((0.1, 0.2, 0.3), camera).tolist() == [0.1, 0.2, 0.3]
+    assert background_colours(panorama(), camera, np.float32).shape == (2, 3, 3)

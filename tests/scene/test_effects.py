@@ -15,7 +15,7 @@ from splatview.scene.effects import (
     VISIBLE,
     Effect,
     antialiasing,
-    census,
+    effects_report,
     own_degrees,
     settings_for,
     used_sh_degree,
@@ -27,7 +27,7 @@ from splatview.scene.sh import sh_basis
 
 
 def receipt(scene: Gaussians) -> dict[str, Effect]:
-    effects = census(scene)
+    effects = effects_report(scene)
     assert len({effect.name for effect in effects}) == len(effects)
     for effect in effects:
         assert type(effect.on) is bool and effect.why and "\n" not in effect.why
@@ -171,10 +171,10 @@ def test_counts_are_true(random_gaussians):
 
 def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkeypatch):
     scene = random_gaussians(30)
-    expected = census(scene)
+    expected = effects_report(scene)
     findings = check(scene)
-    monkeypatch.setattr("splatview.scene.effects.census.check", None)
-    assert census(scene, findings=findings) == expected
+    monkeypatch.setattr("splatview.scene.effects.report.check", None)
+    assert effects_report(scene, findings=findings) == expected
 
 
 def test_none_and_one(random_gaussians):

@@ -27,13 +27,13 @@ from splatview.scene.effects import (
     GREY_LEVEL,
     VISIBLE,
     Effect,
-    census,
+    effects_report,
     settings_for,
     sh_degrees,
     visible_degrees,
 )
 from splatview.scene.effects.appearance import LEAST_LIGHT, brightest_colour, early_stop_for
-from splatview.scene.effects.census import largest_displacement
+from splatview.scene.effects.report import largest_displacement
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.lens import Lens
 from splatview.scene.projection import project
@@ -59,7 +59,7 @@ def picture(scene: Gaussians, camera: Camera, wanted: RenderSettings | None = No
 
 
 def receipt(scene: Gaussians, **known) -> dict[str, Effect]:
-    effects = census(scene, **known)
+    effects = effects_report(scene, **known)
     for effect in effects:
         # Only effects, not economies like skipping what is invisible, have anything to lose.
         assert effect.on or effect.bound <= VISIBLE, effect
@@ -289,10 +289,10 @@ def test_the_users_word_counts(random_gaussians):
     assert flat.model == ImageModel().with_footprint("disc")
     low = cut(scene, np.zeros(12, np.uint8))
     assert settings_for(low).sh_degree == 0 and settings_for(low, {"SH band 3": True}).sh_degree is None
-    effects = {effect.name: effect for effect in census(low, overrides={"SH band 3": True})}
+    effects = {effect.name: effect for effect in effects_report(low, overrides={"SH band 3": True})}
     assert effects["SH band 3"].in_force and not effects["SH band 3"].on
     assert effects["SH band 2"].forced is None and effects["SH band 2"].error == 0
-    effects = {effect.name: effect for effect in census(scene, overrides={"SH band 3": False})}
+    effects = {effect.name: effect for effect in effects_report(scene, overrides={"SH band 3": False})}
     assert effects["SH band 3"].error == effects["SH band 3"].bound > VISIBLE
     try:
         settings_for(scene, {"sorting": False})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.formats import load_scene
-from splatview.scene.health import Finding, check, sh_reach
+from splatview.scene.health import Finding, check, sh_bound
 from splatview.scene.projection import project
 from splatview.scene.sh import sh_basis
 
@@ -164,7 +164,7 @@ def test_sh_reach_bounds_each_band(seed, magnitude):
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     basis = sh_basis(directions, 3)
-    reach = sh_reach(sh)
+    reach = sh_bound(sh)
     for band in range(4):
         which = slice(band * band, (band + 1) ** 2)
         colours = np.abs(np.einsum("dk,nkc->dnc", basis[:, which], sh[:, which])).max(axis=0)
@@ -178,7 +178,7 @@ def test_sh_reach_is_attained():
     sh = np.repeat(basis[None, :, None], 3, axis=2).astype(np.float32)
     for band in range(4):
         which = slice(band * band, (band + 1) ** 2)
-        assert sh_reach(sh)[0, band, 0] == pytest.approx((basis[which] ** 2).sum(), rel=1e-5)
+        assert sh_bound(sh)[0, band, 0] == pytest.approx((basis[which] ** 2).sum(), rel=1e-5)
 
 
 def test_skull_is_mostly_needles(data_file):

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from splatview.scene import Lens
 from splatview.scene.lens import (
     COUNTS,
-    FISHEYE_REACH,
+    FISHEYE_RADIUS,
     distort,
     distortion_jacobians,
     magnifications,
-    seen_through,
+    slopes_through,
     undistort,
 )
 from splatview.scene.lens_formula import lens_bending
@@ -35,7 +35,7 @@ def random_lens(model: str, seed: int, size: float = 0.02) -> Lens:
 def test_round_trip(model, seed):
     a_lens = random_lens(model, seed)
     points = np.random.default_rng(seed + 1).uniform(-0.6, 0.6, size=(50, 2))
-    assert a_lens.reach > 0.9
+    assert a_lens.valid_radius > 0.9
     back = undistort(distort(points, a_lens), a_lens)
     np.testing.assert_allclose(back, points, atol=1e-9)
 
@@ -180,16 +180,18 @@ def test_float32_stays_float32_and_close():
 def test_the_reach_is_where_the_polynomial_turns_back():
     # r(1 - 0.5 r²) has its largest value at r = sqrt(2/3).
     a_lens = lens("SIMPLE_RADIAL", [-0.5])
-    assert a_lens.reach == pytest.approx(np.sqrt(2 / 3), rel=1e-9)
+    assert a_lens.valid_radius == pytest.approx(np.sqrt(2 / 3), rel=1e-9)
     # Nothing is seen at twice the largest value.
     assert np.isnan(undistort(np.array([[1.2, 0.0]]), a_lens)).all()
     # In angles for a fisheye: theta(1 - 0.2 theta²) turns back at sqrt(1 / 0.6).
     fisheye = lens("OPENCV_FISHEYE", [-0.2, 0, 0, 0])
-    assert fisheye.reach == pytest.approx(np.tan(np.sqrt(1 / 0.6)), rel=1e-9)
+    assert fisheye.valid_radius == pytest.approx(np.tan(np.sqrt(1 / 0.6)), rel=1e-9)
     # A pole of the rational polynomial: 1 - 0.2 r² = 0.
-    assert lens("FULL_OPENCV", [0, 0, 0, 0, 0, -0.2, 0, 0]).reach == pytest.approx(np.sqrt(5), rel=1e-9)
-    assert lens("OPENCV", [0.1, 0.1, 0, 0]).reach == np.inf
-    assert lens("OPENCV_FISHEYE", [0.01, 0, 0, 0]).reach == FISHEYE_REACH
+    assert lens("FULL_OPENCV", [0, 0, 0, 0, 0, -0.2, 0, 0]).valid_radius == pytest.approx(
+        np.sqrt(5), rel=1e-9
+    )
+    assert lens("OPENCV", [0.1, 0.1, 0, 0]).valid_radius == np.inf
+    assert lens("OPENCV_FISHEYE", [0.01, 0, 0, 0]).valid_radius == FISHEYE_RADIUS
 
 
 @settings(max_examples=30, deadline=None)
@@ -198,7 +200,7 @@ def test_within_the_reach_no_two_rays_meet(seed):
     """Of random strong lenses: rays from a grid within the reach, distorted, come back to where they were."""
     model = ("RADIAL", "OPENCV", "OPENCV_FISHEYE", "THIN_PRISM_FISHEYE")[seed % 4]
     a_lens = random_lens(model, seed, 0.1)
-    radius = min(a_lens.reach, 2.0) * 0.98
+    radius = min(a_lens.valid_radius, 2.0) * 0.98
     angle = np.linspace(0, 2 * np.pi, 25)
     rays = np.concatenate(
         [share * radius * np.stack([np.cos(angle), np.sin(angle)], 1) for share in (0.3, 0.7, 1)]
@@ -232,13 +234,13 @@ def test_what_a_picture_sees_through_a_fisheye():
     """160 degrees across, and 179 from corner to corner, which are what sees farthest to the side."""
     fisheye = lens("OPENCV_FISHEYE", [0, 0, 0, 0])
     focal = 200 / np.radians(80)
-    u_min, v_min, u_max, v_max = seen_through(fisheye, 400, 200, focal, focal, 200.0, 100.0)
+    u_min, v_min, u_max, v_max = slopes_through(fisheye, 400, 200, focal, focal, 200.0, 100.0)
     corner = np.tan(np.hypot(200, 100) / focal) * np.array([200, 100]) / np.hypot(200, 100)
     np.testing.assert_allclose([(u_min, v_min), (u_max, v_max)], [-corner, corner], rtol=1e-6)
     # Through a narrow one it is nearly the pinhole's: r(1 - 0.1 r²) at the corners.
     barrel = lens("SIMPLE_RADIAL", [-0.1])
-    _, _, u_max, v_max = seen_through(barrel, 400, 200, 400.0, 400.0, 200.0, 100.0)
+    _, _, u_max, v_max = slopes_through(barrel, 400, 200, 400.0, 400.0, 200.0, 100.0)
     np.testing.assert_allclose(distort(np.array([u_max, v_max]), barrel), (0.5, 0.25), rtol=1e-9)
     # Beyond 180 degrees the reach bounds it.
-    wide = seen_through(fisheye, 400, 400, 100.0, 100.0, 200.0, 200.0)
-    np.testing.assert_allclose(wide, [-FISHEYE_REACH, -FISHEYE_REACH, FISHEYE_REACH, FISHEYE_REACH])
+    wide = slopes_through(fisheye, 400, 400, 100.0, 100.0, 200.0, 200.0)
+    np.testing.assert_allclose(wide, [-FISHEYE_RADIUS, -FISHEYE_RADIUS, FISHEYE_RADIUS, FISHEYE_RADIUS])

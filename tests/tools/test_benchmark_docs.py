@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from benchmark_docs import fill, ladder_table, main
+from bench_ladder import ladder_table
+from benchmark_docs import fill, main
 
 from splatview.measure.knobs import KNOBS
 from splatview.measure.machine import FOLDER, write_results

@@ -15,7 +15,7 @@ from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 VIEWS = 20
 EXTENT = 3.0
@@ -36,7 +36,7 @@ def truth() -> Gaussians:
 
 
 @pytest.fixture(scope="session")
-def shots(truth: Gaussians) -> list[Shot]:
+def views(truth: Gaussians) -> list[TrainView]:
     """Photos of it, 48x40, from a ring."""
     made = []
     for view in range(VIEWS):
@@ -54,7 +54,7 @@ def shots(truth: Gaussians) -> list[Shot]:
             name=f"view_{view}.png",
         )
         picture = render(truth, named, RenderSettings(background=(0.2, 0.2, 0.2)))[..., :3]
-        made.append(Shot(named, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)))
+        made.append(TrainView(named, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)))
     return made
 
 
@@ -71,34 +71,34 @@ def start(points: tuple[np.ndarray, np.ndarray]) -> Parameters:
 
 
 @pytest.fixture
-def make_trainer(shots: list[Shot], start: Parameters) -> Callable[..., Trainer]:
+def make_trainer(views: list[TrainView], start: Parameters) -> Callable[..., Trainer]:
     """`make_trainer(iterations=.., threads=.., **settings)`: a trainer of all photos but the first."""
 
     def make(*, threads: int = 2, **settings) -> Trainer:
         options = {"iterations": 200, "max_splats": 300, "background": (0.2, 0.2, 0.2), **settings}
         chosen = TrainSettings(**options)
-        return Trainer(Shots(shots[1:], chosen.seed), start, EXTENT, chosen, threads=threads)
+        return Trainer(TrainViews(views[1:], chosen.seed), start, EXTENT, chosen, threads=threads)
 
     return make
 
 
 @pytest.fixture
-def capture_folder(tmp_path: Path, shots: list[Shot], points: tuple[np.ndarray, np.ndarray]) -> Path:
+def capture_folder(tmp_path: Path, views: list[TrainView], points: tuple[np.ndarray, np.ndarray]) -> Path:
     """The same as a COLMAP text model with images on disk."""
     folder = tmp_path / "toy"
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     (folder / "images").mkdir()
-    camera = shots[0].camera
+    camera = views[0].camera
     (model / "cameras.txt").write_text(
         f"1 PINHOLE {camera.width} {camera.height} {camera.fx} {camera.fy} {camera.cx} {camera.cy}\n"
     )
     lines = []
-    for number, shot in enumerate(shots, start=1):
-        w, x, y, z = quaternion(shot.camera.R_camera_world)
-        tx, ty, tz = shot.camera.t_camera_world
-        lines += [f"{number} {w} {x} {y} {z} {tx} {ty} {tz} 1 {shot.camera.name}", ""]
-        Image.fromarray(shot.pixels).save(folder / "images" / shot.camera.name)
+    for number, view in enumerate(views, start=1):
+        w, x, y, z = quaternion(view.camera.R_camera_world)
+        tx, ty, tz = view.camera.t_camera_world
+        lines += [f"{number} {w} {x} {y} {z} {tx} {ty} {tz} 1 {view.camera.name}", ""]
+        Image.fromarray(view.pixels).save(folder / "images" / view.camera.name)
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     (model / "points3D.txt").write_text(
         "".join(

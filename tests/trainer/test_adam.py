@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splatview.raster import Parameters
-from splatview.trainer.adam import Pull, Rates, adam_step
+from splatview.trainer.adam import Rates, Regularisation, adam_step
 from splatview.trainer.splats import fresh
 
 RATES = Rates(1e-4, 1e-3, 5e-3, 5e-2, 2.5e-3, 1.25e-4)
@@ -81,7 +81,9 @@ def test_pulls_are_gradients_of_mean_opacity_and_scale() -> None:
     start = random_parameters(10, 1, 1.0, 0)
     splats = fresh(copied(start))
     zeros = Parameters(*(np.zeros_like(array) for array in start))
-    adam_step(splats, zeros, pieces(10), RATES, 1, pull=Pull(opacity=0.3, scale=0.6), threads=1)
+    adam_step(
+        splats, zeros, pieces(10), RATES, 1, regularisation=Regularisation(opacity=0.3, scale=0.6), threads=1
+    )
     opacity = 1 / (1 + np.exp(-start.opacity_logits))
     # After one step the average is a tenth of the gradient.
     np.testing.assert_allclose(
@@ -93,7 +95,15 @@ def test_pulls_are_gradients_of_mean_opacity_and_scale() -> None:
     # Thin axes are left alone.
     thin = fresh(copied(start))
     least = float(np.exp(np.median(start.log_scales)))
-    adam_step(thin, zeros, pieces(10), RATES, 1, pull=Pull(scale=0.6, least_scale=least), threads=1)
+    adam_step(
+        thin,
+        zeros,
+        pieces(10),
+        RATES,
+        1,
+        regularisation=Regularisation(scale=0.6, least_scale=least),
+        threads=1,
+    )
     pulled = thin.parameters.log_scales != start.log_scales
     np.testing.assert_array_equal(pulled, np.exp(start.log_scales) > least)
     assert pulled.any() and not pulled.all()
@@ -104,7 +114,7 @@ def test_no_splat_is_longer_than_it_may_be() -> None:
     zeros = Parameters(*(np.zeros_like(array) for array in start))
     free, cut = fresh(copied(start)), fresh(copied(start))
     adam_step(free, zeros, pieces(60), RATES, 1, threads=1)
-    adam_step(cut, zeros, pieces(60)[:2], RATES, 1, elongation=3.0, threads=1)
+    adam_step(cut, zeros, pieces(60)[:2], RATES, 1, max_aspect=3.0, threads=1)
     np.testing.assert_array_equal(free.parameters.log_scales, start.log_scales)
     before, after = np.sort(start.log_scales, axis=1), np.sort(cut.parameters.log_scales, axis=1)
     long = before[:40, 2] > before[:40, 1] + np.log(3)

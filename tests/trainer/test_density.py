@@ -18,9 +18,9 @@ from splatview.trainer.strategies.default import (
     DefaultStrategy,
     decide,
     dim,
-    sigmoid,
     split,
 )
+from splatview.trainer.strategies.ops import opacities_of
 
 EXTENT = 2.0
 
@@ -41,8 +41,8 @@ def parameters_of(scales, opacities) -> Parameters:
 def control_of(pulled, **options) -> DefaultStrategy:
     control = DefaultStrategy(TrainSettings(strategy="classic", **options), EXTENT)
     control.begin(len(pulled))
-    control.pulled[:] = 2 * np.array(pulled)
-    control.seen[:] = 2
+    control.gradient_sums[:] = 2 * np.array(pulled)
+    control.view_counts[:] = 2
     return control
 
 
@@ -84,7 +84,7 @@ def test_refinement_does_what_was_decided() -> None:
     assert (after.means[3] != after.means[4]).all()
     for array in refined.first:
         assert (array[:2] == 1).all() and (array[2:] == 0).all()
-    assert (control.seen == 0).all() and len(control.seen) == 5
+    assert (control.view_counts == 0).all() and len(control.view_counts) == 5
 
 
 def test_halves_are_drawn_from_the_splat() -> None:
@@ -114,9 +114,9 @@ def test_a_reset_dims_all_once_each_period() -> None:
     splats.first.opacity_logits[:] = 1
     control = control_of([0, 0, 0])
     splats = control.refine(splats, 0.09, np.random.default_rng(0))
-    np.testing.assert_allclose(sigmoid(splats.parameters.opacity_logits), [0.9, 0.5, 0.008], rtol=1e-5)
+    np.testing.assert_allclose(opacities_of(splats.parameters), [0.9, 0.5, 0.008], rtol=1e-5)
     splats = control.refine(splats, 0.11, np.random.default_rng(0))
-    np.testing.assert_allclose(sigmoid(splats.parameters.opacity_logits), [0.01, 0.01, 0.008], rtol=1e-5)
+    np.testing.assert_allclose(opacities_of(splats.parameters), [0.01, 0.01, 0.008], rtol=1e-5)
     assert (splats.first.opacity_logits == 0).all()
     splats.parameters.opacity_logits[:] = 1
     splats = control.refine(splats, 0.15, np.random.default_rng(0))

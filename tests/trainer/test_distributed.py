@@ -188,7 +188,7 @@ def test_batches_average_gradients(make_trainer) -> None:
     looked = []
     batch = BatchSum(parameters)
     for place in range(2):
-        gradients, seen, loss = trainer._look_at(trainer.shots.at(place), False)
+        gradients, seen, loss = trainer._render_and_backprop(trainer.views.at(place), False)
         looked.append(([array.copy() for array in gradients], loss))
         batch.add(gradients, seen, loss)
     means, seen, loss = batch.means(2, Alone(), 2)

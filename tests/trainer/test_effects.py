@@ -11,7 +11,7 @@ import pytest
 from splatview.raster import differentiate
 from splatview.scene import ImageModel, look_at
 from splatview.scene.captures import Capture, Photo, Pixels
-from splatview.scene.captures.capture import PhotoEvidence
+from splatview.scene.captures.capture import PhotoStatistics
 from splatview.scene.effects import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
@@ -19,7 +19,7 @@ from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 
 
-def capture(distances: list[float], *, width: int = 40, **evidence) -> Capture:
+def capture(distances: list[float], *, width: int = 40, **statistics) -> Capture:
     """Of a ball of points at the origin, seen from these distances."""
     photos = []
     for index, distance in enumerate(distances):
@@ -38,7 +38,7 @@ def capture(distances: list[float], *, width: int = 40, **evidence) -> Capture:
         photos=tuple(photos),
         points=points,
         point_colours=np.zeros((100, 3), np.uint8),
-        evidence=PhotoEvidence(**evidence),
+        statistics=PhotoStatistics(**statistics),
     )
 
 
@@ -131,7 +131,7 @@ def test_a_new_band_begins_as_if_it_had_been_there_all_the_time(make_trainer):
         np.testing.assert_array_equal(mine, other)
 
 
-def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, shots, tmp_path):
+def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, views, tmp_path):
     outputs = Outputs(
         scene=tmp_path / "s.ply",
         checkpoint=tmp_path / "s.safetensors",
@@ -142,7 +142,7 @@ def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, shots, tmp_pa
     effects = capture_effects(capture([2.0, 8.0] * 4), trainer.settings, "auto")
     notes: list[str] = []
     training_run = TrainingRun(
-        trainer, shots[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
+        trainer, views[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
     )
     assert training_run.run()
     assert outputs.metrics is not None

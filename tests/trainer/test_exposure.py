@@ -16,41 +16,41 @@ from splatview.trainer.exposure import Exposures, fitted, fitted_by_halves, log_
 from splatview.trainer.loss import photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 EXTENT = 3.0
 make_settings: Any = TrainSettings
 
 
-def exposed(shots: list[Shot], spread: float) -> list[Shot]:
+def exposed(views: list[TrainView], spread: float) -> list[TrainView]:
     """The same photos with gains of this standard deviation, and a tint of each photo's own."""
     rng = np.random.default_rng(1)
-    log_gains = rng.normal(scale=spread, size=(len(shots), 1)) + rng.normal(scale=0.02, size=(len(shots), 3))
+    log_gains = rng.normal(scale=spread, size=(len(views), 1)) + rng.normal(scale=0.02, size=(len(views), 3))
     # The background is known, so that the average exposure of the photos trained on has to be its own.
     gains = np.exp(log_gains - np.mean([gain for i, gain in enumerate(log_gains) if i % 5], axis=0))
     return [
-        replace(shot, pixels=np.clip(shot.pixels * (0.7 * gain) + 0.5, 0, 255).astype(np.uint8))
-        for shot, gain in zip(shots, gains, strict=True)
+        replace(view, pixels=np.clip(view.pixels * (0.7 * gain) + 0.5, 0, 255).astype(np.uint8))
+        for view, gain in zip(views, gains, strict=True)
     ]
 
 
-def trained(shots: list[Shot], start, **settings) -> Trainer:
+def trained(views: list[TrainView], start, **settings) -> Trainer:
     options = {"iterations": 1000, "max_splats": 300, "background": (0.14, 0.14, 0.14), **settings}
     chosen = make_settings(**options)
-    to_train = [shot for i, shot in enumerate(shots) if i % 5]
-    trainer = Trainer(Shots(to_train, 0), start, EXTENT, chosen, threads=2)
+    to_train = [view for i, view in enumerate(views) if i % 5]
+    trainer = Trainer(TrainViews(to_train, 0), start, EXTENT, chosen, threads=2)
     while not trainer.done:
         trainer.step()
     return trainer
 
 
-def score(trainer: Trainer, shots: list[Shot]) -> float:
-    held_out = shots[::5]
+def score(trainer: Trainer, views: list[TrainView]) -> float:
+    held_out = views[::5]
     return evaluate(trainer.splats.parameters, held_out, trainer.render_settings, exposures_differ=True).psnr
 
 
-def test_photos_of_different_exposure_are_corrected(shots, start) -> None:
-    photos = exposed(shots, 0.25)
+def test_photos_of_different_exposure_are_corrected(views, start) -> None:
+    photos = exposed(views, 0.25)
     with_it, without = (trained(photos, start, exposure=mode) for mode in ("auto", "off"))
     assert with_it.exposures.is_on and not without.exposures.is_on
     assert with_it.exposures.evidence is not None and "differ in exposure by" in str(
@@ -59,7 +59,7 @@ def test_photos_of_different_exposure_are_corrected(shots, start) -> None:
     # Both are measured alike, after fits. Measured: 31.4 dB, and 30.0 without; photos of one exposure: 32.4.
     assert score(with_it, photos) > score(without, photos) + 0.8
     learnt = with_it.exposures.table[:, :, 0].mean(axis=1)
-    ratios = [photo.pixels.mean() / shot.pixels.mean() for photo, shot in zip(photos, shots, strict=True)]
+    ratios = [photo.pixels.mean() / view.pixels.mean() for photo, view in zip(photos, views, strict=True)]
     truth = np.log([ratio for i, ratio in enumerate(ratios) if i % 5])
     assert np.corrcoef(learnt, truth)[0, 1] > 0.9
     np.testing.assert_allclose(with_it.exposures.table.mean(axis=0), 0, atol=1e-12)
@@ -76,19 +76,19 @@ def test_equal_photos_are_left_alone(make_trainer) -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_gradients_are_those_of_finite_differences(shots) -> None:
+def test_gradients_are_those_of_finite_differences(views) -> None:
     rng = np.random.default_rng(0)
-    workspace, shot = Workspace(), shots[0]
+    workspace, view = Workspace(), views[0]
     image = rng.uniform(size=(40, 48, 4))
-    exposures = Exposures([shot.camera.name, "another"], "on")
+    exposures = Exposures([view.camera.name, "another"], "on")
     exposures.table[0] = rng.normal(scale=0.2, size=(3, 2))
 
     def loss(picture: np.ndarray) -> float:
-        return photo_loss(exposures.applied(picture, shot, workspace), shot.pixels, workspace).loss
+        return photo_loss(exposures.applied(picture, view, workspace), view.pixels, workspace).loss
 
-    compared = photo_loss(exposures.applied(image, shot, workspace), shot.pixels, workspace)
+    compared = photo_loss(exposures.applied(image, view, workspace), view.pixels, workspace)
     d_image = compared.d_image.copy()
-    exposures.differentiate(image, d_image, shot)
+    exposures.differentiate(image, d_image, view)
     step = 1e-6
     for at in np.ndindex(3, 2):
         losses = []
@@ -107,12 +107,12 @@ def test_gradients_are_those_of_finite_differences(shots) -> None:
     assert (exposures.gradients[1] == 0).all() and (d_image[..., 3] == 0).all()
 
 
-def test_evidence_is_the_spread_of_gains_and_its_error(shots) -> None:
+def test_evidence_is_the_spread_of_gains_and_its_error(views) -> None:
     rng = np.random.default_rng(0)
     gains = [1.0, 1.3, 0.8, 1.1]
     pictures = [rng.uniform(0.1, 0.5, size=(40, 48, 3)) for _ in gains]
     photos = [
-        replace(shots[0], pixels=(picture * gain * 255 + 0.5).astype(np.uint8))
+        replace(views[0], pixels=(picture * gain * 255 + 0.5).astype(np.uint8))
         for picture, gain in zip(pictures, gains, strict=True)
     ]
     logs = [log_gain(picture, photo) for picture, photo in zip(pictures, photos, strict=True)]
@@ -132,30 +132,30 @@ def test_evidence_is_the_spread_of_gains_and_its_error(shots) -> None:
     np.testing.assert_allclose(log_gain(wrong_outside, masked)[0], np.log(1.3), atol=0.01)
 
 
-def test_halves_are_measured_by_fits_that_have_not_seen_them(shots) -> None:
+def test_halves_are_measured_by_fits_that_have_not_seen_them(views) -> None:
     rng = np.random.default_rng(0)
     picture = rng.uniform(0.2, 0.6, size=(40, 48, 3))
     pixels = ((picture * [1.2, 1.0, 0.8] + 0.05) * 255 + 0.5).astype(np.uint8)
-    shot = replace(shots[0], pixels=pixels)
+    view = replace(views[0], pixels=pixels)
     gain, offset = fitted(picture, pixels)
     np.testing.assert_allclose(gain, [1.2, 1.0, 0.8], atol=0.01)
     np.testing.assert_allclose(offset, 0.05, atol=0.01)
-    np.testing.assert_allclose(fitted_by_halves(picture, shot), pixels / 255, atol=0.01)
+    np.testing.assert_allclose(fitted_by_halves(picture, view), pixels / 255, atol=0.01)
     # What is wrong with the left half is not mended by a fit to the left half.
     darker = picture.copy()
     darker[:, :24] *= 0.5
-    out = fitted_by_halves(darker, shot)
+    out = fitted_by_halves(darker, view)
     assert np.abs(out[:, :24] - pixels[:, :24] / 255).mean() > 0.1
     flat, shift = fitted(np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 255, np.uint8))
     assert flat.tolist() == [1, 1, 1] and shift.tolist() == [0, 0, 0]
 
 
-def test_a_run_with_exposures_resumes_bit_for_bit(shots, start, tmp_path: Path) -> None:
-    photos = exposed(shots, 0.2)
+def test_a_run_with_exposures_resumes_bit_for_bit(views, start, tmp_path: Path) -> None:
+    photos = exposed(views, 0.2)
     settings = TrainSettings(iterations=90, max_splats=150, exposure="on")
 
     def begun() -> Trainer:
-        return Trainer(Shots(photos[1:], 0), start, EXTENT, settings, threads=2)
+        return Trainer(TrainViews(photos[1:], 0), start, EXTENT, settings, threads=2)
 
     whole, part = begun(), begun()
     for _ in range(40):

@@ -17,7 +17,7 @@ from splatview.scene.projection import project
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies.ops import invalid_splats
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 THEMES = sorted({case.theme for case in CASES})
 STEPS = 50
@@ -118,14 +118,14 @@ def test_gradients_are_finite_and_those_of_float64(theme) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def shot_of(camera: Camera, number: int) -> Shot:
+def shot_of(camera: Camera, number: int) -> TrainView:
     """A photo of stripes that no case looks like."""
     small = camera.resized(max(SSIM_WINDOW, camera.width // 2), max(SSIM_WINDOW, camera.height // 2))
     rows, columns = np.mgrid[: small.height, : small.width]
     stripes = 0.5 + 0.5 * np.sin(
         np.stack([rows * 0.7, columns * 0.9, (rows + columns) * 0.5], axis=-1) + number
     )
-    return Shot(replace(small, name=f"{number}.png"), (stripes * 255).astype(np.uint8))
+    return TrainView(replace(small, name=f"{number}.png"), (stripes * 255).astype(np.uint8))
 
 
 def trainer_of(case: HardCase, strategy: str) -> Trainer:
@@ -140,11 +140,11 @@ def trainer_of(case: HardCase, strategy: str) -> Trainer:
         least_refine_steps=3,
         max_splats=2 * len(scene) + 50,
         sh_every=0.2,
-        drop=0.1,
+        dropout=0.1,
         **options,
     )
-    shots = [shot_of(camera, number) for number, camera in enumerate(case.cameras)]
-    return Trainer(Shots(shots, 0), parameters_of(scene), 3.0, settings, threads=1)
+    views = [shot_of(camera, number) for number, camera in enumerate(case.cameras)]
+    return Trainer(TrainViews(views, 0), parameters_of(scene), 3.0, settings, threads=1)
 
 
 def ill_rows(parameters: Parameters) -> np.ndarray:

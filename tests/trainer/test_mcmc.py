@@ -10,8 +10,8 @@ import pytest
 from splatview.raster import Parameters
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, fresh
-from splatview.trainer.strategies.default import sigmoid
 from splatview.trainer.strategies.mcmc import DEAD, MCMCStrategy, shared
+from splatview.trainer.strategies.ops import opacities_of
 
 
 def splats_of(opacities) -> Splats:
@@ -59,7 +59,7 @@ def test_the_dead_move_onto_the_living() -> None:
         assert (refined.parameters.means[dead] == alive).all(axis=1).any()
         assert refined.first.means[dead].tolist() == [0, 0, 0]
     np.testing.assert_array_equal(refined.parameters.means[[0, 2, 4]], alive)
-    assert (sigmoid(refined.parameters.opacity_logits) > DEAD).all()
+    assert (opacities_of(refined.parameters) > DEAD).all()
     moved_onto = [i for i in (0, 2, 4) if (refined.parameters.means[[1, 3]] == before.means[i]).all(1).any()]
     for i in moved_onto:
         assert refined.parameters.opacity_logits[i] < before.opacity_logits[i]

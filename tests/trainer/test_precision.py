@@ -9,7 +9,7 @@ def test_a_step_in_float64_is_nearly_that_in_float32(make_trainer) -> None:
     single, double = make_trainer(), make_trainer()
     double.picture_dtype = np.float64
     (g32, seen32, loss32), (g64, seen64, loss64) = (
-        each._look_at(each.shots.at(0, 1), True) for each in (single, double)
+        each._render_and_backprop(each.views.at(0, 1), True) for each in (single, double)
     )
     assert abs(loss32 - loss64) < 1e-5 * max(loss64, 1e-3) + 1e-6
     assert [len(each) for each in seen32] == [len(each) for each in seen64]

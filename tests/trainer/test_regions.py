@@ -64,7 +64,7 @@ def test_nothing_grows_in_a_region(make_trainer, strategy: str) -> None:
     left = splats.parameters.means[:, 0] <= 0
     before, ids = splats.parameters.means[left].copy(), splats.ids[left]
     if isinstance(control, DefaultStrategy):
-        control.pulled[:], control.seen[:] = 1.0, 1
+        control.gradient_sums[:], control.view_counts[:] = 1.0, 1
     else:
         splats.parameters.opacity_logits[~left] = -1.0
         splats.parameters.opacity_logits[left] = 5.0  # most of what is drawn, were it drawn
@@ -125,7 +125,7 @@ def test_an_edited_run_resumes_bit_for_bit(make_trainer, tmp_path: Path, strateg
     checkpoint = load_checkpoint(tmp_path / "run.safetensors")
     assert checkpoint.settings == trainer.settings
     resumed = Trainer(
-        trainer.shots, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
+        trainer.views, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
     )
     restore(resumed, checkpoint)
     for _ in range(50):

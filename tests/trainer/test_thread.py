@@ -29,7 +29,7 @@ from splatview.trainer.settings import TrainSettings
 
 
 @pytest.fixture
-def make_session(make_trainer, shots, tmp_path) -> Callable[..., TrainingRun]:
+def make_session(make_trainer, views, tmp_path) -> Callable[..., TrainingRun]:
     """`make_session(eval_every=.., iterations=.., ...)`: a session that writes into `tmp_path`."""
 
     def make(*, eval_every: int = 1000, **settings: Any) -> TrainingRun:
@@ -40,7 +40,7 @@ def make_session(make_trainer, shots, tmp_path) -> Callable[..., TrainingRun]:
             pictures=tmp_path / "pictures",
         )
         trainer = make_trainer(**settings)
-        return TrainingRun(trainer, shots[:1], outputs, started=time.perf_counter(), eval_every=eval_every)
+        return TrainingRun(trainer, views[:1], outputs, started=time.perf_counter(), eval_every=eval_every)
 
     return make
 

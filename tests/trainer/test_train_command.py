@@ -118,7 +118,7 @@ def test_a_run_resumed_half_way_ends_in_the_same_file(
 
     step = session.TrainingRun.step
 
-    def interrupted(self: session.TrainingRun) -> session.Progress:
+    def interrupted(self: session.TrainingRun) -> session.RunProgress:
         if self.trainer.counters.iteration == 40:
             raise KeyboardInterrupt
         return step(self)
@@ -165,10 +165,10 @@ def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path
     output, options = tmp_path / "toy.ply", ("--strategy", "classic", "--abs-grad", "--exposure", "on")
     assert train(capture_folder, output, "--iterations", "40", "--coarse", "0.2:3,0.5:2", *options) == 0
     settings = load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings
-    assert settings.coarse == ((0.2, 3), (0.5, 2))
+    assert settings.resolution == ((0.2, 3), (0.5, 2))
     assert (settings.strategy, settings.absolute_gradient, settings.exposure) == ("classic", True, "on")
     assert train(capture_folder, output, "--iterations", "2", "--coarse", "none") == 0
-    assert load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings.coarse == ()
+    assert load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings.resolution == ()
 
 
 @pytest.mark.parametrize(

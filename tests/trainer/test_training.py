@@ -18,15 +18,17 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
-    automatic_drop,
-    automatic_elongation,
+    automatic_dropout,
     automatic_limit,
-    automatic_pull,
+    automatic_max_aspect,
+    automatic_regularisation,
     automatic_steps,
 )
-from splatview.trainer.strategies.ops import some_dropped
+from splatview.trainer.strategies.default import DefaultStrategy
+from splatview.trainer.strategies.mcmc import MCMCStrategy
+from splatview.trainer.strategies.ops import dropout
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 
 make_settings: Any = TrainSettings
 
@@ -43,13 +45,13 @@ def assert_equal(a: Trainer, b: Trainer) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["classic", "mcmc"])
-def test_a_run_learns_the_scene(make_trainer, shots: list[Shot], strategy: str) -> None:
+def test_a_run_learns_the_scene(make_trainer, views: list[TrainView], strategy: str) -> None:
     trainer = make_trainer(iterations=500, strategy=strategy)
-    before = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    before = evaluate(trainer.splats.parameters, views[:1], trainer.render_settings)
     report = trainer.step()
     while not trainer.done:
         report = trainer.step()
-    after = evaluate(trainer.splats.parameters, shots[:1], trainer.render_settings)
+    after = evaluate(trainer.splats.parameters, views[:1], trainer.render_settings)
     assert report.iteration == 500 and report.progress == 1
     # Measured on the photo held out: from 17.2 dB to 29.8 (classic) and 27.7 (mcmc).
     assert after.psnr > max(before.psnr + 8, 22)
@@ -79,12 +81,12 @@ def test_bands_are_unlocked_in_turn(make_trainer) -> None:
 
 def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
     behind = start._replace(means=start.means + np.float32(1e4))
-    for seen_only in (True, False):
-        trainer = make_trainer(seen_only=seen_only, strategy="classic")
-        far = Trainer(trainer.shots, behind, 3.0, trainer.settings)
+    for visible_only in (True, False):
+        trainer = make_trainer(visible_only=visible_only, strategy="classic")
+        far = Trainer(trainer.views, behind, 3.0, trainer.settings)
         far.splats.first.means[:] = 1
         far.step()
-        assert (far.splats.parameters.means == behind.means).all() == seen_only
+        assert (far.splats.parameters.means == behind.means).all() == visible_only
 
 
 @pytest.mark.parametrize("strategy", ["classic", "mcmc"])
@@ -99,7 +101,7 @@ def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strateg
     assert checkpoint.notes == {"downscale": 2}
     assert checkpoint.settings == part.settings
     resumed = Trainer(
-        part.shots, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
+        part.views, checkpoint.splats.parameters, checkpoint.extent, checkpoint.settings, threads=2
     )
     restore(resumed, checkpoint)
     assert_equal(resumed, part)
@@ -107,11 +109,11 @@ def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strateg
     assert_equal(resumed, whole)
 
 
-def test_checkpoints_of_other_photos_are_refused(make_trainer, shots, start, tmp_path: Path) -> None:
+def test_checkpoints_of_other_photos_are_refused(make_trainer, views, start, tmp_path: Path) -> None:
     path = tmp_path / "run.safetensors"
     trainer = make_trainer()
     save_checkpoint(trainer, path)
-    other = Trainer(Shots(shots[2:], 0), start, 3.0, trainer.settings)
+    other = Trainer(TrainViews(views[2:], 0), start, 3.0, trainer.settings)
     with pytest.raises(InputError, match="other photos"):
         restore(other, load_checkpoint(path))
 
@@ -147,13 +149,14 @@ from splatview.raster import Parameters
 from splatview.scene import look_at
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.views import Shot, Shots
+from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.trainer import Trainer
 n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
                np.zeros(n, np.float32), np.zeros((n, 16, 3), np.float32))
 camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
-trainer = Trainer(Shots([Shot(camera, np.zeros((16, 16, 3), np.uint8))], 0), p, 1.0, TrainSettings())
+view = TrainView(camera, np.zeros((16, 16, 3), np.uint8))
+trainer = Trainer(TrainViews([view], 0), p, 1.0, TrainSettings())
 while True:
     for array in trainer.splats.parameters:
         array[:] = trainer.counters.iteration
@@ -180,31 +183,31 @@ def test_a_kill_at_any_moment_leaves_a_whole_checkpoint(tmp_path: Path) -> None:
             assert (array == checkpoint.counters.iteration).all()
 
 
-def test_photos_come_once_each_in_every_round(shots: list[Shot]) -> None:
-    count = len(shots)
-    order = Shots(shots, seed=3)
+def test_photos_come_once_each_in_every_round(views: list[TrainView]) -> None:
+    count = len(views)
+    order = TrainViews(views, seed=3)
     rounds = [[order.at(count * epoch + i).camera.name for i in range(count)] for epoch in range(3)]
-    assert all(sorted(names) == sorted(shot.camera.name for shot in shots) for names in rounds)
+    assert all(sorted(names) == sorted(view.camera.name for view in views) for names in rounds)
     assert rounds[0] != rounds[1]
-    again = Shots(shots, seed=3)
+    again = TrainViews(views, seed=3)
     assert [again.at(2 * count + i).camera.name for i in range(count)] == rounds[2]
 
 
-def test_smaller_photos_are_averages_with_the_same_view(shots: list[Shot]) -> None:
+def test_smaller_photos_are_averages_with_the_same_view(views: list[TrainView]) -> None:
     mask = np.ones((40, 48), np.bool_)
     mask[0, 0] = False
-    small = replace(shots[0], mask=mask).smaller(2)
-    assert small.pixels.shape == (20, 24, 3) and small.camera.fx == shots[0].camera.fx / 2
-    blocks = shots[0].pixels.astype(float).reshape(20, 2, 24, 2, 3).mean(axis=(1, 3))
+    small = replace(views[0], mask=mask).smaller(2)
+    assert small.pixels.shape == (20, 24, 3) and small.camera.fx == views[0].camera.fx / 2
+    blocks = views[0].pixels.astype(float).reshape(20, 2, 24, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(small.pixels, blocks, atol=0.51)
     assert small.mask is not None and not small.mask[0, 0] and small.mask.sum() == 479
-    assert shots[0].smaller(10).pixels.shape == (11, 11, 3)
+    assert views[0].smaller(10).pixels.shape == (11, 11, 3)
 
 
-def test_photos_too_small_for_the_loss_are_named(shots: list[Shot]) -> None:
-    camera = shots[0].camera.resized(10, 40)
+def test_photos_too_small_for_the_loss_are_named(views: list[TrainView]) -> None:
+    camera = views[0].camera.resized(10, 40)
     with pytest.raises(InputError, match=r"view_0.png: 10x40 is too small"):
-        Shot(camera, np.zeros((40, 10, 3), np.uint8))
+        TrainView(camera, np.zeros((40, 10, 3), np.uint8))
 
 
 def test_schedules_scale_with_the_length_of_the_run() -> None:
@@ -229,19 +232,26 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"minutes": float("nan")}, "minutes"),
         ({"sh_degree": 4}, "sh_degree"),
         ({"seed": -1}, "seed"),
-        ({"elongation": 0.5}, "elongation"),
-        ({"drop": 1.0}, "drop"),
+        ({"max_aspect": 0.5}, "max_aspect"),
+        ({"dropout": 1.0}, "dropout"),
     ):
         with pytest.raises(ValueError, match=name):
             make_settings(**options)
 
 
 def test_few_photos_pull_harder_and_drop_more() -> None:
-    assert automatic_pull(1) == automatic_pull(13) == 0.1
-    assert automatic_pull(1000) == 0.01
-    assert 0.01 < automatic_pull(84) < 0.1
-    assert automatic_drop(1) == automatic_drop(13) == 0.2 > automatic_drop(30) > automatic_drop(80) == 0
-    assert 1 < automatic_elongation(13) < automatic_elongation(84)
+    assert automatic_regularisation(1) == automatic_regularisation(13) == 0.1
+    assert automatic_regularisation(1000) == 0.01
+    assert 0.01 < automatic_regularisation(84) < 0.1
+    assert (
+        automatic_dropout(1)
+        == automatic_dropout(13)
+        == 0.2
+        > automatic_dropout(30)
+        > automatic_dropout(80)
+        == 0
+    )
+    assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
 
@@ -255,7 +265,7 @@ def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> 
     rng = np.random.default_rng(0)
     many = start._replace(opacity_logits=np.full(20_000, -4.0, np.float32))
     before = many.opacity_logits.copy()
-    dropped = some_dropped(many, 0.2, rng)
+    dropped = dropout(many, 0.2, rng)
     np.testing.assert_array_equal(many.opacity_logits, before)
     opacities = 1 / (1 + np.exp(-dropped.opacity_logits.astype(np.float64)))
     gone = opacities < 1 / 255 / 100
@@ -265,37 +275,38 @@ def test_dropped_splats_are_invisible_and_the_others_make_up_for_them(start) -> 
     assert dropped.means is many.means
 
 
-def test_dropping_learns_repeats_and_ends_whole(make_trainer, shots: list[Shot]) -> None:
-    first, second = (make_trainer(iterations=300, drop=0.3, batch=2) for _ in range(2))
-    before = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+def test_dropping_learns_repeats_and_ends_whole(make_trainer, views: list[TrainView]) -> None:
+    first, second = (make_trainer(iterations=300, dropout=0.3, batch=2) for _ in range(2))
+    before = evaluate(first.splats.parameters, views[:1], first.render_settings)
     assert run(first, 300) == run(second, 300)
     assert_equal(first, second)
-    after = evaluate(first.splats.parameters, shots[:1], first.render_settings)
+    after = evaluate(first.splats.parameters, views[:1], first.render_settings)
     assert after.psnr > before.psnr + 7
     assert (first.splats.parameters.opacity_logits > -20).all()
 
 
 def test_rates_settle_and_pulls_fade() -> None:
-    settings = TrainSettings(settle_from=0.5, settle_to=0.1, pull_end=0.01, opacity_pull=0.1)
+    settings = TrainSettings(settle_from=0.5, settle_to=0.1, reg_end=0.01, opacity_reg=0.1)
     a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
     assert a[1:] == b[1:]
     np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
-    assert settings.pull_at(0.5, 2.0, 400).opacity == pytest.approx(0.01)
-    assert settings.pull_at(0, 2.0, 400).scale == pytest.approx(settings.scale_pull / 2)
-    assert settings.pull_at(0, 2.0, 400).least_scale == pytest.approx(0.1 * 2 / 400)
-    assert replace(settings, strategy="classic").pull_at(0.5, 2.0, 400) == (0, 0, 0)
+    control = MCMCStrategy(settings, 2.0)
+    assert control.regularisation(0.5, 400).opacity == pytest.approx(0.01)
+    assert control.regularisation(0, 400).scale == pytest.approx(settings.scale_reg / 2)
+    assert control.regularisation(0, 400).least_scale == pytest.approx(0.1 * 2 / 400)
+    assert DefaultStrategy(settings, 2.0).regularisation(0.5, 400) == (0, 0, 0)
 
 
-def test_masked_photos_are_measured_by_what_is_left(make_trainer, shots: list[Shot]) -> None:
+def test_masked_photos_are_measured_by_what_is_left(make_trainer, views: list[TrainView]) -> None:
     trainer = make_trainer()
     left = np.zeros((40, 48), np.bool_)
     left[:, :20] = True
-    half = replace(shots[0], mask=left)
+    half = replace(views[0], mask=left)
     painted = half.pixels.copy()
     painted[~left] = 255
     scores = [
-        evaluate(trainer.splats.parameters, [shot], trainer.render_settings).scores[0]
-        for shot in (half, replace(half, pixels=painted), replace(shots[0], pixels=painted))
+        evaluate(trainer.splats.parameters, [view], trainer.render_settings).scores[0]
+        for view in (half, replace(half, pixels=painted), replace(views[0], pixels=painted))
     ]
     assert scores[0] == scores[1] and scores[2].psnr < scores[0].psnr - 3
     nothing = replace(half, mask=np.zeros((40, 48), np.bool_))

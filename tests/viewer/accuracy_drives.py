@@ -13,8 +13,10 @@ from imgui_bundle import ImVec2, imgui
 
 from splatview import raster
 from splatview.measure.knobs import Plan
-from splatview.renderers.headless import reduced as fewer
+from splatview.renderers import quality
+from splatview.renderers.request import FrameRequest
 from splatview.viewer.navigation import orbit
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 
@@ -22,7 +24,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     """Measure, read the prices, take a shortcut by a click, compare, and take all back."""
     hand.settle()
     app.prefer(smooth=False)
-    accuracy = app.accuracy
+    accuracy = app.feature(Accuracy)
     accuracy.rounds = options.get("rounds")
     exact = hand.picture()
     hand.ctx.window_focus("//Accuracy")
@@ -55,7 +57,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     plan = accuracy.plan(app)
     picture = app.picture
     assert picture is not None
-    coarse = hand.on_gl_thread(lambda: picture.read(app.camera, plan.settings, app.mode))
+    coarse = hand.on_gl_thread(lambda: picture.read(FrameRequest(None, app.camera, plan.settings)))
     shown = seen(hand, app)
     found["shown_is_coarse"] = float(np.abs(shown - coarse).max())
     found["differs"] = float(np.abs(coarse - exact).max())
@@ -94,8 +96,8 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
 
 def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
     """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
-    accuracy, picture = app.accuracy, app.picture
-    assert app.scene is not None and picture is not None
+    accuracy, picture = app.feature(Accuracy), app.picture
+    assert app.is_open and picture is not None
     for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)
@@ -103,7 +105,9 @@ def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray)
         hand.settle()
         shown = seen(hand, app)
         plan = Plan(kept=0.25) if name == "keep" else Plan(attributes="8-bit-sh")
-        wanted = raster.render(fewer(app.scene.gaussians, plan), app.camera, app.settings)
+        request = quality.reduced(FrameRequest.by_plan(app.scene.gaussians, app.camera, plan))
+        assert request.gaussians is not None
+        wanted = raster.render(request.gaussians, app.camera, app.settings)
         found[name] = [float(np.abs(shown - wanted).max()), float(np.abs(shown - exact).max())]
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)
@@ -113,7 +117,7 @@ def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray)
 
 
 def drag_line(hand: Hand, dx: float) -> None:
-    hand.point(hand.app.accuracy.comparing.line, 0.6)
+    hand.point(hand.app.feature(Accuracy).comparing.line, 0.6)
     hand.ctx.mouse_drag_with_delta(ImVec2(dx, 0), imgui.MouseButton_.left)
     hand.frames(2)
 
@@ -140,7 +144,7 @@ def governor(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     """Turn with a budget that a full frame does not meet, and come to rest."""
     hand.settle()
     app.prefer(smooth=False)
-    accuracy, picture = app.accuracy, app.picture
+    accuracy, picture = app.feature(Accuracy), app.picture
     assert picture is not None
     exact_size = picture.texture.size
 
@@ -163,7 +167,7 @@ def governor(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["full_ms"] = float(np.median(full))
     time.sleep(0.4)
     hand.settle()
-    app.post(lambda app: app.accuracy.hold(app, options["share"] * found["full_ms"]))
+    app.post(lambda app: app.feature(Accuracy).hold(app, options["share"] * found["full_ms"]))
     hand.settle()
     time.sleep(options.get("patience", 0.0))
     turned(options["frames"])

@@ -10,15 +10,18 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import hypothesis
 import numpy as np
 import pytest
 
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.renderers.request import FrameRequest
+from splatview.scene import Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
+from splatview.viewer.app import window_state
 from splatview.viewer.open import continue_loading
+from splatview.viewer.picture import Picture
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
 
@@ -30,9 +33,10 @@ hypothesis.settings.load_profile("window")
 class RecordingPicture:
     """Remembers what it was given; `too_big` scenes do not fit."""
 
-    name = "recording"
-    modes = ("splats", "points", "ellipsoids", "depth", "overdraw")
+    name, backend = "recording", "quads"
     busy = False
+    draws_anywhere = False
+    budget_ms = None
     sharp = False
     status = note = ""
     texture: Any = None
@@ -52,38 +56,33 @@ class RecordingPicture:
             raise InputError("the GPU's memory does not hold it")
         self.loaded.append(gaussians)
 
-    def draw(
-        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, highlight=None
-    ) -> None: ...
+    def draw(self, request: FrameRequest) -> None: ...
 
-    def read(
-        self, camera: Camera, settings: RenderSettings, mode: str, edits=None, highlight=None
-    ) -> np.ndarray:
+    def read(self, request: FrameRequest) -> np.ndarray:
+        camera = request.camera
         image = np.zeros((camera.height, camera.width, 4), np.float32)
         image[..., 0] = np.linspace(-0.5, 1.5, camera.width)
         return image
-
-    note = ""
 
     def wait(self, seconds: float) -> None: ...
 
     def forget_order(self) -> None: ...
 
-    def refusal(self, settings: RenderSettings) -> str | None:
+    def unsupported(self, request: FrameRequest) -> str | None:
         return None
 
     def take_problem(self) -> str | None:
         return None
 
-    def release(self) -> None: ...
+    def close(self) -> None: ...
 
 
 @pytest.fixture
 def app(tmp_path, monkeypatch) -> AppState:
     """A window's state with motions switched off, its settings in a folder of the test's own."""
     monkeypatch.setenv("SPLATVIEW_CONFIG_DIR", str(tmp_path / "config"))
-    made = AppState(preferences=Preferences(smooth=False))
-    made.picture = RecordingPicture()
+    made = window_state(preferences=Preferences(smooth=False))
+    made.picture = cast(Picture, RecordingPicture())
     made.picture_size = (320, 200)
     return made
 

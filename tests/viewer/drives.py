@@ -23,11 +23,13 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
+from splatview.renderers.request import FrameRequest
 from splatview.viewer import app as dropping
 from splatview.viewer import commands as keys
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout, loading
 from splatview.viewer.app import run_window
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
 
@@ -51,7 +53,7 @@ class Hand:
         """Until nothing is on its way any more."""
         self.frames(2)
         self.wait(
-            lambda: not self.app.waiting and self.app.transition is None and self.app.scene is not None,
+            lambda: not self.app.waiting and self.app.transition is None and self.app.is_open,
             "the window to settle",
         )
         self.frames(2)
@@ -97,15 +99,19 @@ class Hand:
         app = self.app
         assert app.picture is not None
         picture = app.picture
-        return self.on_gl_thread(lambda: picture.read(app.camera, app.settings, app.mode))
+        return self.on_gl_thread(
+            lambda: picture.read(FrameRequest(None, app.camera, app.settings, mode=app.mode))
+        )
 
     def picture_of_edits(self) -> np.ndarray:
         """The same with the edits in force."""
-        app = self.app
-        assert app.picture is not None and app.session is not None
-        picture, document = app.picture, app.session.document
+        app, session = self.app, session_of(self.app)
+        assert app.picture is not None and session is not None
+        picture, document = app.picture, session.document
         return self.on_gl_thread(
-            lambda: picture.read(app.camera, app.settings, app.mode, edits=document.edits)
+            lambda: picture.read(
+                FrameRequest(None, app.camera, app.settings, mode=app.mode, edits=document.edits)
+            )
         )
 
     def shoot(self, path: str | None) -> None:
@@ -138,11 +144,11 @@ def camera_json(app: AppState) -> dict[str, Any]:
 def tour(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Open by drop, orbit, pan, zoom, focus, fly, every mode, help, a picture."""
     hand.settle()
-    found["first"] = app.scene.name if app.scene else None
+    found["first"] = app.scene.name if app.is_open else None
     hand.drop(options["drop"])
-    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["drop"]).name, "the drop")
+    hand.wait(lambda: app.is_open and app.scene.name == Path(options["drop"]).name, "the drop")
     hand.settle()
-    found["title"] = app.scene.name if app.scene else None
+    found["title"] = app.scene.name if app.is_open else None
     app.prefer(smooth=False)
 
     found["start"] = pose(app)
@@ -225,9 +231,9 @@ def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.key_chars_replace_enter(options["typed"])
-    hand.wait(lambda: app.scene is not None and app.scene.name == Path(options["typed"]).name, "the scene")
+    hand.wait(lambda: app.is_open and app.scene.name == Path(options["typed"]).name, "the scene")
     hand.settle()
-    found["opened"] = app.scene.name if app.scene else None
+    found["opened"] = app.scene.name if app.is_open else None
     ctx.menu_click("File/Open...")
     hand.frames(4)
     ctx.item_click("//Open a scene/Cancel")
@@ -342,11 +348,9 @@ def look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
 def slow_down() -> None:
     """Reading takes some ten seconds from here on, unless it is cancelled."""
 
-    def slow(path, *, progress, cancelled):
+    def slow(path, *, progress):
         for step in range(1000):
-            if cancelled():
-                raise loading.LoadCancelled
-            progress(step / 1000)
+            progress.step(step / 1000)
             time.sleep(0.01)
         raise AssertionError("nobody cancelled")
 

@@ -13,6 +13,8 @@ from imgui_bundle import imgui
 
 from splatview.scene.edits import SELECTED
 from splatview.viewer.editing import files
+from splatview.viewer.editing.files import Restoring
+from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.state import AppState
 
 
@@ -27,16 +29,17 @@ def open_section(hand: Hand, title: str) -> None:
 
 def settle(hand: Hand) -> None:
     hand.settle()
-    hand.wait(lambda: hand.app.session is not None and hand.app.session.job is None, "the job", 120)
+    hand.wait(lambda: (session := session_of(hand.app)) is not None and session.job is None, "the job", 120)
     hand.frames(2)
-    session = hand.app.session
+    session = session_of(hand.app)
     assert session is not None
     hand.wait(lambda: session.loaded in (None, session.gaussians), "the changed scene", 120)
 
 
 def counts(app: AppState) -> dict[str, int]:
-    assert app.session is not None
-    now = app.session.document.counts
+    session = session_of(app)
+    assert session is not None
+    now = session.document.counts
     return {"selected": now.selected, "deleted": now.deleted, "kept": now.kept}
 
 
@@ -44,7 +47,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     """Box-select, add with the brush, delete, undo, crop by numbers, prune with preview, export, reopen."""
     settle(hand)
     app.prefer(smooth=False)
-    session = app.session
+    session = session_of(app)
     assert session is not None
     found["before"] = counts(app)
     seen = hand.picture()
@@ -113,7 +116,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     hand.on_gl_thread(lambda: files.save_recipe_to(app, recipe))
     found["journal_left"] = len(list(Path(options["journals"]).glob("*")))
     hand.drop(str(out))
-    hand.wait(lambda: app.scene is not None and app.scene.name == out.name, "the export to open")
+    hand.wait(lambda: app.is_open and app.scene.name == out.name, "the export to open")
     settle(hand)
     found["reopened"] = counts(app)
 
@@ -135,16 +138,21 @@ def restore_edits(app: AppState, hand: Hand, options: dict[str, Any], found: dic
     found["offered"] = app.dialog
     hand.ctx.set_ref("//Unsaved edits")
     hand.ctx.item_click("**/Restore")
-    hand.wait(lambda: app.restoring is None and app.loading is None, "the scene to come back")
+    hand.wait(
+        lambda: app.feature(Restoring).journal is None and app.loading is None, "the scene to come back"
+    )
     settle(hand)
-    hand.wait(lambda: app.session is not None and app.session.document.history.position > 0, "the steps")
+    hand.wait(
+        lambda: (session := session_of(app)) is not None and session.document.history.position > 0,
+        "the steps",
+    )
     found["restored"] = counts(app)
 
 
 def by_words(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The palette finds commands; sliders preview, apply and cancel."""
     settle(hand)
-    session = app.session
+    session = session_of(app)
     assert session is not None
     hand.press("Ctrl+P")
     hand.frames(3)
@@ -199,7 +207,7 @@ def by_words(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
 def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The Health report: prices of repairs, a repair, its undo, and a click that selects."""
     settle(hand)
-    session = app.session
+    session = session_of(app)
     assert session is not None
     hand.wait(lambda: app.examination is not None and app.examination.done, "the health check")
     hand.ctx.window_focus("//Scene")
@@ -217,12 +225,12 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     settle(hand)
     found["titles"] = [step.title for step in session.document.history.done]
     found["changed"] = float(np.abs(hand.picture_of_edits() - seen).max())
-    hand.wait(lambda: app.examining is None, "the health of the repaired scene")
+    hand.wait(lambda: app.feature(Editing).examining is None, "the health of the repaired scene")
     assert app.examination is not None
     found["left"] = {finding.name: finding.count for finding in app.examination.findings}
     hand.press("Ctrl+Z")
     settle(hand)
-    hand.wait(lambda: app.examining is None, "the health of the scene as it was")
+    hand.wait(lambda: app.feature(Editing).examining is None, "the health of the scene as it was")
     hand.frames(2)
     found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.ctx.window_focus("//Scene")

@@ -12,13 +12,14 @@ from drives import Hand
 
 from splatview.edit.operations import Hide, SelectAll
 from splatview.viewer.editing.commands import apply
+from splatview.viewer.quality.effects import Effects
 from splatview.viewer.state import AppState
 
 
 def receipt(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     hand.settle()
     app.prefer(smooth=False)
-    effects = app.effects
+    effects = app.feature(Effects)
     effects.rounds = options.get("rounds")
     exact = hand.picture()
     hand.ctx.window_focus("//Effects")

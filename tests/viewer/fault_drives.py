@@ -22,6 +22,7 @@ from training_drives import seen, steps, training_of
 from splatview.edit.operations import Delete, SelectAll, SelectInverse
 from splatview.viewer import layout, overlays
 from splatview.viewer.editing import commands, files
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
 
@@ -135,10 +136,10 @@ def edits_until_killed(app: AppState, hand: Hand, options: dict[str, Any], found
         hand.on_gl_thread(lambda: commands.apply(app, Delete()))
         hand.on_gl_thread(lambda: commands.undo(app))
         hand.on_gl_thread(lambda: files.export_to(app, Path(options["export"])))
-        hand.wait(lambda: app.session is not None and app.session.job is None, "the export")
+        hand.wait(lambda: (session := session_of(app)) is not None and session.job is None, "the export")
         hand.frames(3)
     found["said"] = hand.said
-    found["position"] = app.session.document.history.position if app.session else None
+    found["position"] = session.document.history.position if (session := session_of(app)) else None
 
 
 TRAINING = (display_ends_in_training, capture_goes)

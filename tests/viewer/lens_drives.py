@@ -10,11 +10,13 @@ import drives
 import numpy as np
 from drives import Hand
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene.background import Gradient, Panorama
 from splatview.scene.depth_of_field import mean_picture
 from splatview.viewer import depth_of_field
 from splatview.viewer import save as saving
-from splatview.viewer.background import take_picture
+from splatview.viewer.background import WindowBackground
+from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.navigation import orbit
 from splatview.viewer.state import AppState
 
@@ -40,7 +42,7 @@ def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[
     found["corner"] = hand.picture()[0, 0, :3].tolist()
     hand.shoot(options.get("shot_gradient"))
 
-    app.post(take_picture, Path(options["sky"]))
+    app.post(app.feature(WindowBackground).choose, Path(options["sky"]))
     hand.frames(2)
     hand.settle()
     found["panorama"] = isinstance(app.settings.background, Panorama)
@@ -48,7 +50,7 @@ def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[
     hand.shoot(options.get("shot_panorama"))
     kept = app.settings.background
 
-    app.post(take_picture, Path(options["broken"]))
+    app.post(app.feature(WindowBackground).choose, Path(options["broken"]))
     hand.frames(3)
     found["problem"], app.problem = app.problem, None
     hand.frames(2)
@@ -61,7 +63,7 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     hand.ctx.set_ref("//Camera")
     hand.frames(3)
     hand.ctx.item_click("**/##Depth of field")
-    lens = app.depth_of_field
+    lens = app.feature(DepthOfField)
     lens.share = 0.2
     hand.frames(3)
     hand.ctx.item_click("**/Focus by click")
@@ -111,11 +113,11 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
 
 def through(hand: Hand, app: AppState) -> np.ndarray:
     """The picture through the lens, drawn by the renderer that the window has."""
-    picture, aperture = app.picture, app.depth_of_field.aperture(app)
+    picture, aperture = app.picture, app.feature(DepthOfField).aperture(app)
     assert picture is not None and aperture is not None
     return hand.on_gl_thread(
         lambda: mean_picture(
-            lambda camera: picture.read(camera, app.settings, app.mode),
+            lambda camera: picture.read(FrameRequest(None, camera, app.settings, mode=app.mode)),
             app.camera,
             aperture,
             depth_of_field.SAMPLES,
@@ -125,7 +127,7 @@ def through(hand: Hand, app: AppState) -> np.ndarray:
 
 def shown(hand: Hand, app: AppState) -> np.ndarray:
     """The mean that the window shows (H, W, 4)."""
-    mean = app.depth_of_field._mean
+    mean = app.feature(DepthOfField)._mean
     assert mean is not None and mean.texture is not None
     texture = mean.texture
     return hand.on_gl_thread(

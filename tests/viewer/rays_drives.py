@@ -10,6 +10,7 @@ import drives
 import numpy as np
 from drives import Hand
 
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.open import open_paths
 from splatview.viewer.state import AppState
 
@@ -33,7 +34,7 @@ def other_rays(app: AppState, hand: Hand, options: dict[str, Any], found: dict[s
     hand.press("R")
     hand.drag(80, 60, over=(0.4, 0.4))
     hand.settle()
-    found["selected"] = app.session.document.counts.selected if app.session else 0
+    found["selected"] = session.document.counts.selected if (session := session_of(app)) else 0
     hand.press("Escape")
     hand.shoot(options.get("shot_parallel"))
     hand.press("Shift+P")

@@ -9,7 +9,8 @@ import pytest
 
 from splatview.measure.knobs import Plan
 from splatview.scene import look_at
-from splatview.viewer.quality.measurement import Cancelled, Painter
+from splatview.scene.progress import Cancelled
+from splatview.viewer.quality.measurement import WindowScene
 from splatview.viewer.state import AppState
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)
@@ -26,13 +27,13 @@ def opened(app, random_gaussians, wait_for_loading, tmp_path) -> AppState:
     return app
 
 
-def asked(app: AppState, painter: Painter) -> list[str]:
+def asked(app: AppState, scene: WindowScene) -> list[str]:
     """How a picture ends that another thread asks for while frames go by."""
     ends: list[str] = []
 
     def ask() -> None:
         try:
-            painter.draw(CAMERA, Plan())
+            scene.draw(CAMERA, Plan())
             ends.append("drawn")
         except Cancelled:
             ends.append("cancelled")
@@ -48,27 +49,27 @@ def asked(app: AppState, painter: Painter) -> list[str]:
 
 
 def test_a_picture_of_the_open_scene(opened) -> None:
-    assert asked(opened, Painter(opened, threading.Event(), lambda: None)) == ["drawn"]
+    assert asked(opened, WindowScene(opened, lambda: False, lambda: None)) == ["drawn"]
 
 
 def test_another_scene_cancels(opened, random_gaussians) -> None:
-    painter = Painter(opened, threading.Event(), lambda: None)
+    scene = WindowScene(opened, lambda: False, lambda: None)
     opened.scene = replace(opened.scene, gaussians=random_gaussians(20))
-    assert asked(opened, painter) == ["cancelled"]
+    assert asked(opened, scene) == ["cancelled"]
 
 
 def test_a_failure_is_told_only_of_the_open_scene(opened, random_gaussians, monkeypatch) -> None:
-    painter = Painter(opened, threading.Event(), lambda: None)
+    scene = WindowScene(opened, lambda: False, lambda: None)
 
     def fail(*_, **__):
         raise ValueError("50 marks for a scene of 20 splats")
 
     monkeypatch.setattr(opened.picture, "read", fail, raising=False)
-    assert "50 marks" in asked(opened, painter)[0]
+    assert "50 marks" in asked(opened, scene)[0]
 
     def overtaken(*_, **__):
         opened.scene = replace(opened.scene, gaussians=random_gaussians(20))
         fail()
 
     monkeypatch.setattr(opened.picture, "read", overtaken, raising=False)
-    assert asked(opened, painter) == ["cancelled"]
+    assert asked(opened, scene) == ["cancelled"]

@@ -11,18 +11,22 @@ from PIL import Image
 from splatview.scene import look_at
 from splatview.scene.formats import load_cameras, save_scene
 from splatview.viewer import save as saving
-from splatview.viewer.commands import (
-    ACTIONS,
+from splatview.viewer.app import window_state
+from splatview.viewer.camera import (
     UP_NAMES,
     add_bookmark,
+    camera_from_text,
+    camera_text,
     delete_bookmark,
     focus_at,
     go_to_bookmark,
     rename_bookmark,
+    step_camera,
     up_name,
 )
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.navigation import orbit
-from splatview.viewer.open import camera_from_text, camera_text, open_paths, step_camera
+from splatview.viewer.open import open_paths
 from splatview.viewer.preferences import load_bookmarks
 
 
@@ -35,11 +39,13 @@ def opened(app, tmp_path, random_gaussians, wait_for_loading):
     return app
 
 
-def test_every_action_runs_with_and_without_a_scene(app, opened):
+def test_every_command_runs_with_and_without_a_scene(app, opened, monkeypatch, random_gaussians):
+    monkeypatch.setattr("splatview.viewer.loading.cached_demo", lambda **options: random_gaussians(10))
     opened.clipboard_read = lambda: "no camera"
-    for app in (opened, type(opened)(preferences=opened.preferences)):
-        for action in ACTIONS.values():
-            action(app)
+    for app in (opened, window_state(opened.preferences)):
+        for command in COMMANDS.values():
+            assert {command.enabled(app), command.checked(app)} <= {True, False}
+            command.run(app)
             app.run_posted()
     assert opened.quitting
 
@@ -77,7 +83,7 @@ def test_a_jump_is_a_motion_unless_switched_off(opened):
     opened.now = lambda: clock[0]
     opened.prefer(smooth=True)
     start = opened.view
-    ACTIONS["look_from_+X"](opened)
+    COMMANDS["look_from_+X"].run(opened)
     opened.advance()
     np.testing.assert_allclose(opened.view.eye, start.eye)
     clock[0] += 0.1
@@ -89,7 +95,7 @@ def test_a_jump_is_a_motion_unless_switched_off(opened):
     assert opened.transition is None
     np.testing.assert_allclose(opened.view.forward, (-1, 0, 0), atol=1e-9)
 
-    ACTIONS["look_from_+Z"](opened)
+    COMMANDS["look_from_+Z"].run(opened)
     opened.steer(orbit(opened.view, 0.1, 0))
     assert opened.transition is None, "the user's hand ends a motion"
 
@@ -97,13 +103,13 @@ def test_a_jump_is_a_motion_unless_switched_off(opened):
 def test_the_up_axis_goes_round(opened):
     seen = []
     for _ in UP_NAMES:
-        ACTIONS["next_up"](opened)
+        COMMANDS["next_up"].run(opened)
         seen.append(up_name(opened.view))
     assert sorted(name or "" for name in seen) == sorted(UP_NAMES)
     opened.steer(orbit(opened.view, 0.3, 0.4))
-    ACTIONS["up_from_view"](opened)
+    COMMANDS["up_from_view"].run(opened)
     assert up_name(opened.view) is None
-    ACTIONS["next_up"](opened)
+    COMMANDS["next_up"].run(opened)
     assert up_name(opened.view) == "+Y"
 
 
@@ -116,24 +122,24 @@ def test_focus_puts_the_surface_into_the_middle(opened):
 
 def test_field_of_view_goes_both_ways(opened):
     before = opened.view.lens.fov_y
-    ACTIONS["narrower"](opened)
+    COMMANDS["narrower"].run(opened)
     assert opened.view.lens.fov_y < before
-    ACTIONS["wider"](opened)
+    COMMANDS["wider"].run(opened)
     assert opened.view.lens.fov_y == pytest.approx(before)
 
 
 def test_bookmarks_are_kept_renamed_and_deleted(opened):
     path = opened.scene_path
-    ACTIONS["look_from_+X"](opened)
+    COMMANDS["look_from_+X"].run(opened)
     add_bookmark(opened)
-    ACTIONS["look_from_-Z"](opened)
+    COMMANDS["look_from_-Z"].run(opened)
     add_bookmark(opened)
     rename_bookmark(opened, 0, "  Door ")
     rename_bookmark(opened, 1, "   ")
     assert [b.name for b in load_bookmarks(path)] == ["Door", "View 2"]
     go_to_bookmark(opened, 0)
     np.testing.assert_allclose(opened.view.forward, (-1, 0, 0), atol=1e-9)
-    ACTIONS["next_bookmark"](opened)
+    COMMANDS["next_bookmark"].run(opened)
     np.testing.assert_allclose(opened.view.forward, (0, 0, 1), atol=1e-9)
     delete_bookmark(opened, 0)
     assert [b.name for b in load_bookmarks(path)] == ["View 2"]
@@ -154,12 +160,12 @@ def test_cameras_are_stepped_through_round_the_list(opened):
 
 
 def test_a_copied_camera_is_pasted_exactly(opened):
-    ACTIONS["copy_camera"](opened)
+    COMMANDS["copy_camera"].run(opened)
     text = opened.clipboard_write
     camera = opened.camera
-    ACTIONS["look_from_+X"](opened)
+    COMMANDS["look_from_+X"].run(opened)
     opened.clipboard_read = lambda: text
-    ACTIONS["paste_camera"](opened)
+    COMMANDS["paste_camera"].run(opened)
     np.testing.assert_allclose(opened.camera.world_to_camera, camera.world_to_camera, atol=1e-12)
     assert opened.camera.fy == pytest.approx(camera.fy)
 
@@ -168,7 +174,7 @@ def test_a_copied_camera_is_pasted_exactly(opened):
 def test_other_text_on_the_clipboard_changes_nothing(opened, text):
     before = opened.view
     opened.clipboard_read = lambda: text
-    ACTIONS["paste_camera"](opened)
+    COMMANDS["paste_camera"].run(opened)
     assert opened.view is before
     assert "no camera on the clipboard" in opened.messages[-1].text
     assert "\n" not in opened.messages[-1].text
@@ -183,8 +189,8 @@ def test_the_clipboards_camera_is_cam_json(tmp_path):
 
 
 def test_pictures_are_saved_beside_the_scene_and_never_over_one_another(opened, tmp_path):
-    ACTIONS["screenshot"](opened)
-    ACTIONS["screenshot"](opened)
+    COMMANDS["screenshot"].run(opened)
+    COMMANDS["screenshot"].run(opened)
     assert {path.name for path in tmp_path.glob("*.png")} == {"room.png", "room-2.png"}
     pixels = np.asarray(Image.open(tmp_path / "room.png"))
     assert pixels.shape == (200, 320, 3)

@@ -19,13 +19,15 @@ from splatview.scene import Gaussians, RenderSettings
 from splatview.scene.edits import HIDDEN
 from splatview.scene.formats import save_scene
 from splatview.scene.framing import robust_bounds
-from splatview.viewer.commands import ACTIONS
+from splatview.viewer.camera import bounds
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing import session as changed_scene
 from splatview.viewer.editing.files import add_files
-from splatview.viewer.editing.session import EditSession, continue_editing, followed
+from splatview.viewer.editing.session import Editing, EditSession, followed, session_of
 from splatview.viewer.loading import Examination
-from splatview.viewer.open import bounds, open_paths
+from splatview.viewer.open import open_paths
 from splatview.viewer.panels.edit import orient
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 
@@ -35,9 +37,10 @@ def open_scene(app: AppState, tmp_path: Path, wait_for_loading) -> Callable[[Gau
         save_scene(gaussians, tmp_path / "a.ply")
         open_paths(app, [tmp_path / "a.ply"])
         wait_for_loading(app)
-        continue_editing(app)
-        assert app.session is not None
-        return app.session
+        app.feature(Editing).before_frame(app)
+        session = session_of(app)
+        assert session is not None
+        return session
 
     return make
 
@@ -45,12 +48,16 @@ def open_scene(app: AppState, tmp_path: Path, wait_for_loading) -> Callable[[Gau
 def settle(app: AppState) -> None:
     """Frames until all has followed."""
     limit = time.monotonic() + 60
-    session = app.session
+    session = session_of(app)
     assert session is not None
     while True:
-        continue_editing(app)
+        app.feature(Editing).before_frame(app)
         assert time.monotonic() < limit, "it never comes to rest"
-        if app.examining is None and session.job is None and session.loaded is session.gaussians:
+        if (
+            app.feature(Editing).examining is None
+            and session.job is None
+            and session.loaded is session.gaussians
+        ):
             return
         time.sleep(0.001)
 
@@ -92,9 +99,9 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
     """How many splats are hidden of how many, when it is known which."""
     limit = time.monotonic() + 60
     while True:
-        edits = app.accuracy.edits(app)
+        edits = app.feature(Accuracy).next_frame(app).edits
         assert edits is not None
-        if not app.accuracy.waiting and edits is app.accuracy.edits(app):
+        if not app.feature(Accuracy).busy(app) and edits is app.feature(Accuracy).next_frame(app).edits:
             return [int(np.count_nonzero(edits.marks & HIDDEN)), len(edits.marks)]
         assert time.monotonic() < limit, "it is never known"
         time.sleep(0.001)
@@ -103,14 +110,16 @@ def hidden_by_a_shortcut(app: AppState) -> list[int]:
 def test_a_shortcut_hides_its_share_of_the_changed_scene(app, open_scene, random_gaussians) -> None:
     """What failed: marks of 80 splats hidden by the ranking of 40."""
     session = open_scene(random_gaussians(40))
-    app.accuracy._kept = 0.5
-    app.accuracy.edits(app)
+    app.feature(Accuracy).choices["keep"] = "50"
+    app.feature(Accuracy).next_frame(app)
     assert hidden_by_a_shortcut(app) == [20, 40]
     session.apply(Select(by=Everything()))
     session.apply(OPERATIONS["duplicate"]())
     assert hidden_by_a_shortcut(app) == [20, 40]
     settle(app)
-    assert len(app.accuracy.edits(app).marks) == 80, "nothing is hidden yet, and nobody waits"
+    assert len(app.feature(Accuracy).next_frame(app).edits.marks) == 80, (
+        "nothing is hidden yet, and nobody waits"
+    )
     assert hidden_by_a_shortcut(app) == [40, 80]
     session.undo()
     settle(app)
@@ -144,7 +153,9 @@ def test_of_many_steps_in_a_row_the_last_is_looked_through(
 
     class Slow(Examination):
         def __init__(self, gaussians: Gaussians):
-            assert app.examining is None or app.examining.done, "one at a time"
+            assert app.feature(Editing).examining is None or app.feature(Editing).examining.done, (
+                "one at a time"
+            )
             looked_through.append(len(gaussians))
             super().__init__(gaussians)
 
@@ -157,7 +168,7 @@ def test_of_many_steps_in_a_row_the_last_is_looked_through(
     for _ in range(4):  # a copy each, of the copies before
         session.apply(OPERATIONS["duplicate"]())
         for _ in range(3):
-            continue_editing(app)
+            app.feature(Editing).before_frame(app)
     assert len(app.scene.gaussians) == 200
     settle(app)
     assert looked_through == [80, 200]
@@ -198,14 +209,14 @@ def test_files_are_added_to_an_edited_scene_as_steps(
     session.apply(Select(by=Everything()))
     add_files(app, paths)
     settle(app)
-    assert app.session is session
+    assert session_of(app) is session
     assert len(app.scene.gaussians) == 51
     assert len(session.document.history.done) == 3
     session.document.jump(0)
     settle(app)
     add_files(app, paths[:1])
     wait_for_loading(app)
-    assert app.session is not session, "nothing is edited: opened afresh"
+    assert session_of(app) is not session, "nothing is edited: opened afresh"
     assert len(app.scene.gaussians) == 45
 
 
@@ -255,13 +266,13 @@ def test_bounds_follow_what_is_moved_and_leave_out_what_is_deleted(app, open_sce
 
 def test_framing_shows_the_selection_else_everything(app, open_scene, random_gaussians) -> None:
     session = open_scene(random_gaussians(400))
-    ACTIONS["frame_selection"](app)
+    COMMANDS["frame_selection"].run(app)
     np.testing.assert_allclose(app.destination.target, app.scene.centre, atol=1e-9)
     session.apply(Select(by=Everything()))
     session.apply(Transform(translation=(0.0, 50.0, 0.0)))
     moved = app.scene.centre + np.array([0, 50, 0])
     for action in ("frame_selection", "frame_all"):
-        ACTIONS[action](app)
+        COMMANDS[action].run(app)
         np.testing.assert_allclose(app.destination.target, moved, atol=1e-4)
     orient(app, (0.0, 0.0, 1.0))
     middle = bounds(app)

@@ -15,11 +15,11 @@ from splatview.edit.operations import OPERATIONS, Select
 from splatview.edit.operations.appearance import Opacity
 from splatview.edit.operations.crop import RemoveCrop
 from splatview.edit.operations.transform import Transform
-from splatview.edit.progress import Watch
 from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import PREVIEW, Adjustment, Crop
-from splatview.viewer.commands import ACTIONS
+from splatview.scene.progress import Progress
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
@@ -114,8 +114,8 @@ def test_edits_are_told_of_and_mistakes_too(session):
 def test_slow_work_runs_aside_and_nothing_changes_beneath_it(session):
     go_on = threading.Event()
 
-    def work(watch: Watch) -> int:
-        watch.step(0.5)
+    def work(progress: Progress) -> int:
+        progress.step(0.5)
         go_on.wait(60)
         return 7
 
@@ -140,10 +140,10 @@ def test_slow_operations_are_applied_when_they_are_planned(session):
 def test_a_cancelled_job_changes_nothing(session):
     started = threading.Event()
 
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         started.set()
         while True:
-            watch.step(0.1)
+            progress.step(0.1)
             time.sleep(0.001)
 
     session.start("Waiting", work, lambda _: pytest.fail("it was cancelled"))
@@ -158,7 +158,7 @@ def test_a_cancelled_job_changes_nothing(session):
     ("error", "words"), [(InputError("no such file"), "no such file"), (KeyError("x"), "inside the program")]
 )
 def test_a_failing_job_is_told_of(session, error, words):
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         raise error
 
     session.start("Trying", work, lambda _: pytest.fail("it failed"))
@@ -200,11 +200,11 @@ def test_a_picked_splat_is_where_its_adjustment_put_it(session):
 
 
 def test_commands_are_found_by_their_words_and_keys():
-    assert matching("brush")[0].action == "tool_brush"
-    assert matching("invert sel")[0].action == "select_inverse"
-    assert matching("ctrl+z")[0].action == "undo"
-    assert matching("undo")[0].action == "undo"
-    assert {command.action for command in matching("")} == set(ACTIONS)
+    assert matching("brush")[0].id == "tool_brush"
+    assert matching("invert sel")[0].id == "select_inverse"
+    assert matching("ctrl+z")[0].id == "undo"
+    assert matching("undo")[0].id == "undo"
+    assert {command.id for command in matching("")} == set(COMMANDS)
     assert not matching("no such thing at all")
 
 

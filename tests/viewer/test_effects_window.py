@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.scene.effects import census
+from splatview.scene.effects import effects_report
 from splatview.scene.formats import save_scene
 
 
@@ -36,7 +36,7 @@ def test_the_receipt_its_prices_and_its_switches(drive, ball, tmp_path, renderer
         **shots,
     )
     shown = {name: (on, in_force, why) for name, on, in_force, why in found["receipt"]}
-    for effect in census(ball):
+    for effect in effects_report(ball):
         if effect.can_override:
             assert shown[effect.name] == (effect.on, effect.on, effect.why), "as splatview info says"
     assert shown["SH band 2"][0] and not shown["SH band 3"][0]

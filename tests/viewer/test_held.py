@@ -32,13 +32,13 @@ from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shots, shots_of
-from splatview.viewer.commands import ACTIONS
-from splatview.viewer.editing import commands
-from splatview.viewer.editing.session import EditSession, continue_editing, put_away
+from splatview.trainer.views import TrainViews, train_views
+from splatview.viewer.commands import COMMANDS
+from splatview.viewer.editing.session import Editing, EditSession, session_for_edit, session_of
+from splatview.viewer.editing.target import AT_REST, NO_WAY_BACK, REFUSALS
 from splatview.viewer.state import AppState
-from splatview.viewer.training import live_edits as held
 from splatview.viewer.training.live import LiveTraining, watched_photos
+from splatview.viewer.training.live_edits import TrainingEdits, frozen_target
 
 SMALL = Crop(name="small", half_extents=(0.3, 0.3, 0.3), keep="outside")
 
@@ -51,7 +51,7 @@ def capture():
 @pytest.fixture
 def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     """A training that `app` watches, its first snapshot shown."""
-    shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
+    shots, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     trainer = Trainer(
         shots, start, capture.scene_radius, TrainSettings(iterations=10**6, max_splats=8000), threads=1
@@ -64,25 +64,25 @@ def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     )
     session = TrainingRun(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
     thread = BackgroundTraining(session, cores=4)
-    app.training = LiveTraining(
+    live = LiveTraining(
         thread=thread,
         name="pond",
         photos=watched_photos(shots.all, held_out),
         settings=trainer.render_settings,
     )
-    app.training.start(app)
-    until(app, lambda: app.training.shown is not None, "a snapshot")
-    yield app.training
-    app.training.stop()
+    app.add(live)
+    live.start(app)
+    until(app, lambda: live.shown is not None, "a snapshot")
+    yield live
+    live.close(app)
     thread.close()
 
 
 def frame(app: AppState) -> None:
     """The parts of the frame loop that editing a training needs."""
     app.run_posted()
-    assert app.training is not None
-    app.training.advance(app)
-    continue_editing(app)
+    app.feature(LiveTraining).before_frame(app)
+    app.feature(Editing).before_frame(app)
 
 
 def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
@@ -93,9 +93,13 @@ def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
         time.sleep(0.001)
 
 
-def desk_of(app: AppState) -> EditSession:
-    session = held.hold(app)
-    assert session is not None and session.target is not None
+def editor(app: AppState) -> TrainingEdits:
+    return app.feature(LiveTraining).editor
+
+
+def frozen_session(app: AppState) -> EditSession:
+    session = session_for_edit(app)
+    assert session is not None and not session.target.at_rest
     return session
 
 
@@ -116,63 +120,63 @@ def later_steps(app: AppState, training: LiveTraining, count: int = 15) -> None:
 
 
 def test_the_view_waits_while_splats_are_selected_and_goes_on_after(app, training):
-    choose(desk_of(app), 3, 4, 5)
+    choose(frozen_session(app), 3, 4, 5)
     at = training.shown
     later_steps(app, training)
-    assert training.shown is at and app.session is not None
-    commands.EDIT_ACTIONS["select_none"](app)
+    assert training.shown is at and session_of(app) is not None
+    COMMANDS["select_none"].run(app)
     until(app, lambda: training.shown is not at, "later snapshots")
-    assert app.session is None
+    assert session_of(app) is None
 
 
 def test_a_tool_in_hand_holds_the_view_and_escape_lets_go(app, training):
-    ACTIONS["tool_rectangle"](app)
+    COMMANDS["tool_rectangle"].run(app)
     at = training.shown
     later_steps(app, training)
     assert training.shown is at
-    ACTIONS["select_all"](app)
-    ACTIONS["cancel"](app)  # the tool
+    COMMANDS["select_all"].run(app)
+    COMMANDS["cancel"].run(app)  # the tool
     later_steps(app, training)
     assert training.shown is at, "splats are selected"
-    ACTIONS["cancel"](app)
-    assert app.session is None
+    COMMANDS["cancel"].run(app)
+    assert session_of(app) is None
     until(app, lambda: training.shown is not at, "later snapshots")
 
 
 def test_a_held_view_waits_with_nothing_in_hand(app, training):
-    held.keep_waiting(app)
+    editor(app).pin(app)
     at = training.shown
     later_steps(app, training)
     assert training.shown is at
-    held.let_go(app)
+    editor(app).release(app)
     until(app, lambda: training.shown is not at, "later snapshots")
 
 
 def test_deleted_splats_are_deleted_in_the_trainer_by_their_numbers(app, training):
     later_steps(app, training, 120)
-    session = desk_of(app)
+    session = frozen_session(app)
     at = training.shown
     choose(session, *range(10, 40))
     later_steps(app, training, 120)  # some are born, and some die, in the meantime
-    doomed = at.ids[10:40]
+    to_delete = at.ids[10:40]
     before = alive(training)
     training.thread.pause()
-    ACTIONS["delete"](app)
+    COMMANDS["delete"].run(app)
     until(app, lambda: training.shown is not at, "the snapshot without them")
     now = alive(training)
-    np.testing.assert_array_equal(now, before[~np.isin(before, doomed)])
-    assert np.isin(before, doomed).any(), "some were still there"
+    np.testing.assert_array_equal(now, before[~np.isin(before, to_delete)])
+    assert np.isin(before, to_delete).any(), "some were still there"
     np.testing.assert_array_equal(training.shown.ids, now)
     assert training.status.gaussians == len(now)
-    until(app, lambda: app.session is None, "letting go: nothing is in hand")
+    until(app, lambda: session_of(app) is None, "letting go: nothing is in hand")
     assert any("deleted from the training" in message.text for message in app.messages)
 
 
 def test_tool_and_selection_outlast_a_deletion(app, training):
     training.thread.pause()
-    session = desk_of(app)
+    session = frozen_session(app)
     at = training.shown
-    ACTIONS["tool_brush"](app)
+    COMMANDS["tool_brush"].run(app)
     session.brush_radius = 50.0
     choose(session, 7, 8)
     session.apply(Hide())
@@ -181,10 +185,11 @@ def test_tool_and_selection_outlast_a_deletion(app, training):
     session.apply(Delete())
     choose(session, 5, 6)  # before the trainer has answered
     until(app, lambda: training.shown is not at, "the snapshot without them")
-    new = app.session
+    new = session_of(app)
     assert new is not None and new is not session
     assert (new.tool, new.brush_radius) == ("brush", 50.0)
-    assert new.target.snapshot is training.shown
+    target = frozen_target(new)
+    assert target is not None and target.snapshot is training.shown
     np.testing.assert_array_equal(training.shown.ids, np.delete(at.ids, [1, 2, 3]))
     ids = training.shown.ids
     np.testing.assert_array_equal(ids[new.document.selected.indices], at.ids[[5, 6]])
@@ -194,7 +199,7 @@ def test_tool_and_selection_outlast_a_deletion(app, training):
 
 def test_what_is_deleted_cannot_be_undone_but_choosing_can(app, training):
     training.thread.pause()
-    session = desk_of(app)
+    session = frozen_session(app)
     choose(session, 1, 2, 3)
     session.undo()
     assert session.document.counts.selected == 0
@@ -202,16 +207,16 @@ def test_what_is_deleted_cannot_be_undone_but_choosing_can(app, training):
     session.apply(Delete())
     session.undo()
     assert session.document.counts.deleted == 3
-    assert session.news == held.NO_WAY_BACK
+    assert session.news == NO_WAY_BACK
 
 
 def test_the_last_splats_stay(app, training):
-    session = desk_of(app)
+    session = frozen_session(app)
     before = len(alive(training))
     training.thread.pause()
     session.apply(SelectAll())
     session.apply(Delete())
-    target = session.target
+    target = frozen_target(session)
     assert target is not None
     until(app, lambda: not target.waiting and not session.document.counts.deleted, "the answer")
     assert len(alive(training)) >= before
@@ -223,42 +228,42 @@ def test_the_last_splats_stay(app, training):
 def test_clean_up_deletes_in_the_trainer(app, training):
     until(app, lambda: training.shown.iteration > 10, "opacities that differ")
     training.thread.pause()
-    session = desk_of(app)
+    session = frozen_session(app)
     at = training.shown
     faint = DETECTORS["faint"]()
     threshold = float(np.median(session.document.scores(faint)))
     assert session.apply(Prune(by=faint, threshold=threshold))
     gone = session.document.counts.deleted
     assert 0 < gone < len(at.ids)
-    doomed = at.ids[(session.document.marks & DELETED) > 0]
+    to_delete = at.ids[(session.document.marks & DELETED) > 0]
     until(app, lambda: training.shown is not at, "the snapshot without them")
-    assert not np.isin(doomed, alive(training)).any()
+    assert not np.isin(to_delete, alive(training)).any()
 
 
 def test_crops_become_rules_that_keep_it_cut(app, training):
-    session = desk_of(app)
+    session = frozen_session(app)
     at = training.shown
     inside = SMALL.contains(at.gaussians.means).sum()
     assert inside > 0
     session.apply(AddCrop(crop=SMALL))
-    held.cut_away(app)
+    editor(app).cut_away(app)
     until(app, lambda: training.shown is not at, "the snapshot without it")
     assert not SMALL.contains(training.shown.gaussians.means).any()
     assert training.status.settings.cut == ((SMALL,),)
-    until(app, lambda: app.session is None, "letting go: the crop is a rule, and nothing is in hand")
+    until(app, lambda: session_of(app) is None, "letting go: the crop is a rule, and nothing is in hand")
     later_steps(app, training, 120)
-    held.remove_rule(app, "cut", 0)
+    editor(app).remove_rule(app, "cut", 0)
     until(app, lambda: training.status.settings.cut == (), "the rule to go")
 
 
 def test_a_crop_can_stop_growth_and_be_a_crop_no_more(app, training):
-    session = desk_of(app)
+    session = frozen_session(app)
     session.apply(AddCrop(crop=replace(SMALL, enabled=False)))
-    held.stop_growth(app, 0)
+    editor(app).stop_growth(app, 0)
     until(app, lambda: training.status.settings.no_growth, "the rule")
     assert training.status.settings.no_growth == (SMALL,)
     assert session.document.crops == ()
-    held.remove_rule(app, "no_growth", 0)
+    editor(app).remove_rule(app, "no_growth", 0)
     until(app, lambda: not training.status.settings.no_growth, "the rule to go")
 
 
@@ -271,9 +276,9 @@ def test_a_crop_can_stop_growth_and_be_a_crop_no_more(app, training):
     ],
 )
 def test_what_no_trainer_understands_is_refused(app, training, operation):
-    session = desk_of(app)
+    session = frozen_session(app)
     assert not session.apply(operation)
-    assert session.news == (held.REFUSALS["decimate"] if operation.op == "decimate" else held.AT_REST)
+    assert session.news == (REFUSALS["decimate"] if operation.op == "decimate" else AT_REST)
     assert not session.document.history.steps
     session.preview("look", operation)
     assert session.document.previewed is None
@@ -282,12 +287,12 @@ def test_what_no_trainer_understands_is_refused(app, training, operation):
 @pytest.mark.parametrize("action", ["merge", "split", "save_recipe", "replay_recipe"])
 def test_files_of_edits_are_of_scenes_at_rest(app, training, action):
     app.choose_files = lambda *args, **kwargs: pytest.fail("asks for a file")
-    ACTIONS[action](app)
-    assert app.messages[-1].text == held.AT_REST
+    COMMANDS[action].run(app)
+    assert app.messages[-1].text == AT_REST
 
 
 def test_a_window_that_closes_says_nothing_of_a_journal(app, training):
-    choose(desk_of(app), 1, 2)
+    choose(frozen_session(app), 1, 2)
     said = len(app.messages)
-    assert put_away(app) is None
-    assert app.session is None and len(app.messages) == said
+    assert app.feature(Editing).close_session(app) is None
+    assert session_of(app) is None and len(app.messages) == said

@@ -10,11 +10,12 @@ import pytest
 
 from splatview.scene import look_at
 from splatview.scene.demo import demo_scene
-from splatview.scene.formats import LoadCancelled, save_camera, save_scene
+from splatview.scene.formats import save_camera, save_scene
 from splatview.viewer import loading
 from splatview.viewer import open as opening
+from splatview.viewer.camera import common_up
 from splatview.viewer.navigation import orbit
-from splatview.viewer.open import begin, cancel_loading, common_up, nearest_axis, open_paths
+from splatview.viewer.open import begin, cancel_loading, nearest_axis, open_paths
 
 
 @pytest.fixture
@@ -35,9 +36,9 @@ def said(app) -> str:
 
 def test_a_scene_is_loaded_framed_and_remembered(app, ply, wait_for_loading):
     open_paths(app, [ply("room")])
-    assert app.scene is None, "opening does not wait"
+    assert not app.is_open, "opening does not wait"
     wait_for_loading(app)
-    assert app.scene is not None
+    assert app.is_open
     assert app.scene.name == "room.ply"
     assert len(app.picture.loaded[-1]) == 40
     assert app.preferences.recent[0].endswith("room.ply")
@@ -116,7 +117,7 @@ def test_whatever_a_reader_raises_becomes_one_line(app, ply, wait_for_loading, m
     open_paths(app, [ply("odd")])
     wait_for_loading(app)
     assert "odd.ply" in app.problem
-    assert app.scene is None
+    assert not app.is_open
 
 
 def test_a_scene_too_big_for_the_gpu_leaves_the_old_one_shown(app, ply, wait_for_loading):
@@ -136,12 +137,12 @@ def slow_reader(monkeypatch):
     """Reading goes on until it is cancelled."""
     started = threading.Event()
 
-    def read(path, *, progress, cancelled):
-        progress(0.25)
+    def read(path, *, progress):
+        progress.step(0.25)
         started.set()
-        while not cancelled():
+        while True:
+            progress.check()
             time.sleep(0.001)
-        raise LoadCancelled
 
     monkeypatch.setattr(loading, "load_scene", read)
     return started
@@ -203,9 +204,9 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
 
     begun = threading.Event()
 
-    def read(path, *, progress, cancelled):
+    def read(path, *, progress):
         assert begun.wait(10)
-        progress(1.0)
+        progress.step(1.0)
         assert app.loading is not None
         seen.append(app.loading.progress)
         return real(path)
@@ -215,7 +216,7 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
     begin(app, [small, large])
     begun.set()
     wait_for_loading(app)
-    assert app.scene is not None
+    assert app.is_open
     share = small.stat().st_size / (small.stat().st_size + large.stat().st_size)
     assert seen == pytest.approx([share, 1.0])
 
@@ -268,7 +269,7 @@ def test_the_demo_opens_without_a_file(app, wait_for_loading, monkeypatch):
     monkeypatch.setattr(loading, "cached_demo", lambda **_: demo_scene(splats=3000))
     opening.begin_demo(app)
     wait_for_loading(app)
-    assert app.scene is not None
+    assert app.is_open
     assert len(app.scene.gaussians) > 1000
     assert app.scene_path is None
     assert app.preferences.recent == ()
@@ -280,7 +281,7 @@ def test_a_shown_scene_is_examined_and_ill_splats_are_told(app, tmp_path, random
     save_scene(scene, tmp_path / "ill.ply")
     open_paths(app, [tmp_path / "ill.ply"])
     wait_for_loading(app)
-    assert app.scene is not None
+    assert app.is_open
     app.examination.join(30)
     opening.report_examination(app)
     opening.report_examination(app)

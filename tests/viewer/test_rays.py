@@ -11,13 +11,19 @@ from splatview.scene import Camera, Lens, RenderSettings, look_at
 from splatview.scene.formats import save_scene
 from splatview.scene.projection import project
 from splatview.scene.reference import composite
-from splatview.viewer import commands as actions
-from splatview.viewer.commands import toggle_lenses, toggle_orthographic
+from splatview.viewer.camera import (
+    camera_from_text,
+    camera_text,
+    go_to_camera,
+    toggle_lenses,
+    toggle_orthographic,
+)
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import GL_FROM_CV, projection
 from splatview.viewer.navigation import View, axis_view, dolly, focus, frame, pan, pick, view_from_camera
 from splatview.viewer.navigation.picking import may_reach
 from splatview.viewer.navigation.view import look_from
-from splatview.viewer.open import camera_from_text, camera_text, go_to_camera, open_paths
+from splatview.viewer.open import open_paths
 from splatview.viewer.overlays import EDGES, picture_corners, pyramids
 from splatview.viewer.preferences import Bookmark, load_bookmarks, save_bookmarks
 
@@ -152,7 +158,7 @@ def test_parallel_rays_by_a_command_cut_nothing_off(opened):
     toggle_orthographic(opened)
     assert not opened.camera.orthographic
     for name in ("toggle_orthographic", "toggle_lenses"):
-        assert name in actions.ACTIONS
+        assert name in COMMANDS
 
 
 def test_views_of_cameras_go_through_their_lenses_or_not(opened):

@@ -21,13 +21,13 @@ from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import fresh, initial_parameters
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import Shots, shots_of
+from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.navigation import orbit
-from splatview.viewer.overlays import nearest, wanted
+from splatview.viewer.overlays import nearest, shows_cameras
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training import live as watching
-from splatview.viewer.training.comparison import Comparer, Wish, compare, shrink_for
+from splatview.viewer.training.comparison import Comparer, ComparisonRequest, compare, shrink_for
 from splatview.viewer.training.live import LiveTraining, viewer_threads, watched_photos
 
 
@@ -39,7 +39,7 @@ def capture():
 @pytest.fixture
 def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     """A training that `app` watches; its thread has not begun."""
-    shots, held_out = Shots(shots_of(capture.train), 0), shots_of(capture.held_out)
+    shots, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     settings = TrainSettings(iterations=10**6, max_splats=8000)
     trainer = Trainer(shots, start, capture.scene_radius, settings, threads=1)
@@ -51,14 +51,15 @@ def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     )
     session = TrainingRun(trainer, held_out, outputs, started=time.perf_counter(), eval_every=10**6)
     thread = BackgroundTraining(session, cores=4)
-    app.training = LiveTraining(
+    live = LiveTraining(
         thread=thread,
         name="pond",
         photos=watched_photos(shots.all, held_out),
         settings=trainer.render_settings,
     )
-    yield app.training
-    app.training.stop()
+    app.add(live)
+    yield live
+    live.close(app)
     thread.close()
 
 
@@ -68,15 +69,15 @@ def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
         app.run_posted()
-        if app.training is not None:
-            app.training.advance(app)
+        if live := app.find(LiveTraining):
+            live.before_frame(app)
         time.sleep(0.001)
 
 
 def test_the_first_snapshot_is_shown_from_a_photos_camera(app, training):
     training.start(app)
-    until(app, lambda: app.scene is not None, "a scene")
-    assert app.scene is not None and app.scene.name == "pond (training)"
+    until(app, lambda: app.is_open, "a scene")
+    assert app.is_open and app.scene.name == "pond (training)"
     assert app.scene.paths == (training.thread.outputs.scene,)
     middle = training.photos[len(training.photos) // 2].camera
     np.testing.assert_allclose(app.camera.eye, middle.eye, atol=1e-9)
@@ -84,12 +85,12 @@ def test_the_first_snapshot_is_shown_from_a_photos_camera(app, training):
     assert app.view.distance > 0
     assert app.settings.background == training.settings.background
     assert [camera.name for camera in app.cameras] == sorted(camera.name for camera in app.cameras)
-    assert wanted(app)
+    assert shows_cameras(app)
 
 
 def test_snapshots_reach_the_picture_in_order_and_the_view_stays(app, training):
     training.start(app)
-    until(app, lambda: app.scene is not None, "a scene")
+    until(app, lambda: app.is_open, "a scene")
     app.steer(look(app, 0.3))
     view = app.view
     seen = []
@@ -112,17 +113,17 @@ def look(app: AppState, angle: float):
 def test_a_snapshot_waits_for_the_picture_of_the_last_one(app, training):
     training.start(app)
     until(app, lambda: training.shown is not None, "a snapshot")
-    training.advance(app)
+    training.before_frame(app)
     app.picture.busy = True
     at = training.shown.iteration
     now = [app.now() + 100.0]  # long after the view was set
     app.now = lambda: now[0]
     for _ in range(50):
-        training.advance(app)
+        training.before_frame(app)
         time.sleep(0.002)
     assert training.shown.iteration == at
     app.steer(look(app, 0.1))  # while the view moves, something is always being drawn
-    training.advance(app)
+    training.before_frame(app)
     now[0] += 1.2
     until(app, lambda: training.shown.iteration > at, "a snapshot in spite of it")
 
@@ -131,7 +132,7 @@ def test_nothing_is_shown_in_a_minimised_window(app, training):
     training.start(app)
     until(app, lambda: training.shown is not None, "a snapshot")
     training.minimised = True
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.snapshot_seconds is None
     at = training.shown
     until(app, lambda: training.status.iteration > at.iteration + 20, "steps")
@@ -144,23 +145,23 @@ def test_shares_follow_the_users_hand(app, training):
     now = [1000.0]
     app.now = lambda: now[0]
     training.start(app)
-    until(app, lambda: app.scene is not None, "a scene")
-    training.advance(app)
+    until(app, lambda: app.is_open, "a scene")
+    training.before_frame(app)
     assert training.thread.share == 0.5, "the view has just been set"
     assert app.picture.threads == 2, "of four cores"
     assert app.picture.cores == 2
     now[0] += 10
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.share == 1.0, "nobody moves the view"
     app.steer(look(app, 0.1))
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.share == 0.5
     now[0] += 10
     app.prefer(training_takes_idle_cores=False)
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.share == 0.5
     app.prefer(training_share=1.0)
-    training.advance(app)
+    training.before_frame(app)
     assert app.picture.cores == pytest.approx(0.4), "the view can always be turned"
     training.thread.pause()
     until(app, lambda: app.picture.cores is None, "all cores for the viewer")
@@ -182,17 +183,17 @@ def test_dear_pictures_are_made_less_often(app, training):
     frames = 2 * 0.02  # core-seconds of the window's own for each picture
     training.start(app)
     app.prefer(training_share=0.5)
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.05 * 4))
     app.prefer(training_updates="low")
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.snapshot_seconds == pytest.approx((0.9 * 2 + frames) / (0.02 * 4))
     app.prefer(training_updates="off")
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.snapshot_seconds is None
     app.picture.name = "recording"
     app.prefer(training_updates="live")
-    training.advance(app)
+    training.before_frame(app)
     assert training.thread.snapshot_seconds == 0.1, "a GPU is not counted"
 
 
@@ -240,13 +241,13 @@ def test_actions_without_a_training_say_so(app):
 
 def test_going_to_a_photo_compares_it(app, training):
     training.start(app)
-    until(app, lambda: app.scene is not None, "a scene")
+    until(app, lambda: app.is_open, "a scene")
     actions.go_to_photo(app, 3)
-    training.advance(app)
+    training.before_frame(app)
     np.testing.assert_allclose(app.camera.eye, training.photos[3].camera.eye, atol=1e-9)
     assert training.photo is training.photos[3]
     app.camera_index = 5  # by the keys that go through the cameras
-    training.advance(app)
+    training.before_frame(app)
     assert training.photo is training.photos[5]
     actions.compare_photo(app, -1)
     assert training.photo is training.photos[-1]
@@ -254,7 +255,7 @@ def test_going_to_a_photo_compares_it(app, training):
 
 def test_another_scene_stays_until_the_training_is_asked_for(app, training, random_gaussians):
     training.start(app)
-    until(app, lambda: app.scene is not None, "a scene")
+    until(app, lambda: app.is_open, "a scene")
     other = watching.LoadedScene(
         gaussians=random_gaussians(10),
         paths=(Path("other.ply"),),
@@ -267,17 +268,17 @@ def test_another_scene_stays_until_the_training_is_asked_for(app, training, rand
     app.scene, app.cameras = other, []
     at = training.status.iteration
     until(app, lambda: training.status.iteration > at + 10, "steps")
-    assert app.scene is other and not training.followed_by(app) and not wanted(app)
+    assert app.scene is other and not training.followed_by(app) and not shows_cameras(app)
     loaded = len(app.picture.loaded)
     training.thread.pause()
     actions.show_training(app)
     until(app, lambda: len(app.picture.loaded) > loaded, "the scene in training again")
-    assert app.scene.name == "pond (training)" and wanted(app)
+    assert app.scene.name == "pond (training)" and shows_cameras(app)
 
 
 def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
-    shots = shots_of(capture.train)
-    photos = watched_photos(shots[:2], shots_of(capture.held_out))
+    shots = train_views(capture.train)
+    photos = watched_photos(shots[:2], train_views(capture.held_out))
     assert [photo.name for photo in photos] == sorted(photo.name for photo in photos)
     assert sum(photo.held_out for photo in photos) == len(capture.held_out)
 
@@ -292,9 +293,11 @@ def test_photos_are_named_as_briefly_as_tells_them_apart(capture):
 
 
 def test_a_comparison_is_the_photo_the_render_and_their_difference(capture):
-    shot = shots_of(capture.photos)[1]
+    shot = train_views(capture.photos)[1]
     scene = initial_scene(capture)
-    made = compare(Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=1, gain=2.0))
+    made = compare(
+        ComparisonRequest(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=1, gain=2.0)
+    )
     np.testing.assert_array_equal(made.photo, shot.pixels)
     expected = render(scene, shot.camera, RenderSettings())[..., :3].clip(0, 1)
     np.testing.assert_allclose(made.render / 255, expected, atol=0.51 / 255)
@@ -303,10 +306,12 @@ def test_a_comparison_is_the_photo_the_render_and_their_difference(capture):
     error = np.mean((expected - shot.pixels / 255.0) ** 2)
     assert made.psnr == pytest.approx(-10 * math.log10(error), abs=0.05)
 
-    half = compare(Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=2.0))
+    half = compare(
+        ComparisonRequest(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=2.0)
+    )
     assert half.photo.shape == half.render.shape == half.difference.shape == (18, 24, 3)
     stronger = compare(
-        Wish(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=4.0), 1, half
+        ComparisonRequest(shot=shot, gaussians=scene, settings=RenderSettings(), shrink=2, gain=4.0), 1, half
     )
     assert stronger.render is half.render, "only what has changed is made anew"
     assert stronger.difference.mean() > half.difference.mean()
@@ -318,45 +323,47 @@ def initial_scene(capture):
 
 
 def test_what_a_mask_leaves_out_differs_nowhere(capture):
-    shot = shots_of(capture.photos)[1]
+    shot = train_views(capture.photos)[1]
     mask = np.zeros(shot.pixels.shape[:2], bool)
     mask[:, :10] = True
     masked = replace(shot, mask=mask)
-    wish = Wish(shot=masked, gaussians=initial_scene(capture), settings=RenderSettings(), shrink=1, gain=9.0)
-    made = compare(wish)
+    request = ComparisonRequest(
+        shot=masked, gaussians=initial_scene(capture), settings=RenderSettings(), shrink=1, gain=9.0
+    )
+    made = compare(request)
     assert (made.difference[:, 10:] == 0).all() and made.difference[:, :10].any()
 
 
-def test_a_comparer_makes_the_latest_wish_and_survives_trouble(capture, monkeypatch):
+def test_a_comparer_makes_the_latest_request_and_survives_trouble(capture, monkeypatch):
     comparer = Comparer()
-    shots, scene = shots_of(capture.photos), initial_scene(capture)
+    shots, scene = train_views(capture.photos), initial_scene(capture)
 
-    def wish(index: int, **changes: Any) -> Wish:
+    def request(index: int, **changes: Any) -> ComparisonRequest:
         options = {"gaussians": scene, "settings": RenderSettings(), "shrink": 1, "gain": 1.0, **changes}
-        return Wish(shot=shots[index], **options)
+        return ComparisonRequest(shot=shots[index], **options)
 
-    def ask(wanted: Wish) -> None:
+    def ask(wanted: ComparisonRequest) -> None:
         limit = time.monotonic() + 60
-        while comparer.latest is None or comparer.latest.wish.shot is not wanted.shot or comparer.busy:
+        while comparer.latest is None or comparer.latest.request.shot is not wanted.shot or comparer.busy:
             assert time.monotonic() < limit
-            comparer.want(wanted, 1)
+            comparer.request(wanted)
             if comparer.problem:
                 return
             time.sleep(0.001)
 
-    ask(wish(0))
+    ask(request(0))
     first = comparer.latest
-    comparer.want(wish(0), 1)
+    comparer.request(request(0))
     assert not comparer.busy, "the same again costs nothing"
-    ask(wish(2))
+    ask(request(2))
     assert comparer.latest is not first
     monkeypatch.setattr("splatview.raster.render", lambda *arguments, **options: 1 / 0)
-    ask(wish(3))
+    ask(request(3))
     assert comparer.problem == "ZeroDivisionError: division by zero"
     monkeypatch.undo()
     comparer.problem = None
-    ask(wish(1))
-    assert comparer.latest is not None and comparer.latest.wish.shot is shots[1]
+    ask(request(1))
+    assert comparer.latest is not None and comparer.latest.request.shot is shots[1]
     assert comparer.problem is None
     comparer.close()
 
@@ -390,6 +397,6 @@ def test_the_nearest_camera_is_found_within_reach():
 
 def test_loaded_cameras_are_drawn_where_wanted(app):
     app.cameras = [look_at((0, 0, -3), (0, 0, 0))]
-    assert not wanted(app)
+    assert not shows_cameras(app)
     app.prefer(show_cameras=True)
-    assert wanted(app)
+    assert shows_cameras(app)

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from splatview.measure.metrics import psnr
-from splatview.renderers import make_renderer
+from splatview.renderers import FrameRequest, make_renderer
 from splatview.renderers.gl.context import create_headless_context
-from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.scene import Camera, Gaussians
 from splatview.scene.formats import save_scene
 from splatview.viewer.layout import PANELS
 
@@ -98,7 +98,7 @@ def test_a_tour_of_the_window(drive, files, scene, tmp_path):
 def headless_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
     ctx = create_headless_context()
     try:
-        return make_renderer(ctx).render(scene, camera, RenderSettings())
+        return make_renderer("quads", ctx).render(FrameRequest(scene, camera))
     finally:
         ctx.release()
 

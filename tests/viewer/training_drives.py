@@ -25,19 +25,19 @@ from imgui_bundle import ImVec2, hello_imgui
 from splatview.cli import train
 from splatview.cli import train as train_window
 from splatview.edit.operations import Select
-from splatview.edit.progress import NoTools
+from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
 from splatview.viewer import dialogs as file_dialogs
+from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.overlays import PHOTO_SIZE, pyramids
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
 
 def training_of(app: AppState) -> LiveTraining:
-    assert app.training is not None
-    return app.training
+    return app.feature(LiveTraining)
 
 
 def seen(hand: Hand, beyond: int = 0) -> int:
@@ -59,13 +59,13 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     file_dialogs.has_native_dialogs = lambda: False
     app.prefer(smooth=False)
     ctx, training = hand.ctx, training_of(app)
-    hand.wait(lambda: app.scene is not None, "the first snapshot")
-    found["scene"] = app.scene.name if app.scene else None
+    hand.wait(lambda: app.is_open, "the first snapshot")
+    found["scene"] = app.scene.name if app.is_open else None
     found["first_eye"] = pose(app)["eye"]
     found["shown"] = [seen(hand), seen(hand, training.status.iteration)]
     found["splats_shown"] = app.stats.splats if app.stats else None
 
-    ctx.item_click("//LiveTraining/###pause")
+    ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.state == "paused", "the pause")
     at = training.status.iteration
     hand.wait(lambda: training.shown is not None and training.shown.iteration == at, "the last snapshot")
@@ -83,13 +83,13 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["attended"] = pacing.time_active_after_last_event
 
     before = training.status.settings
-    ctx.item_input_value("//LiveTraining/##Most splats", 1234)
+    ctx.item_input_value("//Training/##Most splats", 1234)
     hand.frames(3)
-    ctx.item_click("//LiveTraining/##Most splats/+")
+    ctx.item_click("//Training/##Most splats/+")
     hand.wait(lambda: training.status.settings.max_splats == 2234, "the setting")
     found["max_splats"] = [before.max_splats, training.status.settings.max_splats]
 
-    ctx.item_click("//LiveTraining/###step")
+    ctx.item_click("//Training/###step")
     hand.wait(lambda: training.status.iteration == at + 1, "one step")
     hand.frames(5)
     found["stepped_to"] = training.status.iteration
@@ -106,7 +106,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(
         lambda: (
             training.comparer.latest is not None
-            and training.comparer.latest.wish.shot is training.photos[1].shot
+            and training.comparer.latest.request.shot is training.photos[1].shot
         ),
         "the next photo",
     )
@@ -126,7 +126,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["scores"] = training.scores
     hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
     found["unattended_fps"] = pacing.fps_idle
-    ctx.mouse_move("//LiveTraining/###pause")
+    ctx.mouse_move("//Training/###pause")
     hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
 
     shown = seen(hand)
@@ -142,12 +142,12 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.press("F12")
     hand.wait(lambda: any("Picture saved" in line for line in hand.said), "the screenshot")
 
-    ctx.item_click("//LiveTraining/###export")
+    ctx.item_click("//Training/###export")
     hand.frames(4)
     ctx.key_chars_replace_enter(str(Path.cwd() / "exported.ply"))
     hand.wait(lambda: Path("exported.ply").exists(), "the export")
     hand.wait(lambda: any("exported.ply" in line for line in hand.said), "word of it")
-    ctx.item_click("//LiveTraining/###stop")
+    ctx.item_click("//Training/###stop")
     hand.wait(lambda: training.status.saved_at is not None, "scene and checkpoint")
     found["saved"] = [training.status.saved_at, training.status.iteration, training.status.state]
     found["files"] = sorted(path.name for path in Path().iterdir())
@@ -167,13 +167,13 @@ def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.frames(5)
     found["problem"] = app.problem
     found["state"] = training.status.state
-    found["scene_stays"] = app.scene is not None and len(app.scene.gaussians) == training.status.gaussians
+    found["scene_stays"] = app.is_open and len(app.scene.gaussians) == training.status.gaussians
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
     hand.ctx.item_click("//That did not work/OK")
     hand.frames(3)
     del vars(trainer)["step"]
     at = training.status.iteration
-    hand.ctx.item_click("//LiveTraining/###pause")
+    hand.ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.iteration > at + 3, "steps after the failure")
     found["went_on"] = training.status.state
 
@@ -194,14 +194,14 @@ def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     seen(hand)
     hand.drop(options["other"])
-    hand.wait(lambda: app.scene is not None and app.scene.name == "other.ply", "the other scene")
+    hand.wait(lambda: app.is_open and app.scene.name == "other.ply", "the other scene")
     steps(hand, 10)
     hand.frames(10)
-    found["other_stays"] = app.scene.name if app.scene else None
+    found["other_stays"] = app.scene.name if app.is_open else None
     hand.frames(2)
-    hand.ctx.item_click("//LiveTraining/Show the training")
+    hand.ctx.item_click("//Training/Show the training")
     hand.wait(lambda: training.followed_by(app), "the training's scene")
-    found["back"] = [seen(hand), app.scene.name if app.scene else None]
+    found["back"] = [seen(hand), app.scene.name if app.is_open else None]
 
     index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
     found["clicked"] = click_frustum(app, hand, index)
@@ -225,11 +225,15 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     seen(hand, 60)
     hand.press("R")
     hand.drag(130, 90, over=(0.4, 0.45))
-    hand.wait(lambda: app.session is not None and app.session.document.counts.selected > 0, "a selection")
-    assert app.session is not None and training.shown is not None
-    held, rectangle = training.shown, app.session.document.history.done[-1].operation
+    hand.wait(
+        lambda: (session := session_of(app)) is not None and session.document.counts.selected > 0,
+        "a selection",
+    )
+    session = session_of(app)
+    assert session is not None and training.shown is not None
+    held, rectangle = training.shown, session.document.history.done[-1].operation
     assert isinstance(rectangle, Select)
-    splats = app.session.document.selected.indices
+    splats = session.document.selected.indices
     steps(hand, 20)
     hand.frames(5)
     found["held"] = training.shown is held
@@ -243,7 +247,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["deleted"] = len(splats)
     edited = SceneEdits(marks=np.zeros(len(now.ids), np.uint32))
     found["in_rectangle"] = int(rectangle.by.mask(now.gaussians, edited, NoTools()).sum())
-    found["tool"] = app.session.tool if app.session else None
+    found["tool"] = session.tool if (session := session_of(app)) else None
     hand.press("Escape")
     seen(hand, now.iteration)
 
@@ -265,7 +269,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     crop(app, hand, "Add a sphere", options["cut"])
     ctx.item_click("//Edit/Crop/Cut away in training")
     hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
-    hand.wait(lambda: app.session is None, "the view to go on")
+    hand.wait(lambda: session_of(app) is None, "the view to go on")
     seen(hand, at + 60)
     (sphere,) = training.status.settings.cut[0]
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
@@ -275,7 +279,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
     ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
     hand.frames(3)
-    found["pointed"] = len(training.pointed)
+    found["pointed"] = len(app.feature(Editing).outlined)
     hand.shoot(options.get("rules"))
     ctx.item_click("//Edit/Rules of the training/cut 0/###remove")
     ctx.item_click("//Edit/Rules of the training/no_growth 0/###remove")
@@ -287,13 +291,13 @@ def crop(app: AppState, hand: Hand, button: str, half: float) -> None:
     """Holds the view and adds a crop of this half size."""
     ctx = hand.ctx
     ctx.item_click("//Edit/###hold")
-    hand.wait(lambda: app.session is not None, "the desk")
+    hand.wait(lambda: session_of(app) is not None, "the desk")
     hand.frames(3)
     for section in ("Select", "Clean up"):
         ctx.item_close(f"//Edit/{section}")
     ctx.item_open("//Edit/Crop")
     ctx.item_click(f"//Edit/Crop/{button}")
-    hand.wait(lambda: bool(app.session and app.session.document.crops), "the crop")
+    hand.wait(lambda: bool((session := session_of(app)) and session.document.crops), "the crop")
     hand.frames(3)
     for number in range(3):
         ctx.item_input_value(f"//Edit/Crop/##Half size/$${number}", half)
@@ -307,7 +311,7 @@ def click_frustum(app: AppState, hand: Hand, index: int) -> list[int]:
     view = app.view
     app.post(lambda app: app.steer(replace(view, distance=6 * view.distance)))
     hand.frames(3)
-    assert app.scene is not None
+    assert app.is_open
     drawn = dict(pyramids(training.cameras, app.camera, PHOTO_SIZE * app.scene.radius))
     corner = hand.ctx.window_info("//View").rect_full.min
     x, y = drawn[index][0][0]  # where its eye is

@@ -3,18 +3,17 @@
     python tools/bench/bench_antialiased.py [SCENE ...] [--size WxH] [-o OUT.json]
 
 Pictures at 1/2, 1/4 and 1/8 of the size are compared with the averaged picture at full size: see
-`splatview.tools.compare_smaller`. The demo scene is always one of them. Takes about half a minute.
+compare_smaller.py. The demo scene is always one of them. Takes about half a minute.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
 from typing import Any
 
 from compare_smaller import KERNELS, Smaller, compare_smaller
+from harness import make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.measure.metrics import psnr
 from splatview.raster import render
 from splatview.renderers.demo_cache import cached_demo
@@ -62,22 +61,16 @@ def rows(results: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("scenes", type=Path, nargs="*")
-    parser.add_argument("--size", default="1280x720")
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "antialiased.json")
-    options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    options = make_parser(__doc__, "antialiased.json", scenes=True, size="1280x720").parse_args()
+    width, height = options.size
     scenes = {path.stem: load_scene(path) for path in options.scenes} | {"demo": cached_demo()}
-    results = [compare(name, scene, (width, height)) for name, scene in scenes.items()]
+    results = [compare(name, scene, options.size) for name, scene in scenes.items()]
     columns = ["scene", *(f"1/{factor}, dB" for factor in FACTORS), "same size, dB"]
     table = {
         "columns": columns,
         "rows": rows(results),
-        "note": f"Without the effect → with it, against the averaged picture of {options.size}; none of these"
-        " scenes was trained antialiased, so in the last column, switched on at full size, it changes"
+        "note": f"Without the effect → with it, against the averaged picture of {width}x{height}; none of"
+        " these scenes was trained antialiased, so in the last column, switched on at full size, it changes"
         " the picture. At half the size a kernel of 0.1 px² is nearly the 0.3 of the full size (0.075):"
         " scenes trained so look right with it, at that size only.",
     }

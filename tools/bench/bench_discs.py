@@ -8,16 +8,16 @@ so that nothing is kept. Ratios are those of the medians; takes about a minute.
 
 from __future__ import annotations
 
-import argparse
-import time
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
+from harness import in_turn, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.renderers.headless import make_headless
+from splatview.renderers.request import FrameRequest, Renderer
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at_matrix
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import load_scene
@@ -50,38 +50,32 @@ def measure(name: str, scene: Gaussians, camera: Camera, frames: int) -> dict[st
     target = camera.eye + camera.forward * float(
         np.median((scene.means.astype(np.float64) - camera.eye) @ camera.forward)
     )
-    found: dict[str, Any] = {}
-    drawn: dict[str, list[float]] = {footprint: [] for footprint in FOOTPRINTS}
     # A renderer each: what discs take once stays with the renderer.
     renderers = {footprint: make_headless(name) for footprint in FOOTPRINTS}
+
+    def draw(renderer: Renderer, settings: RenderSettings, frame: int) -> None:
+        renderer.load(scene, "float32")
+        renderer.render(FrameRequest(scene, moved(camera, target, frame), settings))
+
     models = {"ellipsoid": ImageModel(), "disc": ImageModel().with_footprint("disc")}
-    for frame in range(frames + 2):
-        for footprint, renderer in renderers.items():
-            renderer.load(scene, "float32")
-            begun = time.perf_counter()
-            settings = RenderSettings(model=models[footprint])
-            renderer.draw(scene, moved(camera, target, frame), settings, "splats")
-            if frame >= 2:  # the first ones compile
-                drawn[footprint].append(1000 * (time.perf_counter() - begun))
-    for footprint, renderer in renderers.items():
-        times = np.array(drawn[footprint])
-        found[footprint] = {
-            "ms": float(np.median(times)),
-            "spread_ms": float(np.subtract(*np.percentile(times, [75, 25]))),
-            "bytes": renderer.memory(),
+    ways = {
+        footprint: partial(draw, renderer, RenderSettings(model=models[footprint]))
+        for footprint, renderer in renderers.items()
+    }
+    return {
+        footprint: {
+            "ms": own.median,
+            "spread_ms": float(np.subtract(*np.percentile(own.ms, [75, 25]))),
+            "bytes": renderers[footprint].memory(),
         }
-    return found
+        for footprint, own in in_turn(ways, frames, warm_up=2).items()
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("scene", nargs="?", type=Path)
-    parser.add_argument("--size", default="960x540")
-    parser.add_argument("--frames", type=int, default=11)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "discs.json")
-    options = parser.parse_args()
+    options = make_parser(__doc__, "discs.json", scene=True, size="960x540", frames=11).parse_args()
     scene = flattened(load_scene(options.scene) if options.scene else demo_scene(splats=100_000))
-    width, height = map(int, options.size.split("x"))
+    width, height = options.size
     camera = frame_camera(scene, width, height)
     results = {name: measure(name, scene, camera, options.frames) for name in RENDERERS}
     rows = []
@@ -109,7 +103,7 @@ def main() -> None:
             "ratio",
         ],
         "rows": rows,
-        "note": f"{title}, {len(scene):,} splats made flat, {options.size}; frames of both in turn, medians.",
+        "note": f"{title}, {len(scene):,} splats made flat, {width}x{height}; frames in turn, medians.",
     }
     write_results(
         options.output, {"splats": len(scene), "size": [width, height], "results": results, "table": table}

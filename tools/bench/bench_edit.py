@@ -1,6 +1,6 @@
 """Time and memory of editing one and five million splats; writes assets/benchmarks/edit.json.
 
-python tools/bench/bench_edit.py [--counts 1000000 5000000] [--repeats 7]
+    python tools/bench/bench_edit.py [--counts 1000000 5000000] [--repeats 7]
 
 Each operation is done, undone and redone; the selection in force is a sphere's (runs of a scene in random
 order: the worst that an index run can be asked to store) or every splat. "state" is what the picture needs
@@ -9,20 +9,15 @@ after an operation: the counts, and the edits as renderers read them.
 
 from __future__ import annotations
 
-import argparse
 import gc
-import statistics
-import time
-import tracemalloc
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import in_turn, make_parser, peak_bytes
 
 from splatview.edit.document import Document
 from splatview.edit.operations import operation_from_json
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.scene import Gaussians
 
 FRAME_MS = 1000 / 60
@@ -69,47 +64,32 @@ def make_scene(count: int) -> Gaussians:
     )
 
 
-def milliseconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return 1e3 * (time.perf_counter() - start)
-
-
-def peak_bytes(work: Callable[[], object]) -> int:
-    """The most memory that `work` held besides what was there before."""
-    gc.collect()
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
 def measure(scene: Gaussians, before: list[Step], step: Step, repeats: int) -> dict[str, float]:
     document = Document(scene)
     for earlier in before:
         document.apply(operation_from_json(earlier))
     operation = operation_from_json(step)
     start = document.history.position
-    times: dict[str, list[float]] = {"do": [], "undo": [], "redo": [], "state": []}
+    _ = document.edits
+    ways = {
+        "do": lambda _: document.apply(operation),
+        "state": lambda _: document.edits,
+        "undo": lambda _: document.undo(),
+        "redo": lambda _: document.redo(),
+    }
+
+    def back(number: int) -> None:
+        if number < repeats:
+            document.jump(start)
+            _ = document.edits
+
     # Once before for the compiler.
-    for repeat in range(repeats + 1):
-        document.jump(start)
-        _ = document.edits
-        for name, work in (
-            ("do", lambda: document.apply(operation)),
-            ("state", lambda: document.edits),
-            ("undo", document.undo),
-            ("redo", document.redo),
-        ):
-            value = milliseconds(work)
-            if repeat:
-                times[name].append(value)
+    times = in_turn(ways, repeats, rotate=False, after_round=back)
     change = document.history.steps[-1].change
     document.undo()
+    gc.collect()
     return {
-        **{name: statistics.median(values) for name, values in times.items()},
+        **{name: own.median for name, own in times.items()},
         "stored_bytes": change.nbytes,
         "peak_bytes": peak_bytes(lambda: document.apply(operation)),
         "splats": change.count,
@@ -117,10 +97,9 @@ def measure(scene: Gaussians, before: list[Step], step: Step, repeats: int) -> d
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = make_parser(__doc__, "edit.json")
     parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000, 5_000_000])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "edit.json")
     args = parser.parse_args()
     results: dict[str, dict[str, Any]] = {}
     for count in args.counts:

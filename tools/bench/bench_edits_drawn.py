@@ -9,21 +9,21 @@ Without a scene a synthetic one of 500,000 splats is drawn.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import moderngl
 import numpy as np
 from bench_kernels import synthetic_scene
+from harness import in_turn, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.renderers import make_renderer
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.scene_buffers import placement_of
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import DELETED, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.scene.formats import load_scene
@@ -95,40 +95,29 @@ def frame_ratios(
     ctx: moderngl.Context, gaussians: Gaussians, size: tuple[int, int], frames: int
 ) -> dict[str, dict[str, float]]:
     """By kind of edits: median time of stages, relative to that without."""
-    renderer = make_renderer(ctx)
+    renderer = make_renderer("quads", ctx)
     renderer.load(gaussians)
-    kinds = kinds_of(gaussians)
-    times: dict[str, dict[str, list[float]]] = {kind: {"project": [], "draw": []} for kind in kinds}
     camera = frame_camera(gaussians, *size)
     target, _ = robust_bounds(gaussians.means)
-    for frame in range(frames + 1):
-        view = look_at(
-            camera.eye + 1e-3 * frame * (camera.eye - target), target, width=size[0], height=size[1]
-        )
-        names = list(kinds)
-        for kind in names[frame % len(names) :] + names[: frame % len(names)]:
-            edits, highlight = kinds[kind]
-            renderer.draw(view, RenderSettings(), edits=edits, highlight=highlight)
-            stages = renderer.finished_stats().ms
-            if frame:  # the first compiles
-                for stage, values in times[kind].items():
-                    values.append(stages[stage])
-    renderer.release()
-    base = {stage: float(np.median(values)) for stage, values in times["none"].items()}
+
+    def draw(edits: SceneEdits | None, highlight: Highlight | None, frame: int) -> dict[str, float]:
+        eye = camera.eye + 1e-3 * frame * (camera.eye - target)
+        view = look_at(eye, target, width=size[0], height=size[1])
+        renderer.draw(FrameRequest(None, view, RenderSettings(), edits=edits, highlight=highlight))
+        return {stage: renderer.stats(wait=True).ms[stage] for stage in ("project", "draw")}
+
+    ways = {kind: partial(draw, *given) for kind, given in kinds_of(gaussians).items()}
+    medians = {kind: own.medians() for kind, own in in_turn(ways, frames).items()}
+    renderer.close()
     return {
-        kind: {stage: float(np.median(values)) / base[stage] for stage, values in stages.items()}
-        for kind, stages in times.items()
+        kind: {stage: ms / medians["none"][stage] for stage, ms in stages.items()}
+        for kind, stages in medians.items()
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", nargs="?", type=Path)
-    parser.add_argument("--size", default="640x360")
-    parser.add_argument("--frames", type=int, default=7)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "edits_drawn.json")
-    options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    options = make_parser(__doc__, "edits_drawn.json", scene=True, size="640x360", frames=7).parse_args()
+    width, height = options.size
     ctx = create_headless_context()
     gaussians = load_scene(options.scene) if options.scene else synthetic_scene(500_000)
     uploads = {count: upload_times(ctx, count) for count in COUNTS}

@@ -15,31 +15,27 @@ synthetic ones are drawn, of degree 0 and 3.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_cpu_vs_quads import TURN, turned
 from bench_kernels import synthetic_scene
+from harness import in_turn, load_scenes, make_parser, orbit_of
 
 from splatview import raster
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.renderers.gl.context import create_headless_context, describe, held_bytes
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import IDENTITY, SELECTED, Adjustment, SceneEdits
 from splatview.scene.effects import settings_for
-from splatview.scene.formats import load_scene
-from splatview.scene.framing import frame_camera, robust_bounds
+from splatview.scene.framing import frame_camera
 
 UNSEEN = 1e-30
 """In place of zeros: stored and read as every other number is, and lost in the first sum."""
@@ -90,14 +86,20 @@ def on_gpu(
         marks = np.full(len(gaussians), SELECTED, np.uint32)
         with chosen():
             renderer.draw(
-                camera, settings, edits=SceneEdits(marks=marks, flags=SELECTED), highlight=Highlight()
+                FrameRequest(
+                    None,
+                    camera,
+                    settings,
+                    edits=SceneEdits(marks=marks, flags=SELECTED),
+                    highlight=Highlight(),
+                )
             )
 
     def draw(camera: Camera) -> dict[str, float]:
         with chosen():
-            renderer.draw(camera, settings)
+            renderer.draw(FrameRequest(None, camera, settings))
             ctx.finish()
-        return dict(renderer.finished_stats().ms)
+        return dict(renderer.stats(wait=True).ms)
 
     def memory() -> int:
         sorted_only = general and isinstance(renderer, QuadsRenderer)
@@ -131,34 +133,23 @@ def cpu(gaussians: Gaussians, *, general: bool) -> Pipeline:
     return Pipeline(draw, lambda: last["image"], memory)
 
 
-def compare(
-    pipelines: dict[str, Pipeline], camera: Camera, centre: np.ndarray, frames: int
-) -> dict[str, Any]:
-    times: dict[str, list[float]] = {name: [] for name in MEASURED}
-    stages: dict[str, list[dict[str, float]]] = {name: [] for name in MEASURED}
-    difference = 0.0
-    for frame in range(-1, frames):
-        view = turned(camera, centre, TURN * frame)
-        for name in MEASURED if frame % 2 else reversed(MEASURED):
-            begun = time.perf_counter()
-            own = pipelines[name].draw(view)
-            milliseconds = 1000 * (time.perf_counter() - begun)
-            if frame >= 0:  # in the first programs are compiled and pages touched
-                times[name].append(milliseconds)
-                stages[name].append(own)
+def compare(pipelines: dict[str, Pipeline], view: Callable[[int], Camera], frames: int) -> dict[str, Any]:
+    differences: list[float] = []
+
+    def difference(frame: int) -> None:
         pictures = [pipelines[name].read() for name in ("specialised", "general")]
-        difference = max(difference, float(np.abs(pictures[0] - pictures[1]).max()))
-    measured = {name: np.array(values) for name, values in times.items()}
+        differences.append(float(np.abs(pictures[0] - pictures[1]).max()))
+
+    ways = {name: (lambda frame, draw=pipelines[name].draw: draw(view(frame))) for name in MEASURED}
+    times = in_turn(ways, frames, after_round=difference)
+    measured = {name: np.array(own.ms) for name, own in times.items()}
     return {
-        "median_ms": {name: float(np.median(measured[name])) for name in MEASURED},
-        "stages_ms": {
-            name: {stage: float(np.median([ms[stage] for ms in stages[name]])) for stage in stages[name][0]}
-            for name in ("specialised", "general")
-        },
+        "median_ms": {name: own.median for name, own in times.items()},
+        "stages_ms": {name: times[name].medians() for name in ("specialised", "general")},
         "ratio": spread(measured["general"] / np.sqrt(measured["specialised"] * measured["again"])),
         "noise": spread(measured["again"] / measured["specialised"]),
         "bytes": {name: pipelines[name].memory() for name in ("specialised", "general")},
-        "largest_difference": difference,
+        "largest_difference": max(differences),
     }
 
 
@@ -168,9 +159,7 @@ def spread(ratios: np.ndarray) -> dict[str, float]:
 
 
 def measure(ctx, gaussians: Gaussians, size: tuple[int, int], frames: int) -> list[dict[str, Any]]:
-    camera = frame_camera(gaussians, *size)
-    centre, _ = robust_bounds(gaussians.means)
-    results = []
+    view, results = orbit_of(gaussians, size), []
     pipeline_of: dict[str, Callable[..., Pipeline]] = {
         "quads": partial(on_gpu, QuadsRenderer, ctx),
         "tiles": partial(on_gpu, TilesRenderer, ctx),
@@ -178,7 +167,7 @@ def measure(ctx, gaussians: Gaussians, size: tuple[int, int], frames: int) -> li
     }
     for renderer, make in pipeline_of.items():
         pipelines = {name: make(gaussians, general=name == "general") for name in MEASURED}
-        result = compare(pipelines, camera, centre, frames)
+        result = compare(pipelines, view, frames)
         results.append({"renderer": renderer, "size": list(size), **result})
     return results
 
@@ -203,21 +192,16 @@ COLUMNS = ["scene", "renderer", "size", "ms", "general, ms", "ratio", "noise", "
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", type=Path)
-    parser.add_argument("--size", default="640x360")
-    parser.add_argument("--frames", type=int, default=16)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "effects.json")
-    options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    options = make_parser(__doc__, "effects.json", scenes=True, size="640x360", frames=16).parse_args()
     ctx = create_headless_context(require=430)
-    scenes = [(path.name, load_scene(path)) for path in options.scenes]
-    if not scenes:
+
+    def synthetic() -> dict[str, Gaussians]:
         rich = synthetic_scene(100_000)
-        scenes = [("synthetic", rich), ("synthetic, flat", replace(rich, sh=rich.sh[:, :1].copy()))]
+        return {"synthetic": rich, "synthetic, flat": replace(rich, sh=rich.sh[:, :1].copy())}
+
     results = []
-    for name, gaussians in scenes:
-        for result in measure(ctx, gaussians, (width, height), options.frames):
+    for name, gaussians in load_scenes(options.scenes, synthetic).items():
+        for result in measure(ctx, gaussians, options.size, options.frames):
             degree = round(gaussians.sh.shape[1] ** 0.5) - 1
             results.append({"scene": name, "splats": len(gaussians), "degree": degree, **result})
             print(" | ".join(cells(results[-1])), results[-1]["stages_ms"], flush=True)

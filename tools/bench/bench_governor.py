@@ -10,25 +10,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import PANELS, in_window, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 BUDGETS = {"cpu": (20.0, 30.0, 45.0), "quads": (250.0, 400.0)}
 """ms, within what software OpenGL and the CPU can do with half a million splats."""
-
-PANELS = (474, 57)
-"""Px of the window beside and above the picture, about; what is measured is reported."""
 
 LEARNING = 12
 """Pictures under a budget that are not counted: the governor finds out about the machine."""
@@ -46,20 +41,25 @@ def fly(app: AppState, number: int) -> None:
 
 def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
-    from splatview.renderers.cpu_async import CpuTexture
+    from splatview.renderers.async_renderer import AsyncRenderer
     from splatview.viewer import app as app_module
     from splatview.viewer import viewport
 
-    real_render = CpuTexture._render
+    real_render = AsyncRenderer._render
     app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
     real_draw, started, found = viewport.draw_picture, [], {}
     frames: list[tuple[int, float, tuple[int, int], str]] = []
 
-    def render(self: Any, wish: Any, shortcut: Any, workspace: Any) -> None:
-        real_render(self, wish, shortcut, workspace)
+    def render(self: Any, request: Any, shortcut: Any) -> None:
+        real_render(self, request, shortcut)
         reduced = "" if shortcut is None or shortcut.exact else shortcut.note
         frames.append(
-            (len(frames), sum(self._stats.ms.values()), (wish.camera.width, wish.camera.height), reduced)
+            (
+                len(frames),
+                sum(self._stats.ms.values()),
+                (request.camera.width, request.camera.height),
+                reduced,
+            )
         )
 
     def note(app: AppState) -> None:
@@ -69,7 +69,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         if stats is None or picture is None or not stats.ms:
             return
         if not frames or frames[-1][0] != stats.drawn:
-            reduced = app.accuracy.note or picture.note
+            reduced = app.feature(Accuracy).note or picture.note
             frames.append((stats.drawn, sum(stats.ms.values()), picture.texture.size, reduced))
 
     def draw(app: AppState, *arguments: Any) -> None:
@@ -82,7 +82,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
     def settle(app: AppState) -> None:
         time.sleep(0.5)
         limit = time.monotonic() + PATIENCE
-        while app.waiting or app.transition or app.scene is None or pricing():
+        while app.waiting or app.transition or not app.is_open or pricing():
             assert time.monotonic() < limit, "the window does not settle"
             time.sleep(0.01)
 
@@ -91,7 +91,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         done.set()
 
     def begin_to_measure(app: AppState, begun: threading.Event) -> None:
-        app.accuracy.measure(app)
+        app.feature(Accuracy).measure(app)
         begun.set()
 
     def pictures_while_flying(app: AppState, wanted: int) -> list[tuple[int, float, tuple[int, int], str]]:
@@ -100,7 +100,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
         while len(frames) < wanted and time.monotonic() < limit:
             done = threading.Event()
             app.post(one_step, number, done)
-            app.accuracy.wake()
+            app.feature(Accuracy).wake()
             done.wait(1.0)
             number += 1
         return list(frames)
@@ -114,7 +114,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             assert begun.wait(PATIENCE), "nothing is measured"
             settle(app)
             found["size"] = list(app.picture_size)
-            ladder = app.accuracy.ladder
+            ladder = app.feature(Accuracy).ladder
             found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
             exact = app.picture.texture.size if app.picture else None
             full = [ms for _, ms, size, note in pictures_while_flying(app, LEARNING) if not note]
@@ -122,7 +122,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             settle(app)
             found["budgets"] = []
             for budget in BUDGETS[renderer]:
-                app.post(lambda app, budget=budget: app.accuracy.hold(app, budget))
+                app.post(lambda app, budget=budget: app.feature(Accuracy).hold(app, budget))
                 pictures_while_flying(app, LEARNING)
                 settle(app)  # what is to be found out about prices is found out at rest
                 pictures_while_flying(app, LEARNING)
@@ -130,7 +130,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
                 frames.clear()
                 settle(app)
                 if renderer != "cpu" and app.picture is not None:  # times come a frame late, or never
-                    frames.append((-1, 0.0, app.picture.texture.size, app.accuracy.note))
+                    frames.append((-1, 0.0, app.picture.texture.size, app.feature(Accuracy).note))
                 after = [(size == exact and not note) for _, _, size, note in frames]
                 times = [ms for _, ms, _, _ in flown]
                 found["budgets"].append(
@@ -148,40 +148,12 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             app.quitting = True
 
     viewport.draw_picture = draw
-    CpuTexture._render = render
+    AsyncRenderer._render = render
     app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer=renderer)
 
 
 def pricing() -> bool:
     return any(thread.name == "splatview-cpu-plan" for thread in threading.enumerate())
-
-
-def measure(scene: Path, renderer: str, size: tuple[int, int], pictures: int) -> dict[str, Any]:
-    """One window on a screen of its own."""
-    ready, write_end = os.pipe()
-    screen = f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}x24"
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen, "-nolisten", "tcp"],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        display = f":{pipe.readline().strip()}"
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            report = Path(folder) / "report.json"
-            environment = dict(
-                os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
-            )
-            environment.pop("WAYLAND_DISPLAY", None)
-            command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
-            command += ["--pictures", str(pictures), "--renderer", renderer, "--watch", str(report)]
-            subprocess.run(command, env=environment, check=True, timeout=600)
-            return json.loads(report.read_text())
-    finally:
-        server.terminate()
-        server.wait()
 
 
 def row(renderer: str, found: dict[str, Any], one: dict[str, Any]) -> list[str]:
@@ -199,26 +171,26 @@ def row(renderer: str, found: dict[str, Any], one: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--size", default="640x360")
+    parser = make_parser(__doc__, "governor.json", size="640x360")
     parser.add_argument("--pictures", type=int, default=60)
+    parser.add_argument("scene", type=Path)
     parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
     parser.add_argument("--renderer", choices=BUDGETS)
-    parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    width, height = options.size
     if options.watch:
-        watch(options.scene, options.renderer, (width, height), options.pictures, options.watch)
+        watch(options.scene, options.renderer, options.size, options.pictures, options.watch)
         return
     renderers = [options.renderer] if options.renderer else list(BUDGETS)
     made = {}
     for renderer in renderers:
-        made[renderer] = measure(options.scene, renderer, (width, height), options.pictures)
+        size = ["--size", f"{width}x{height}", "--pictures", options.pictures]
+        arguments = [options.scene, *size, "--renderer", renderer, "--watch"]
+        made[renderer] = in_window(__file__, arguments, options.size, timeout=600)
         print(renderer, json.dumps(made[renderer], indent=1), flush=True)
     write_results(
-        options.output or FOLDER / "governor.json",
+        options.output,
         {
             "scene": options.scene.name,
             "renderers": made,

@@ -10,28 +10,25 @@ SCENE only the constant band is taken, but for the variants that have more; with
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_cpu_vs_quads import TURN, turned
 from bench_kernels import synthetic_scene
+from harness import in_turn, make_parser, orbit_of
 
 from splatview import raster
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.renderers.gl import scene_buffers as harmonics
 from splatview.renderers.gl.context import create_headless_context, describe, held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.formats import load_scene
-from splatview.scene.framing import frame_camera, robust_bounds
 
 SETTINGS = RenderSettings(blend="float32")
 
@@ -88,8 +85,8 @@ def on_gpu(ctx, make, scenes: dict[str, Gaussians]) -> dict[str, tuple[Draw, int
         held = held_bytes(renderer)
 
         def draw(view: Camera, renderer=renderer, scene=scene) -> float:
-            renderer.render(scene, view, SETTINGS)
-            return renderer.finished_stats().ms["project"]
+            renderer.render(FrameRequest(scene, view, SETTINGS))
+            return renderer.stats(wait=True).ms["project"]
 
         made[name] = draw, held, renderer.release
     return made
@@ -109,22 +106,15 @@ def on_cpu(scenes: dict[str, Gaussians]) -> dict[str, tuple[Draw, int, Callable[
     return made
 
 
-def measure(made: dict[str, tuple[Draw, int, Callable[[], None]]], views: list[Camera]) -> dict[str, Any]:
+def measure(
+    made: dict[str, tuple[Draw, int, Callable[[], None]]], view: Callable[[int], Camera], frames: int
+) -> dict[str, Any]:
     """Milliseconds by variant, and their ratios to the baseline, frame by frame."""
-    names = list(made)
-    frames: dict[str, list[float]] = {name: [] for name in names}
-    projections: dict[str, list[float]] = {name: [] for name in names}
-    for number, view in enumerate(views):
-        for place in range(len(names)):
-            name = names[(place + number) % len(names)]
-            begun = time.perf_counter()
-            projection = made[name][0](view)
-            frames[name].append(1000 * (time.perf_counter() - begun))
-            projections[name].append(projection)
-    result: dict[str, Any] = {"bytes": {name: made[name][1] for name in names}}
-    for what, times in (("frame", frames), ("projection", projections)):
-        # The first view compiles programs and kernels and touches pages.
-        drawn = {name: np.array(values[1:]) for name, values in times.items()}
+    ways = {name: (lambda frame, draw=draw: draw(view(frame))) for name, (draw, _, _) in made.items()}
+    times = in_turn(ways, frames)
+    result: dict[str, Any] = {"bytes": {name: made[name][1] for name in made}}
+    for what in ("frame", "projection"):
+        drawn = {name: np.array(own.ms if what == "frame" else own.values) for name, own in times.items()}
         ratios = {name: values / drawn[BASELINE] for name, values in drawn.items()}
         medians = {name: float(np.median(values)) for name, values in ratios.items()}
         noise = noise_of(ratios[AGAIN])
@@ -148,26 +138,21 @@ def noise_of(ratios: np.ndarray) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("scene", nargs="?", type=Path)
-    parser.add_argument("--size", default="640x360")
-    parser.add_argument("--frames", type=int, default=21)
+    parser = make_parser(__doc__, "padded_sh.json", scene=True, size="640x360", frames=21)
     parser.add_argument("--splats", type=int, default=200_000)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "padded_sh.json")
     options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    width, height = options.size
     gaussians = load_scene(options.scene) if options.scene else synthetic_scene(options.splats)
-    camera, (centre, _) = frame_camera(gaussians, width, height), robust_bounds(gaussians.means)
-    views = [turned(camera, centre, TURN * frame) for frame in range(options.frames + 1)]
+    view = orbit_of(gaussians, options.size)
     scenes = variants_of(gaussians)
     ctx = create_headless_context()
     results: dict[str, Any] = {}
     for name, make in RENDERERS.items():
         made = on_gpu(ctx, make, scenes)
-        results[name] = measure(made, views)
+        results[name] = measure(made, view, options.frames)
         for _, _, release in made.values():
             release()
-    results["cpu"] = measure(on_cpu(scenes), views)
+    results["cpu"] = measure(on_cpu(scenes), view, options.frames)
     rows = [
         [
             renderer,

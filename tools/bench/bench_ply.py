@@ -10,10 +10,7 @@ one of SH degree 3 is made.
 from __future__ import annotations
 
 import argparse
-import statistics
 import tempfile
-import time
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ from typing import Any
 import numpy as np
 import plyfile
 from bench_kernels import synthetic_scene
+from harness import in_turn, peak_bytes
 
 from splatview.measure.machine import FOLDER, write_results
 from splatview.scene import Gaussians
@@ -66,27 +64,6 @@ def write_with_plyfile(scene: Gaussians, path: Path) -> None:
     plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
 
 
-def interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Milliseconds of each task in each round; one round before them warms up."""
-    times: dict[str, list[float]] = {name: [] for name in tasks}
-    for each in range(rounds + 1):
-        for name, task in tasks.items():
-            begun = time.perf_counter()
-            task()
-            if each:
-                times[name].append(1e3 * (time.perf_counter() - begun))
-    return times
-
-
-def peak_bytes(task: Callable[[], object]) -> int:
-    tracemalloc.start()
-    try:
-        task()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
 def measure(path: Path, folder: Path, rounds: int) -> dict[str, Any]:
     scene = load_scene(path)
     for ours, theirs in zip(
@@ -104,8 +81,9 @@ def measure(path: Path, folder: Path, rounds: int) -> dict[str, Any]:
         "write, splatview (fsync included)": lambda: save_scene(scene, target),
         "write, plyfile from the arrays (no fsync)": lambda: write_with_plyfile(scene, target),
     }
-    times = interleaved(tasks, rounds)
-    medians = {name: statistics.median(each) for name, each in times.items()}
+    times = in_turn({name: lambda _, task=task: task() for name, task in tasks.items()}, rounds)
+    medians = {name: own.median for name, own in times.items()}
+    ranges = {name: own.range for name, own in times.items()}
     peaks = {name: peak_bytes(task) for name, task in tasks.items()}
     ours, theirs, floor = (medians[name] for name in list(tasks)[:3])
     return {
@@ -121,11 +99,11 @@ def measure(path: Path, folder: Path, rounds: int) -> dict[str, Any]:
         "results": {
             name: {
                 "ms": round(medians[name], 1),
-                "min": round(min(each), 1),
-                "max": round(max(each), 1),
+                "min": round(low, 1),
+                "max": round(high, 1),
                 "peak_bytes": peaks[name],
             }
-            for name, each in times.items()
+            for name, (low, high) in ranges.items()
         },
         "table": {
             "columns": ["operation", "ms (median)", "min to max", "peak memory / arrays"],
@@ -133,10 +111,10 @@ def measure(path: Path, folder: Path, rounds: int) -> dict[str, Any]:
                 [
                     name,
                     f"{medians[name]:.0f}",
-                    f"{min(each):.0f} to {max(each):.0f}",
+                    f"{low:.0f} to {high:.0f}",
                     f"{peaks[name] / scene.nbytes:.2f}",
                 ]
-                for name, each in times.items()
+                for name, (low, high) in ranges.items()
             ],
             "note": f"{path.name}: {len(scene):,} splats, SH degree {scene.sh_degree}, "
             f"{path.stat().st_size / 2**20:.0f} MiB, in the page cache; {rounds} rounds, taking turns.",

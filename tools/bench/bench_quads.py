@@ -9,27 +9,23 @@ counts is set beside them.
 
 from __future__ import annotations
 
-import argparse
 import math
-import time
 from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import moderngl
 import numpy as np
+from harness import TURN, Timings, in_turn, load_scenes, make_parser, spread
 
 from splatview import raster
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.demo import demo_scene
-from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
-
-TURN = 3.0
-"""Degrees a frame."""
 
 WARM_UP = 2
 """Frames drawn before any is timed: programs compile, memory is touched."""
@@ -75,26 +71,16 @@ def measure(
         if stop is not None:
             renderer.early_stop = stop
         renderers.append(renderer)
-    times: list[list[float]] = [[] for _ in variants]
-    cpu: list[list[float]] = [[] for _ in variants]
-    stages: list[list[dict[str, float]]] = [[] for _ in variants]
-    raster_times: list[float] = []
-    raster_cpu: list[float] = []
-    for frame in range(WARM_UP + frames):
-        for i, (renderer, (blend, _)) in enumerate(zip(renderers, variants, strict=True)):
-            begun, cpu_begun = time.perf_counter(), time.process_time()
-            renderer.draw(views(frame), RenderSettings(blend=blend))  # pyright: ignore[reportArgumentType]
-            ctx.finish()
-            elapsed = 1000 * (time.perf_counter() - begun)
-            if frame >= WARM_UP:
-                times[i].append(elapsed)
-                cpu[i].append(1000 * (time.process_time() - cpu_begun))
-                stages[i].append(dict(renderer.finished_stats().ms))
-        begun, cpu_begun = time.perf_counter(), time.process_time()
-        raster.render(scene, views(frame), RenderSettings())
-        if frame >= WARM_UP:
-            raster_times.append(1000 * (time.perf_counter() - begun))
-            raster_cpu.append(1000 * (time.process_time() - cpu_begun))
+
+    def draw(i: int, frame: int) -> dict[str, float]:
+        blend, _ = variants[i]
+        renderers[i].draw(FrameRequest(None, views(frame), RenderSettings(blend=blend)))  # pyright: ignore[reportArgumentType]
+        ctx.finish()
+        return dict(renderers[i].stats(wait=True).ms)
+
+    ways = {str(i): partial(draw, i) for i in range(len(variants))}
+    cpu = {"cpu": lambda frame: raster.render(scene, views(frame), RenderSettings())}
+    times = in_turn({**ways, **cpu}, frames, warm_up=WARM_UP)
     results = []
     for i, (blend, _) in enumerate(variants):
         results.append(
@@ -102,28 +88,26 @@ def measure(
                 "renderer": "quads",
                 "blend": blend,
                 "early_stop": renderers[i].early_stop,
-                "visible": renderers[i].finished_stats().visible,
-                **timing(name, scene, times[i], cpu[i]),
-                "stages_ms": {key: float(np.median([one[key] for one in stages[i]])) for key in stages[i][0]},
+                "visible": renderers[i].stats(wait=True).visible,
+                **timing(name, scene, times[str(i)]),
+                "stages_ms": times[str(i)].medians(),
             }
         )
-        renderers[i].release()
-    results.append({"renderer": "cpu", **timing(name, scene, raster_times, raster_cpu)})
+        renderers[i].close()
+    results.append({"renderer": "cpu", **timing(name, scene, times["cpu"])})
     return results
 
 
-def timing(name: str, scene: Gaussians, wall_ms: list[float], cpu_ms: list[float]) -> dict[str, Any]:
+def timing(name: str, scene: Gaussians, times: Timings) -> dict[str, Any]:
     """Medians and spread, and the ratio to the least figure of the fastest peer for this number of splats."""
-    median = float(np.median(wall_ms))
     fastest = min((min(figures.get(len(scene), (math.inf,))) for figures in PEERS.values()), default=math.inf)
     return {
         "scene": name,
         "splats": len(scene),
-        "median_ms": median,
-        "range_ms": [min(wall_ms), max(wall_ms)],
-        # Of all threads: twice this over the wall time of two cores tells whether others used them.
-        "cpu_ms": float(np.median(cpu_ms)),
-        "ratio_to_fastest_peer": median / fastest if math.isfinite(fastest) else None,
+        "median_ms": times.median,
+        "range_ms": times.range,
+        "cpu_ms": float(np.median(times.cpu_ms)),
+        "ratio_to_fastest_peer": times.median / fastest if math.isfinite(fastest) else None,
     }
 
 
@@ -131,7 +115,6 @@ def rows_of(results: list[dict[str, Any]]) -> list[list[str]]:
     """Ours and, where their figures are known, the peers', scene by scene."""
     rows = []
     for result in results:
-        low, high = result["range_ms"]
         name = "`cpu`" if result["renderer"] == "cpu" else f"`quads`, {result['blend']}"
         if result.get("early_stop") == 0:
             name += ", no early stop"
@@ -139,31 +122,27 @@ def rows_of(results: list[dict[str, Any]]) -> list[list[str]]:
         split = " / ".join(f"{stages[stage]:.0f}" for stage in ("project", "sort", "draw")) if stages else ""
         ratio = result["ratio_to_fastest_peer"]
         share = "" if ratio is None else f"{ratio:.2f}"
-        spread = f"{result['median_ms']:.0f} ({low:.0f} to {high:.0f})"
-        rows.append([f"splatview {name}", f"{result['splats']:,}", spread, split, share])
+        ms = spread(result["median_ms"], result["range_ms"])
+        rows.append([f"splatview {name}", f"{result['splats']:,}", ms, split, share])
     for splats in sorted({result["splats"] for result in results}):
         known = {peer: figures[splats] for peer, figures in PEERS.items() if splats in figures}
         fastest = min((min(figures) for figures in known.values()), default=math.nan)
         for peer, (low, high) in known.items():
-            spread = f"{low} to {high}" if high > low else f"{low}"
-            rows.append([peer, f"{splats:,}", spread, "", f"{low / fastest:.2f}"])
+            ms = f"{low} to {high}" if high > low else f"{low}"
+            rows.append([peer, f"{splats:,}", ms, "", f"{low / fastest:.2f}"])
     return sorted(rows, key=lambda row: int(row[1].replace(",", "")))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("scenes", nargs="*", type=Path)
+    parser = make_parser(__doc__, "quads.json", scenes=True, size="1280x720", frames=11)
     parser.add_argument("--orbit", help="x,y,z of the target, radius, height of the eye")
-    parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--frames", type=int, default=11)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "quads.json")
     options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    width, height = options.size
     ctx = create_headless_context(require=430)
-    scenes = [(path.name, load_scene(path)) for path in options.scenes]
-    scenes = scenes or [(f"demo {n:,}", demo_scene(splats=n)) for n in (100_000, 500_000)]
+    demos = lambda: {f"demo {n:,}": demo_scene(splats=n) for n in (100_000, 500_000)}  # noqa: E731
+    scenes = load_scenes(options.scenes, demos)
     results: list[dict[str, Any]] = []
-    for name, scene in scenes:
+    for name, scene in scenes.items():
         if options.orbit:
             x, y, z, radius, eye_height = (float(part) for part in options.orbit.split(","))
             views = orbit(np.array([x, y, z]), radius, eye_height, (width, height))

@@ -1,11 +1,10 @@
-"""Writes assets/benchmarks/raster.json and raster.png from `splatview.tools.bench_kernels`.
+"""Writes assets/benchmarks/raster.json and raster.png from bench_kernels.py.
 
 python tools/bench/bench_raster.py [--full] [--threads N] [-o JSON]
 """
 
 from __future__ import annotations
 
-import argparse
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from bench_kernels import FLOPS_PER_PIXEL_SPLAT, QUICK, STAGES, measure_all, summary
+from harness import make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.raster import available_threads
 
 COLUMNS = {
@@ -75,10 +75,9 @@ def plot(results: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = make_parser(__doc__, "raster.json")
     parser.add_argument("--full", action="store_true", help="all counts at all sizes: some minutes")
     parser.add_argument("--threads", type=int, default=available_threads())
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "raster.json")
     options = parser.parse_args()
     results = []
     for result in measure_all(full=options.full, threads=options.threads):

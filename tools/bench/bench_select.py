@@ -8,24 +8,22 @@ picture are of 1280x720; the lasso has 400 corners.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import make_parser
 
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.kernels.marks import positions_of
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import (
     ATTRIBUTES,
     AttributeRange,
     Box,
     Brush,
     Flood,
-    IllSplats,
+    InvalidSplats,
     Lasso,
     Rectangle,
     SimilarColour,
@@ -35,7 +33,8 @@ from splatview.edit.selectors import (
     histogram,
     typical_spacing,
 )
-from splatview.measure.machine import FOLDER, write_results
+from splatview.edit.tools import NoTools
+from splatview.measure.machine import write_results
 from splatview.scene import Camera, Gaussians, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
 
@@ -94,7 +93,7 @@ def ways_of(scene: Gaussians, edits: SceneEdits, camera: Camera) -> dict[str, Ca
         "colour": SimilarColour(rgb=(0.5, 0.5, 0.5)),
         "attribute range": band,
         "flood": Flood(seed=1, tolerance=1.0),
-        "health": IllSplats(finding="needles"),
+        "health": InvalidSplats(finding="needles"),
     }
     ways: dict[str, Callable[[], Any]] = {
         name: (lambda selector=selector: selector.mask(scene, edits, tools))
@@ -143,10 +142,9 @@ def measure(count: int, repeats: int, leave_out: set[str]) -> list[dict[str, Any
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = make_parser(__doc__, "select.json")
     parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000, 5_000_000])
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "select.json")
     options = parser.parse_args()
     measure(WARMING, 1, set())
     results = []

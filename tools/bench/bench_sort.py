@@ -7,15 +7,14 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import in_turn, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.raster import Workspace
 from splatview.raster.sort import radix_sort
 from splatview.renderers.gl.context import create_headless_context, describe
@@ -57,12 +56,13 @@ def compare(ctx, count: int, repeats: int, tunings: list[SortTuning]) -> dict[st
         "numba radix, 1 thread": numba,
     }
     ways |= {name_of(tuning): lambda sorter=sorter: gpu(sorter) for tuning, sorter in sorters.items()}
-    times: dict[str, list[float]] = {name: [] for name in ways}
-    for repeat in range(repeats + 1):
-        for name, way in ways.items():
-            milliseconds = way()
-            if repeat:  # the first time compiles and touches pages
-                times[name].append(milliseconds)
+    # What sorts, times itself: the keys are put back before.
+    times = {
+        name: own.values
+        for name, own in in_turn(
+            {name: lambda _, way=way: way() for name, way in ways.items()}, repeats
+        ).items()
+    }
     for thing in (*sorters.values(), key_buffer, value_buffer, count_buffer):
         thing.release()
     base = float(np.median(times["numpy stable argsort"]))
@@ -87,11 +87,10 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = make_parser(__doc__, "sort.json")
     parser.add_argument("--counts", type=int, nargs="+", default=[10_000, 100_000, 500_000, 2_000_000])
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--tunings", action="store_true")
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "sort.json")
     options = parser.parse_args()
     ctx = create_headless_context(require=430)
     info = describe(ctx)

@@ -1,6 +1,6 @@
 """Hard cases on every renderer of this machine: writes assets/benchmarks/stability.json.
 
-    python tools/bench/bench_stability.py
+    python tools/bench/bench_stability.py [-o JSON]
 
 No times are taken: the table says how many comparisons passed, and how far the worst was from the float64
 reference.
@@ -9,17 +9,14 @@ reference.
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import numpy as np
+from harness import make_parser
 
-from splatview.cli.stability import as_json, run_with_progress
+from splatview.cli.stability import NAMES, as_json, case_renderers, describe_gl, run_with_progress
 from splatview.measure.hard_cases import CASES
 from splatview.measure.hard_cases.run import CaseResult
 from splatview.measure.machine import write_results
-from splatview.renderers.headless import NAMES, case_renderers, describe_gl
-
-OUT = Path(__file__).parents[2] / "assets" / "benchmarks" / "stability.json"
 
 
 def table(results: list[CaseResult]) -> dict:
@@ -48,6 +45,7 @@ def precision(result: CaseResult) -> str:
 
 
 def main() -> None:
+    output = make_parser(__doc__, "stability.json").parse_args().output
     begun = time.perf_counter()
     with case_renderers(NAMES) as renderers:
         results = run_with_progress(CASES, renderers)
@@ -64,7 +62,7 @@ def main() -> None:
     found = as_json(results, NAMES)
     # Which of the rows passed is in the table.
     found["cases"] = [row for row in found["cases"] if not row["passed"]]
-    write_results(OUT, {**found, "seconds": seconds, "table": {**table(results), "note": note}})
+    write_results(output, {**found, "seconds": seconds, "table": {**table(results), "note": note}})
 
 
 if __name__ == "__main__":

@@ -8,14 +8,14 @@ scene the rasteriser's synthetic one is drawn with 5,000, 20,000 and 100,000 spl
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 from bench_kernels import measure, synthetic_camera, synthetic_scene
+from harness import make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.raster import available_threads, parameters_of
 from splatview.scene import Camera, Gaussians
 from splatview.scene.formats import load_scene
@@ -58,16 +58,12 @@ def beside_peer(splats: int, step_ms: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, "step.json", size="256x256")
     parser.add_argument("scenes", nargs="*")
-    parser.add_argument("--size", default="256x256")
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "step.json")
     options = parser.parse_args()
-    width, height = map(int, options.size.split("x"))
+    width, height = options.size
     results, rows = [], []
-    for name, gaussians, camera in cases(options.scenes, (width, height)):
+    for name, gaussians, camera in cases(options.scenes, options.size):
         result = measure(parameters_of(gaussians), camera, available_threads(), seconds=5.0)
         compared = beside_peer(result["splats"], result["step_ms"])
         results.append({"scene": name, **result, **compared})

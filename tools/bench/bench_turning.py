@@ -13,16 +13,15 @@ import argparse
 import json
 import os
 import subprocess
-import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import PANELS, in_window, make_parser
 
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.viewer.state import AppState
 
 WAYS = {
@@ -33,9 +32,6 @@ WAYS = {
 """The last is what the program does; each one before lacks something more."""
 
 CLOCK_FPS = 24.0
-
-PANELS = (474, 57)
-"""Px of the window beside and above the picture, about; what is measured is reported."""
 
 STEP_SECONDS = 1 / 60
 """Between two movements of the mouse."""
@@ -57,10 +53,10 @@ def drag(display: str, at: tuple[int, int], seconds: float) -> subprocess.Popen[
 
 def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: Path) -> None:
     """Run in a process of its own: the window, and what is seen in it."""
-    from splatview.renderers import cpu_async as cpu_texture
-    from splatview.renderers import moving_quality as moving
+    from splatview.renderers import async_renderer, quality
     from splatview.viewer import app as app_module
     from splatview.viewer import viewport
+    from splatview.viewer.picture import Picture
 
     started: list[bool] = []
     notes: list[str] = []
@@ -68,12 +64,12 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
     pictures: list[tuple[float, int]] = []
     found: dict[str, Any] = {}
     if way in ("clock", "splats"):
-        cpu_texture.make_levels = lambda gaussians, stop: (moving.Level(gaussians),)
+        async_renderer.make_levels = lambda gaussians, stop: (quality.Level(gaussians),)
     if way == "clock":
-        cpu_texture.CpuTexture.wait = lambda self, seconds: None
+        async_renderer.AsyncRenderer.wait = lambda self, seconds: None
         app_module.MAX_FPS = app_module.SOFTWARE_FPS = CLOCK_FPS
     app_module.look_for_abandoned = lambda app: None  # no dialog over the picture
-    real_upload, real_draw = cpu_texture.CpuTexture._upload, viewport.draw_picture
+    real_upload, real_draw = Picture._upload, viewport.draw_picture
 
     def act(app: AppState) -> None:
         """What a user does, beside the frame loop. ImGui's test engine would shut out the real mouse."""
@@ -108,7 +104,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
         frames.append(time.perf_counter())
         real_draw(app, *arguments)
 
-    cpu_texture.CpuTexture._upload = upload
+    Picture._upload = upload
     viewport.draw_picture = draw
     app_module.run_window([scene], size=(size[0] + PANELS[0], size[1] + PANELS[1]), renderer="cpu")
 
@@ -116,7 +112,7 @@ def watch(scene: Path, way: str, size: tuple[int, int], seconds: float, report: 
 def settle(app: AppState) -> None:
     """Waits until nothing is on its way."""
     time.sleep(0.5)
-    while app.waiting or app.transition or app.scene is None or pricing():
+    while app.waiting or app.transition or not app.is_open or pricing():
         time.sleep(0.01)
 
 
@@ -138,52 +134,24 @@ def summary(frames: list[float], pictures: list[tuple[float, int]], ended: float
     }
 
 
-def measure(scene: Path, way: str, size: tuple[int, int], seconds: float) -> dict[str, Any]:
-    """One window on a screen of its own."""
-    ready, write_end = os.pipe()
-    screen = f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}x24"
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write_end), "-screen", "0", screen, "-nolisten", "tcp"],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        display = f":{pipe.readline().strip()}"
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            report = Path(folder) / "report.json"
-            environment = dict(
-                os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
-            )
-            environment.pop("WAYLAND_DISPLAY", None)
-            command = [sys.executable, __file__, str(scene), "--size", f"{size[0]}x{size[1]}"]
-            command += ["--seconds", str(seconds), "--way", way, "-o", str(report)]
-            subprocess.run(command, env=environment, check=True, timeout=120)
-            return json.loads(report.read_text())
-    finally:
-        server.terminate()
-        server.wait()
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--size", default="1280x720")
+    parser = make_parser(__doc__, "turning.json", size="1280x720")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("scene", type=Path)
     parser.add_argument("--remark", default="", help="a sentence on the circumstances, for the table")
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "turning.json")
     options = parser.parse_args()
-    width, height = (int(part) for part in options.size.split("x"))
+    width, height = options.size
     if options.way:
-        watch(options.scene, options.way, (width, height), options.seconds, options.output)
+        watch(options.scene, options.way, options.size, options.seconds, options.output)
         return
     rounds: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     for _ in range(options.rounds):
         for way, found in rounds.items():
-            found.append(measure(options.scene, way, (width, height), options.seconds))
+            size = ["--size", f"{width}x{height}", "--seconds", options.seconds]
+            arguments = [options.scene, *size, "--way", way, "-o"]
+            found.append(in_window(__file__, arguments, options.size, timeout=120))
             print(way, found[-1], flush=True)
     write_results(
         options.output,

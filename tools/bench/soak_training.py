@@ -10,11 +10,8 @@ shown ever went back, or if the last picture is not of the last step.
 
 from __future__ import annotations
 
-import argparse
 import os
-import shutil
 import statistics
-import subprocess
 import tempfile
 import threading
 import time
@@ -23,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import make_parser, screen
 
 from splatview.cli import train
 from splatview.cli import train as train_window
-from splatview.measure.machine import FOLDER, write_results
+from splatview.measure.machine import write_results
 from splatview.viewer.commands import quit_window
 from splatview.viewer.navigation import Transition, orbit
 from splatview.viewer.state import AppState, process_memory
@@ -64,7 +62,7 @@ class Soak:
         self._last_frame: tuple[str, float] | None = None
 
     def watch(self, training: LiveTraining) -> None:
-        """Called for every frame, in place of `LiveTraining.advance`."""
+        """Called for every frame, in place of `LiveTraining.before_frame`."""
         app, now = training.app, time.perf_counter()
         if app is not None and self.app is None:
             self.app = app
@@ -240,25 +238,23 @@ def report(soak: Soak) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, "training_window.json")
     parser.add_argument("capture", nargs="?")
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--downscale", default="1")
     parser.add_argument("--max-splats", default="50000")
-    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "training_window.json")
     options = parser.parse_args()
     soak = Soak(options.minutes)
-    real = LiveTraining.advance
+    real = LiveTraining.before_frame
 
     def watched(self: LiveTraining, app: AppState) -> None:
         real(self, app)
         soak.watch(self)
 
-    LiveTraining.advance = watched
-    with tempfile.TemporaryDirectory() as folder, screen():
-        os.environ["SPLATVIEW_CONFIG_DIR"] = folder
+    LiveTraining.before_frame = watched
+    with tempfile.TemporaryDirectory() as folder, screen() as display:
+        os.environ |= {"SPLATVIEW_CONFIG_DIR": folder, "DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+        os.environ.pop("WAYLAND_DISPLAY", None)
         arguments = ["--demo"] if options.capture is None else [options.capture]
         arguments += ["-o", str(Path(folder) / "soak.ply"), "--minutes", str(options.minutes)]
         arguments += ["--downscale", options.downscale, "--max-splats", options.max_splats]
@@ -272,30 +268,6 @@ def main() -> None:
     print(results["table"]["note"])
     if soak.problems:
         raise SystemExit("; ".join(soak.problems))
-
-
-class screen:
-    """A display of one's own while it lasts."""
-
-    def __enter__(self) -> None:
-        program = shutil.which("Xvfb")
-        if program is None:
-            raise SystemExit("Xvfb is not installed (Debian: apt-get install xvfb)")
-        ready, write_end = os.pipe()
-        self._server = subprocess.Popen(
-            [program, "-displayfd", str(write_end), "-screen", "0", "1360x860x24", "-nolisten", "tcp"],
-            pass_fds=[write_end],
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(write_end)
-        with os.fdopen(ready) as pipe:
-            os.environ["DISPLAY"] = f":{pipe.readline().strip()}"
-        os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"
-        os.environ.pop("WAYLAND_DISPLAY", None)
-
-    def __exit__(self, *_: object) -> None:
-        self._server.terminate()
-        self._server.wait()
 
 
 if __name__ == "__main__":

@@ -9,24 +9,44 @@ file as crash-* in the current folder. No part of splatview needs atheris: `pip 
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import sys
 import tempfile
 from pathlib import Path
 
-import atheris  # pyright: ignore[reportMissingImports]
+try:
+    import atheris  # pyright: ignore[reportMissingImports]
+except ImportError:
+    atheris = None
 
-with atheris.instrument_imports(  # pyright: ignore[reportAttributeAccessIssue]
-    include=["splatview.scene", "splatview.edit", "splatview.trainer.checkpoint", "splatview.viewer.window"],
-    exclude=["splatview.edit.kernels", "splatview.scene.demo"],
-):
+instrumented = contextlib.nullcontext()
+if atheris is not None:
+    instrumented = atheris.instrument_imports(  # pyright: ignore[reportAttributeAccessIssue]
+        include=[
+            "splatview.scene",
+            "splatview.edit",
+            "splatview.trainer.checkpoint",
+            "splatview.viewer.open",
+            "splatview.viewer.preferences",
+        ],
+        exclude=["splatview.edit.kernels", "splatview.scene.demo"],
+    )
+with instrumented:
     from loaders import BY_NAME
     from trials import Trial, limit_memory
 
 
 def main() -> None:
-    if len(sys.argv) < 3 or sys.argv[1] not in BY_NAME:
-        raise SystemExit(f"{__doc__}\nLOADER is one of {', '.join(BY_NAME)}")
-    loader, folder = BY_NAME[sys.argv[1]], Path(sys.argv[2])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("loader", choices=BY_NAME)
+    parser.add_argument("folder", type=Path)
+    options, flags = parser.parse_known_args()
+    if atheris is None:
+        parser.error("atheris is not installed")
+    loader, folder = BY_NAME[options.loader], options.folder
     folder.mkdir(parents=True, exist_ok=True)
     for number, data in enumerate(loader.corpus()):
         (folder / f"whole-{number:03d}").write_bytes(data)
@@ -43,7 +63,7 @@ def main() -> None:
 
         words = folder.with_suffix(".words")
         words.write_text("".join(f'"{_quoted(word)}"\n' for word in loader.words))
-        flags = [*sys.argv[2:], *([f"-dict={words}"] if loader.words else [])]
+        flags = [str(folder), *flags, *([f"-dict={words}"] if loader.words else [])]
         atheris.Setup([sys.argv[0], *flags], one)
         atheris.Fuzz()
 

@@ -15,12 +15,12 @@ from splatview.edit.journal import SUFFIX, find_abandoned_journals
 from splatview.edit.recipe import Recipe, load_recipe, replay, steps_from_json
 from splatview.scene import InputError
 from splatview.scene.captures import load_capture
-from splatview.scene.effects import census
+from splatview.scene.effects import effects_report
 from splatview.scene.formats import load_cameras, load_scene
 from splatview.scene.formats.panorama import load_panorama
 from splatview.scene.health import check
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.viewer.open import camera_from_text
+from splatview.viewer.camera import camera_from_text
 from splatview.viewer.preferences import FILE_NAME, beside, load_bookmarks, load_preferences
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -59,7 +59,7 @@ def _ply_info(folder: Path) -> bool:
     """What the program asks of every scene it opens."""
     gaussians = load_scene(folder / "scene.ply")
     check(gaussians)
-    census(gaussians)
+    effects_report(gaussians)
     return True
 
 

@@ -15,6 +15,7 @@ from splatview.raster.project import BLUE, CONIC_SCALE, LOG2_OPACITY, RED, X_RES
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.scene_buffers import placement_of
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians
 from splatview.scene.projection import FLOAT32_MAX, project
 
@@ -88,7 +89,7 @@ class GLProjection:
     def __call__(self, block: Block) -> Projected:
         renderer: Any = self._renderer
         n = len(block.gaussians)
-        image = renderer.render(block.gaussians, block.camera, block.settings)
+        image = renderer.render(FrameRequest(block.gaussians, block.camera, block.settings))
         if self._legacy:
             textures = renderer._projection._textures
             rows = [np.frombuffer(t.read(), np.float32).reshape(-1, 4)[:n] for t in textures]
@@ -111,7 +112,7 @@ class GLProjection:
         )
 
     def release(self) -> None:
-        self._renderer.release()
+        self._renderer.close()
 
 
 class CpuProjection:

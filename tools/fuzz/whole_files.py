@@ -20,7 +20,7 @@ from splatview.scene.edits import Crop
 from splatview.trainer.checkpoint import FORMAT
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Counters
-from splatview.viewer.open import camera_text
+from splatview.viewer.camera import camera_text
 from splatview.viewer.preferences import Preferences
 
 SIDE = 8

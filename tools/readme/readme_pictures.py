@@ -7,6 +7,7 @@ Names: landscape, modes, window, editing, accuracy, effects, training. None: all
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -129,17 +130,26 @@ def training(folder: Path) -> None:
     grab(command, folder / "training.png", SECONDS_TO_TRAIN)
 
 
+MAKERS = {
+    "landscape": landscape,
+    "modes": modes,
+    "window": window,
+    "editing": editing,
+    "accuracy": accuracy,
+    "effects": effects,
+    "training": training,
+}
+
+
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("pictures", nargs="*", help=f"of {', '.join(MAKERS)}; all if none is named")
+    chosen = parser.parse_args().pictures or list(MAKERS)
+    if unknown := set(chosen) - set(MAKERS):
+        parser.error(f"no such picture: {', '.join(sorted(unknown))}")
     FOLDER.mkdir(parents=True, exist_ok=True)
-    makers = {
-        "landscape": landscape,
-        "modes": modes,
-        "window": window,
-        "editing": editing,
-        "accuracy": accuracy,
-        "effects": effects,
-        "training": training,
-    }
-    for chosen in sys.argv[1:] or makers:
-        makers[chosen](FOLDER)
-        print(f"{FOLDER / chosen}.png")
+    for name in chosen:
+        MAKERS[name](FOLDER)
+        print(f"{FOLDER / name}.png")

@@ -5,6 +5,7 @@ python tools/readme/readme_windows.py editing SCENE    opens, cleans up a little
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
@@ -14,8 +15,9 @@ from typing import Any
 from imgui_bundle import ImVec2, imgui
 
 from splatview.viewer.app import run_window
-from splatview.viewer.panels import effects as effect_commands
-from splatview.viewer.quality import state as commands
+from splatview.viewer.editing.session import session_of
+from splatview.viewer.quality.effects import Effects
+from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
 
 READY = "readme-ready"
@@ -30,7 +32,7 @@ def editing(app: AppState, ctx: Any) -> None:
 
     def settle() -> None:
         frames()
-        while app.waiting or app.scene is None or app.transition is not None:
+        while app.waiting or not app.is_open or app.transition is not None:
             ctx.yield_(1)
         frames(10)
 
@@ -55,7 +57,7 @@ def editing(app: AppState, ctx: Any) -> None:
     ctx.key_press(imgui.Key.escape)
     ctx.item_click("Clean up/Look for them")
     settle()
-    if app.session is not None and app.session.forms.clean.count:
+    if (session := session_of(app)) is not None and session.forms.clean.count:
         ctx.item_click("Clean up/What would it cost?")
         settle()
     ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
@@ -68,16 +70,16 @@ def editing(app: AppState, ctx: Any) -> None:
 
 def accuracy(app: AppState, ctx: Any) -> None:
     """Prices of shortcuts, one taken, and where an eye would notice it."""
-    while app.waiting or app.scene is None or app.transition is not None:
+    while app.waiting or not app.is_open or app.transition is not None:
         ctx.yield_(1)
     ctx.window_focus("//Accuracy")
-    app.accuracy.rounds = 5
-    app.post(commands.measure)
+    app.feature(Accuracy).rounds = 5
+    app.post(app.feature(Accuracy).measure)
     ctx.yield_(3)
-    while app.accuracy.ladder is None:
+    while app.feature(Accuracy).ladder is None:
         ctx.yield_(1)
-    app.post(commands.choose, "sh-degree", "0")
-    app.accuracy.comparing.right = "perceptual"
+    app.post(choose, "sh-degree", "0")
+    app.feature(Accuracy).comparing.right = "perceptual"
     ctx.yield_(10)
     while app.waiting:
         ctx.yield_(1)
@@ -90,13 +92,13 @@ def accuracy(app: AppState, ctx: Any) -> None:
 
 def effects(app: AppState, ctx: Any) -> None:
     """The receipt with its prices, and the mouse on the evidence of one line."""
-    while app.waiting or app.scene is None or app.transition is not None:
+    while app.waiting or not app.is_open or app.transition is not None:
         ctx.yield_(1)
     ctx.window_focus("//Effects")
-    app.effects.seconds = 20.0
-    app.post(effect_commands.measure)
+    app.feature(Effects).seconds = 20.0
+    app.post(app.feature(Effects).measure)
     ctx.yield_(3)
-    while not app.effects.prices:
+    while not app.feature(Effects).prices:
         ctx.yield_(1)
     ctx.set_ref("//Effects")
     ctx.mouse_move("**/##SH band 3")
@@ -110,5 +112,10 @@ DRIVES = {"editing": editing, "accuracy": accuracy, "effects": effects}
 
 
 if __name__ == "__main__":
-    name, *paths = sys.argv[1:]
-    sys.exit(run_window([Path(path) for path in paths], size=(1280, 800), drive=DRIVES[name]))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drive", choices=DRIVES)
+    parser.add_argument("scenes", nargs="*", type=Path)
+    options = parser.parse_args()
+    sys.exit(run_window(options.scenes, size=(1280, 800), drive=DRIVES[options.drive]))

@@ -15,14 +15,16 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 from scenes import BROKEN, GOOD
 
 from splatview.measure.knobs import KNOBS, Plan
-from splatview.viewer import commands as actions
 from splatview.viewer import open as opening
+from splatview.viewer.commands import COMMANDS
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.picture import choose_picture
-from splatview.viewer.quality import state as accuracy
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable
+from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
+from splatview.viewer.training.live import LiveTraining
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
@@ -74,8 +76,8 @@ def home(user: Soaked, rng: np.random.Generator) -> str:
     user.press("1")
     user.press("F")
     user.app.prefer(resolution_scale=1.0)
-    user.post(accuracy.exact)
-    user.post(accuracy.hold, None)
+    user.post(lambda app: app.feature(Accuracy).exact())
+    user.post(user.app.feature(Accuracy).hold, None)
     return ""
 
 
@@ -91,7 +93,7 @@ def resize(user: Soaked, rng: np.random.Generator) -> str:
 
 def panels(user: Soaked, rng: np.random.Generator) -> str:
     name = str(rng.choice(["toggle_panels", "toggle_help", "toggle_palette", "screenshot_as"]))
-    user.post(actions.ACTIONS[name])
+    user.post(COMMANDS[name].run)
     user.frames(3)
     user.app.dialog, user.app.panels_hidden = None, False
     user.frames(3)
@@ -99,7 +101,7 @@ def panels(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def screenshot(user: Soaked, rng: np.random.Generator) -> str:
-    user.post(actions.ACTIONS["screenshot"])
+    user.post(COMMANDS["screenshot"].run)
     for path in user.folder.glob("*.png"):
         if not path.name.startswith("wrong-"):
             path.unlink()
@@ -132,31 +134,30 @@ def renderer(user: Soaked, rng: np.random.Generator) -> str:
     """The same window drawn by another renderer."""
     names = ["cpu", "quads", "tiles"] if user.compute else ["cpu", "quads"]
     chosen = str(rng.choice(names))
-    user.post(accuracy.exact)
-    user.post(accuracy.cancel)
+    user.post(lambda app: app.feature(Accuracy).exact())
+    user.post(lambda app: app.feature(Accuracy).cancel_measuring())
     user.calm()
     user.post(switch, chosen)
     return chosen
 
 
 def switch(app: AppState, name: str) -> None:
-    old, session = app.picture, app.session
+    old, session = app.picture, session_of(app)
     assert old is not None
     new = choose_picture(moderngl.get_context(), name, on_ready=glfw.post_empty_event)
-    scene = session.document.gaussians if session else app.scene.gaussians if app.scene else None
-    if app.training is not None:
-        app.training._drop_arriving()
+    scene = session.document.gaussians if session else app.scene.gaussians
+    if live := app.find(LiveTraining):
+        live._drop_arriving()
     if session is not None and session.loading is not None:
         session.loading[1].close()
         session.loading = None
-    if scene is not None:
-        for _ in new.load_steps(scene):
-            pass
+    for _ in new.load_steps(scene):
+        pass
     if session is not None:
         session.loaded = scene
     app.picture = new
-    old.release()
-    accuracy.hold(app, app.accuracy.budget_ms)
+    old.close()
+    app.feature(Accuracy).hold(app, app.feature(Accuracy).budget_ms)
 
 
 # ---- scenes
@@ -167,7 +168,7 @@ def open_scene(user: Soaked, rng: np.random.Generator) -> str:
     user.drop(str(user.folder / name))
     if rng.uniform() < 0.8:
         app = user.app
-        user.wait(lambda: app.loading is None and app.scene is not None and app.scene.name == name, name)
+        user.wait(lambda: app.loading is None and app.is_open and app.scene.name == name, name)
         return name
     return f"{name}, without waiting"
 
@@ -188,7 +189,7 @@ def open_broken(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def reload(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.app.scene is None or user.shows_training:
+    if not user.app.is_open or user.shows_training:
         return None
     user.post(opening.reload)
     return user.app.scene.name
@@ -207,7 +208,10 @@ def back_to_training(user: Soaked, rng: np.random.Generator) -> str | None:
     if user.shows_training or user.app.loading is not None:
         return None
     user.post(training.show_training)
-    user.wait(lambda: user.app.training is not None and user.app.training.shown is not None, "the training")
+    user.wait(
+        lambda: (training := user.app.find(LiveTraining)) is not None and training.shown is not None,
+        "the training",
+    )
     return ""
 
 
@@ -261,36 +265,36 @@ def shortcut(user: Soaked, rng: np.random.Generator) -> str:
         if applicable(value.apply(Plan())) and (user.compute or knob.name not in ("order", "resort"))
     ]
     name, value = knobs[int(rng.integers(0, len(knobs)))]
-    user.post(accuracy.choose, name, value)
+    user.post(choose, name, value)
     return f"--{name} {value}"
 
 
 def exact(user: Soaked, rng: np.random.Generator) -> str:
-    user.post(accuracy.exact)
+    user.post(lambda app: app.feature(Accuracy).exact())
     return ""
 
 
 def budget(user: Soaked, rng: np.random.Generator) -> str:
     milliseconds = None if rng.uniform() < 0.5 else float(rng.uniform(4, 60))
-    user.post(accuracy.hold, milliseconds)
+    user.post(user.app.feature(Accuracy).hold, milliseconds)
     return str(milliseconds)
 
 
 def measure(user: Soaked, rng: np.random.Generator) -> str:
-    user.app.accuracy.seconds = 0.3
+    user.app.feature(Accuracy).seconds = 0.3
     user.ctx.window_focus("//Accuracy")
-    user.post(accuracy.measure)
+    user.post(user.app.feature(Accuracy).measure)
     if rng.uniform() < 0.5:
         user.frames(int(rng.integers(1, 20)))
-        user.post(accuracy.cancel)
+        user.post(lambda app: app.feature(Accuracy).cancel_measuring())
         return "cancelled"
     return ""
 
 
 def compare(user: Soaked, rng: np.random.Generator) -> str:
-    user.app.accuracy.comparing.right = RIGHTS[int(rng.integers(0, len(RIGHTS)))]
+    user.app.feature(Accuracy).comparing.right = RIGHTS[int(rng.integers(0, len(RIGHTS)))]
     user.frames(5)
-    return user.app.accuracy.comparing.right
+    return user.app.feature(Accuracy).comparing.right
 
 
 ACTIONS: dict[str, tuple[float, Callable[[Soaked, np.random.Generator], Any]]] = {

@@ -33,9 +33,10 @@ from splatview.edit.selectors import Sphere
 from splatview.scene import InputError
 from splatview.scene.edits import Crop, bake
 from splatview.scene.formats import load_scene
-from splatview.viewer.editing import cleanup as cleaning
-from splatview.viewer.editing import commands, files
-from splatview.viewer.training import live_edits as held
+from splatview.viewer.commands import COMMANDS
+from splatview.viewer.editing import cleanup, commands, files
+from splatview.viewer.editing.session import can_edit, session_of
+from splatview.viewer.training.live import LiveTraining
 
 Step = Callable[["Soaked", np.random.Generator], str | None]
 
@@ -51,11 +52,11 @@ class Soaked(User):
 
     @property
     def shows_training(self) -> bool:
-        return self.app.training is not None and self.app.training.followed_by(self.app)
+        return (training := self.app.find(LiveTraining)) is not None and training.followed_by(self.app)
 
     def apply(self, operation: Operation) -> str | None:
         """As a button does."""
-        if self.app.scene is None or self.app.loading is not None:
+        if not self.app.is_open or self.app.loading is not None:
             return None
         self.post(commands.apply, operation)
         return operation.op
@@ -69,7 +70,7 @@ class Soaked(User):
 
 
 def select(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.app.scene is None:
+    if not user.app.is_open:
         return None
     centre, radius = user.place(rng)
     how = rng.choice(["set", "set", "add", "remove", "intersect"])
@@ -78,14 +79,14 @@ def select(user: Soaked, rng: np.random.Generator) -> str | None:
 
 
 def select_by_mouse(user: Soaked, rng: np.random.Generator) -> str | None:
-    if not user.app.can_edit or user.app.loading is not None:
+    if not can_edit(user.app) or user.app.loading is not None:
         return None
     key = str(rng.choice(["R", "C"]))
     user.press(key)
     x, y = (float(value) for value in rng.uniform(0.2, 0.6, 2))
     user.drag(float(rng.uniform(20, 120)), float(rng.uniform(20, 90)), over=(x, y))
     user.calm()
-    if user.app.session is not None and user.app.session.tool != "none":
+    if (session := session_of(user.app)) is not None and session.tool != "none":
         user.press("Escape")
     return key
 
@@ -125,7 +126,7 @@ def look(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def preview(user: Soaked, rng: np.random.Generator) -> str | None:
     """A slider that is dragged, and let go or taken back."""
-    session = user.app.session
+    session = session_of(user.app)
     if not user.at_rest or session is None:
         return None
     for _ in range(4):
@@ -137,13 +138,13 @@ def preview(user: Soaked, rng: np.random.Generator) -> str | None:
 
 
 def crop(user: Soaked, rng: np.random.Generator) -> str | None:
-    if user.app.scene is None:
+    if not user.app.is_open:
         return None
     centre, radius = user.place(rng)
     a, b, c = (float(v) * radius for v in rng.uniform(0.4, 1.5, 3))
     shape, keep = str(rng.choice(["box", "sphere"])), str(rng.choice(["inside", "inside", "outside"]))
     made: Any = {"shape": shape, "keep": keep, "centre": centre, "half_extents": (a, b, c)}
-    crops = user.app.session.document.crops if user.app.session else ()
+    crops = session.document.crops if (session := session_of(user.app)) else ()
     if not crops or rng.uniform() < 0.5:
         return user.apply(AddCrop(crop=Crop(**made)))
     index = int(rng.integers(0, len(crops)))
@@ -156,7 +157,7 @@ def crop(user: Soaked, rng: np.random.Generator) -> str | None:
 
 
 def uncrop(user: Soaked, rng: np.random.Generator) -> str | None:
-    count = len(user.app.session.document.crops) if user.app.session else 0
+    count = len(session.document.crops) if (session := session_of(user.app)) else 0
     for index in reversed(range(count)):
         user.apply(RemoveCrop(index=index))
     return f"{count} crops" if count else None
@@ -164,7 +165,7 @@ def uncrop(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def slowly(user: Soaked, rng: np.random.Generator) -> str | None:
     """What runs beside the window: growing, merging, splitting, cleaning up."""
-    session = user.app.session
+    session = session_of(user.app)
     if not user.at_rest or session is None or session.job is not None:
         return None
     choice = str(
@@ -180,14 +181,14 @@ def slowly(user: Soaked, rng: np.random.Generator) -> str | None:
         path = str(user.folder / f"part-{int(rng.integers(0, 4))}.ply")
         user.post(lambda app: session.apply_slowly(Split(path=path), "Writing"))
     elif choice == "find":
-        user.post(cleaning.find, str(rng.choice(list(DETECTORS))))
+        user.post(cleanup.find, str(rng.choice(list(DETECTORS))))
     elif choice == "prune" and session.forms.clean.scores is not None:
-        user.post(cleaning.prune)
+        user.post(cleanup.prune)
     elif choice == "duplicate" and not large:
-        user.post(commands.EDIT_ACTIONS["duplicate"])
+        user.post(COMMANDS["duplicate"].run)
     elif choice == "decimate" and document.counts.kept > 50:
         session.forms.clean.keep = document.counts.kept // 2
-        user.post(cleaning.keep_best)
+        user.post(cleanup.keep_best)
     else:
         return None
     if rng.uniform() < 0.7:
@@ -204,7 +205,7 @@ def undo(user: Soaked, rng: np.random.Generator) -> str:
 
 
 def jump(user: Soaked, rng: np.random.Generator) -> str | None:
-    session = user.app.session
+    session = session_of(user.app)
     if not user.at_rest or session is None or not session.document.history.steps:
         return None
     position = int(rng.integers(0, len(session.document.history.steps) + 1))
@@ -214,7 +215,7 @@ def jump(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def undo_all(user: Soaked, rng: np.random.Generator) -> str | None:
     """All the way back, and forth again: each state is compared as it comes by."""
-    session = user.app.session
+    session = session_of(user.app)
     if not user.at_rest or session is None or session.job is not None:
         return None
     position = session.document.history.position
@@ -225,7 +226,7 @@ def undo_all(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def export(user: Soaked, rng: np.random.Generator) -> str | None:
     """The file is the document, baked."""
-    session = user.app.session
+    session = session_of(user.app)
     if not user.at_rest or session is None or session.job is not None:
         return None
     path = user.folder / "exported.ply"
@@ -250,7 +251,7 @@ def fail(text: str) -> str:
 
 
 def export_training(user: Soaked, rng: np.random.Generator) -> str | None:
-    training = user.app.training
+    training = user.app.find(LiveTraining)
     if training is None:
         return None
     path = user.folder / "exported-training.ply"
@@ -265,7 +266,7 @@ def export_training(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def recipe(user: Soaked, rng: np.random.Generator) -> str | None:
     """Written down, taken back, and done again by what was written."""
-    session = user.app.session
+    session = session_of(user.app)
     if (
         not user.at_rest
         or session is None
@@ -286,15 +287,15 @@ def recipe(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def edit_training(user: Soaked, rng: np.random.Generator) -> str | None:
     """Some splats of the scene in training go, or the view is let go."""
-    training = user.app.training
+    training = user.app.find(LiveTraining)
     if training is None or not user.shows_training or training.shown is None or user.app.loading is not None:
         return None
-    if rng.uniform() < 0.5 and user.app.session is not None:
-        user.post(held.let_go)
+    if rng.uniform() < 0.5 and session_of(user.app) is not None:
+        user.post(training.editor.release)
         return "let go"
     centre, radius = user.place(rng)
     user.apply(Select(by=Sphere(centre=centre, radius=0.15 * radius)))
-    session = user.app.session
+    session = session_of(user.app)
     if session is None or not 0 < session.document.counts.selected < session.document.counts.kept // 2:
         return None
     user.press("Delete")
@@ -303,12 +304,12 @@ def edit_training(user: Soaked, rng: np.random.Generator) -> str | None:
 
 def start_anew(user: Soaked, rng: np.random.Generator) -> str | None:
     """A long history is left behind."""
-    session = user.app.session
+    session = session_of(user.app)
     if session is None or len(session.document.history.steps) < MOST_STEPS:
         return None
     user.drop(str(user.folder / "ball.ply"))
     app = user.app
-    user.wait(lambda: app.loading is None and app.scene is not None and app.scene.name == "ball.ply", "it")
+    user.wait(lambda: app.loading is None and app.is_open and app.scene.name == "ball.ply", "it")
     return ""
 
 

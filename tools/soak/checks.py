@@ -22,6 +22,7 @@ from splatview import raster
 from splatview.edit.document import Document, Event, Step
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import PREVIEW, SceneEdits, bake
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState, process_memory
 
 PIXEL_BOUND = 4 / 255
@@ -72,11 +73,11 @@ class Memory:
         if resident is None:
             return
         known = 0
-        if app.scene is not None:
+        if app.is_open:
             # As the file has it, as it is drawn, and as the picture holds it.
             known += 3 * app.scene.gaussians.nbytes
-        if app.session is not None:
-            known += app.session.document.history.nbytes
+        if session := session_of(app):
+            known += session.document.history.nbytes
         self.seconds.append(seconds)
         self.resident.append(resident)
         self.accounted.append(known / 2**20)

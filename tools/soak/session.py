@@ -77,7 +77,7 @@ class Session:
         began = time.monotonic()
         number, name = -1, "the start"
         try:
-            user.wait(lambda: app.scene is not None, "the first snapshot")
+            user.wait(lambda: app.is_open, "the first snapshot")
             for number, name in self.plan():
                 self._log.write(
                     json.dumps({"n": number, "action": name, "at": round(time.monotonic() - began, 2)}) + "\n"

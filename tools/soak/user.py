@@ -11,8 +11,12 @@ import numpy as np
 from checks import Mishap, Pictures, Undone, wait_for_threads
 from drives import Hand
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
+from splatview.viewer.editing.session import Editing, at_rest, session_of
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
 
 EXPECTED = (
     r"^broken\.ply|/broken\.ply",
@@ -45,7 +49,7 @@ class User(Hand):
     @property
     def at_rest(self) -> bool:
         """Whether every edit can be made."""
-        return self.app.at_rest and self.app.loading is None
+        return at_rest(self.app) and self.app.loading is None
 
     def post(self, command: Any, *args: Any) -> None:
         """As a menu entry does; returns when it has run."""
@@ -65,22 +69,22 @@ class User(Hand):
         self.frames(2)
 
     def _under_way(self) -> list[str]:
-        app, session = self.app, self.app.session
+        app, session = self.app, session_of(self.app)
         waits = {
             "loading": app.loading is not None,
             "a turn of the view": app.transition is not None,
-            "looking at the splats": not app.examined or app.examining is not None,
+            "looking at the splats": not app.examined or app.feature(Editing).examining is not None,
             "an edit": session is not None and session.job is not None,
             "a changed scene": session is not None and session.loading is not None,
             "a picture": app.picture is not None and app.picture.busy and not self._trains,
-            "measuring": app.accuracy.measurement is not None,
+            "measuring": app.feature(Accuracy).measurement is not None,
         }
         return [name for name, under_way in waits.items() if under_way]
 
     @property
     def _trains(self) -> bool:
         """New pictures come all the time."""
-        training = self.app.training
+        training = self.app.find(LiveTraining)
         return training is not None and training.followed_by(self.app) and training.status.state == "training"
 
     # ---- looking
@@ -89,7 +93,8 @@ class User(Hand):
         """After every action. Raises Mishap."""
         app = self.app
         self.frames(1)
-        self.undone.follow(app.session.document if app.at_rest and app.session else None)
+        session = session_of(app)
+        self.undone.follow(session.document if session is not None and at_rest(app) else None)
         if self.undone.wrong:
             raise Mishap(self.undone.wrong)
         problem, app.problem = app.problem, None
@@ -102,7 +107,7 @@ class User(Hand):
         error = self.on_gl_thread(lambda: moderngl.get_context().error)
         if error != "GL_NO_ERROR":
             raise Mishap(f"OpenGL says {error}")
-        training = app.training
+        training = app.find(LiveTraining)
         if training is not None and training.status.state == "failed":
             raise Mishap(f"training failed: {training.status.failure}")
 
@@ -110,46 +115,55 @@ class User(Hand):
         """Now and then: pictures and threads. Raises Mishap."""
         app = self.app
         resumed = False
-        if app.training is not None and app.training.status.state == "training":
-            app.training.thread.pause()
+        if (training := app.find(LiveTraining)) is not None and training.status.state == "training":
+            training.thread.pause()
             resumed = True
-            self.wait(lambda: app.training is not None and app.training.status.state == "paused", "the pause")
-        if app.session is not None and app.session.job is not None:
-            app.session.job.cancel()
-        if app.accuracy.measurement is not None:
-            app.accuracy.cancel()
+            self.wait(
+                lambda: (
+                    (training := app.find(LiveTraining)) is not None and training.status.state == "paused"
+                ),
+                "the pause",
+            )
+        session = session_of(app)
+        if session is not None and session.job is not None:
+            session.job.cancel()
+        if app.feature(Accuracy).measurement is not None:
+            app.feature(Accuracy).cancel_measuring()
         self.calm()
         self.look_for_harm()
-        if (
-            app.scene is not None
-            and app.session is not None
-            and app.session.gaussians is not app.scene.gaussians
-        ):
+        if app.is_open and session is not None and session.gaussians is not app.scene.gaussians:
             raise Mishap("the panels look at other splats than the edits")
         self.look_at_the_picture()
         wait_for_threads(lambda: self.frames(1))
-        if resumed and app.training is not None:
-            app.training.thread.resume()
-            self.wait(lambda: app.training is not None and app.training.status.state != "paused", "training")
+        if resumed and training is not None:
+            training.thread.resume()
+            self.wait(
+                lambda: (
+                    (training := app.find(LiveTraining)) is not None and training.status.state != "paused"
+                ),
+                "training",
+            )
 
     def look_at_the_picture(self) -> None:
         """What is shown, and what would be saved, are what the CPU draws of the baked scene."""
         app = self.app
         picture, scene = app.picture, app.scene
-        if picture is None or scene is None:
+        if picture is None or not app.is_open:
             return
-        gaussians = app.session.document.gaussians if app.session else scene.gaussians
+        gaussians = session.document.gaussians if (session := session_of(app)) else scene.gaussians
         edits, camera, settings = app.edits, app.camera, app.settings
         if app.mode == "splats":
-            saved = self.on_gl_thread(lambda: picture.read(camera, settings, "splats", edits=edits))
+            saved = self.on_gl_thread(lambda: picture.read(FrameRequest(None, camera, settings, edits=edits)))
             self.pictures.compare("a saved picture", saved, gaussians, camera, settings, edits)
         else:
-            saved = self.on_gl_thread(lambda: picture.read(camera, settings, app.mode, edits=edits))
+            saved = self.on_gl_thread(
+                lambda: picture.read(FrameRequest(None, camera, settings, mode=app.mode, edits=edits))
+            )
             if not np.isfinite(saved).all():
                 raise Mishap(f"{app.mode}: numbers that are not finite")
         self.calm()
         lit = edits is not None and edits.flags & (SELECTED | LOCKED | PREVIEW)
-        exact = not app.accuracy.choices and app.accuracy.budget_ms is None
+        exact = not app.feature(Accuracy).choices and app.feature(Accuracy).budget_ms is None
         if app.mode == "splats" and exact and not lit and app.preferences.resolution_scale == 1:
             texture = picture.texture
             if texture.size != (camera.width, camera.height):

@@ -14,9 +14,15 @@ import numpy as np
 from splatview.raster import Frame, Gradients, Parameters
 from splatview.raster.compiling import kernel
 from splatview.scene.projection import rotation_matrices
-from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
 from splatview.trainer.splats import Splats
-from splatview.trainer.strategies.ops import inside_any, invalid_splats
+from splatview.trainer.strategies.ops import (
+    PAPER_ITERATIONS,
+    DensitySettings,
+    Strategy,
+    inside_any,
+    invalid_splats,
+    opacities_of,
+)
 
 KEEP, CLONE, SPLIT, PRUNE = range(4)
 
@@ -60,49 +66,57 @@ def decide(
     A splat with a value that is NaN is pruned.
     """
     actions = np.full(len(gradients), KEEP, np.int8)
-    pulled = gradients > gradient_threshold
-    actions[pulled] = np.where(scales[pulled] > scale_threshold, SPLIT, CLONE)
+    steep = gradients > gradient_threshold
+    actions[steep] = np.where(scales[steep] > scale_threshold, SPLIT, CLONE)
     healthy = (opacities >= opacity_threshold) & (scales < np.inf) & (gradients < np.inf)
     actions[~healthy] = PRUNE
     return actions
 
 
+@dataclass(frozen=True, kw_only=True)
+class DefaultSettings(DensitySettings):
+    """Settings of the classic strategy."""
+
+    absolute_gradient: bool = False
+    """classic: add up a splat's gradient over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+
+
 @dataclass(eq=False)
-class DefaultStrategy:
+class DefaultStrategy(Strategy[DefaultSettings]):
     """Adds up what steps show of each splat, and refines the scene by it."""
 
-    settings: TrainSettings
-    extent: float
     thresholds: Thresholds = field(default_factory=Thresholds)
-    pulled: np.ndarray = field(default_factory=lambda: np.empty(0))
-    """(N,) float64, sum of the norms since the last refinement, and..."""
-    seen: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
-    """(N,) int64, ... of how many photos."""
+    gradient_sums: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """(N,) float64, sum of the norms since the last refinement."""
+    view_counts: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """(N,) int64, photos that showed the splat since the last refinement."""
     resets: int = 0
 
     def begin(self, count: int) -> None:
-        """Forgets what was seen; there are `count` splats now."""
-        self.pulled, self.seen = np.zeros(count), np.zeros(count, np.int64)
+        self.gradient_sums, self.view_counts = np.zeros(count), np.zeros(count, np.int64)
 
     def keep(self, kept: np.ndarray) -> None:
-        """Only the splats that the mask (N,) names are left."""
-        self.pulled, self.seen = self.pulled[kept], self.seen[kept]
+        self.gradient_sums, self.view_counts = self.gradient_sums[kept], self.view_counts[kept]
 
-    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
-        """Takes note of one step."""
+    def observe(self, frame: Frame, gradients: Gradients, visible: list[np.ndarray]) -> None:
         source = gradients.abs_means2d if self.settings.absolute_gradient else gradients.means2d
-        for indices in seen:
-            add_norms(indices, source, frame.view.width / 2, frame.view.height / 2, self.pulled, self.seen)
+        half_width, half_height = frame.view.width / 2, frame.view.height / 2
+        for indices in visible:
+            add_norms(indices, source, half_width, half_height, self.gradient_sums, self.view_counts)
+
+    def mean_gradients(self) -> np.ndarray:
+        """(N,) float64: norms since the last refinement, over the photos that showed the splat."""
+        return self.gradient_sums / np.maximum(self.view_counts, 1)
 
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
-        """Clones, splits and prunes; forgets what was seen."""
+        """Clones, splits and prunes; forgets what was noted."""
         limits, parameters = self.thresholds, splats.parameters
         with np.errstate(over="ignore"):
             scales = np.exp(parameters.log_scales.max(axis=1))
         actions = decide(
-            self.pulled / np.maximum(self.seen, 1),
+            self.mean_gradients(),
             scales,
-            sigmoid(parameters.opacity_logits),
+            opacities_of(parameters),
             gradient_threshold=limits.absolute_gradient
             if self.settings.absolute_gradient
             else limits.gradient,
@@ -128,31 +142,25 @@ class DefaultStrategy:
         self.begin(len(splats))
         return splats
 
-    def after_step(
-        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
-    ) -> None:
-        """Nothing: the classic strategy moves no splat by itself."""
-
-    def totals(self) -> list[np.ndarray]:
-        """What `observe` adds to, in place."""
-        return [self.pulled, self.seen]
-
     def state(self) -> dict[str, np.ndarray]:
-        """Arrays that `restore` takes."""
-        return {"pulled": self.pulled, "seen": self.seen, "resets": np.array([self.resets])}
+        return {
+            "pulled": self.gradient_sums,
+            "seen": self.view_counts,
+            "resets": np.array([self.resets]),
+        }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where another's `state` was taken."""
-        self.pulled, self.seen = state["pulled"].copy(), state["seen"].copy()
+        self.gradient_sums, self.view_counts = state["pulled"].copy(), state["seen"].copy()
         self.resets = int(state["resets"][0])
 
     def _respect_limit(self, actions: np.ndarray) -> None:
-        """Turns clones and splits beyond the room for new splats into keeps, the least pulled first."""
+        """Turns clones and splits beyond the room for new splats into keeps, those of the least gradients
+        first."""
         growing = np.flatnonzero((actions == CLONE) | (actions == SPLIT))
         room = self.settings.max_splats - int((actions != PRUNE).sum())
         if len(growing) > room:
-            by_pull = np.argsort(-(self.pulled / np.maximum(self.seen, 1))[growing], kind="stable")
-            actions[growing[by_pull[max(room, 0) :]]] = KEEP
+            by_gradient = np.argsort(-self.mean_gradients()[growing], kind="stable")
+            actions[growing[by_gradient[max(room, 0) :]]] = KEEP
 
 
 def split(parameters: Parameters, rng: np.random.Generator) -> Parameters:
@@ -173,19 +181,12 @@ def dim(splats: Splats) -> None:
     splats.second.opacity_logits[:] = 0
 
 
-def sigmoid(logits: np.ndarray) -> np.ndarray:
-    """float64, without overflow."""
-    with np.errstate(invalid="ignore"):  # NaN may be signalling
-        decay = np.exp(-np.abs(logits.astype(np.float64)))
-    return np.where(logits >= 0, 1.0, decay) / (1 + decay)
-
-
 @kernel
-def add_norms(indices, gradients, half_width, half_height, pulled, seen):
-    """pulled[i] += the norm of gradients[i] in half images, seen[i] += 1, for the splats at `indices`."""
+def add_norms(indices, gradients, half_width, half_height, sums, counts):
+    """sums[i] += the norm of gradients[i] in half images, counts[i] += 1, for the splats at `indices`."""
     for i in indices:
         x, y = gradients[i, 0] * half_width, gradients[i, 1] * half_height
         norm = np.sqrt(x * x + y * y)
         if norm <= 1e18:
-            pulled[i] += norm
-        seen[i] += 1
+            sums[i] += norm
+        counts[i] += 1

@@ -1,7 +1,7 @@
 """Density control as sampling: dead splats move to where the scene is, and faint ones wander.
 
 Source: Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo, and the constants of
-its code. Opacity and scale are pulled towards 0 by losses that `adam` adds, so that what does not help
+its code. Losses that `adam` adds draw opacity and scale towards 0, so that what does not help
 dies; a dead splat is put on a living one, both changed so that the picture stays; the number grows
 towards a limit; and noise explores where splats are nearly transparent.
 """
@@ -13,13 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatview.raster import Frame, Gradients, Parameters
+from splatview.raster import Parameters
 from splatview.raster.compiling import inline, kernel, run
 from splatview.raster.project import rotation_matrix, sigmoid
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.adam import Regularisation
 from splatview.trainer.splats import Splats
-from splatview.trainer.strategies.default import sigmoid as sigmoids
-from splatview.trainer.strategies.ops import inside_any, invalid_splats
+from splatview.trainer.strategies.ops import (
+    PAPER_ITERATIONS,
+    DensitySettings,
+    Strategy,
+    inside_any,
+    invalid_splats,
+    opacities_of,
+)
 
 DEAD = 0.005
 """Splats no more opaque than this are moved."""
@@ -39,27 +45,53 @@ LEAST_NOISE = 1e-4
 """Below this share of its full size noise is left out: that is beyond an opacity of 0.1."""
 
 
-@dataclass(eq=False)
-class MCMCStrategy:
-    """The strategy; it keeps nothing from step to step."""
+LEAST_REG = 0.01
+"""Kheradmand et al. 2024."""
 
-    settings: TrainSettings
-    extent: float
-    initial_count: int
+SMALLEST_REGULARISED = 0.1
+"""Pixels, seen from as far as the extent: thinner splats are not drawn to be thinner still."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MCMCSettings(DensitySettings):
+    """Settings of the sampling strategy."""
+
+    grow_for: float = 12_000 / PAPER_ITERATIONS
+    """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
+    noise: float = 5e5
+    """mcmc: noise on positions, in units of their rate."""
+    opacity_reg: float = LEAST_REG
+    """mcmc: weight of the mean opacity in the loss. See `automatic_regularisation`."""
+    scale_reg: float = LEAST_REG
+    """mcmc: weight of the mean scale, world units over the extent, in the loss."""
+    reg_end: float = 0.1
+    """mcmc: factor of both weights at the end of the run, reached exponentially. Adam moves what only a
+    regulariser moves at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a
+    median opacity of 0.01 and half of the splats thinner than a thousandth of a pixel, 1.4 dB below one of
+    4,000 steps."""
+
+
+@dataclass(eq=False)
+class MCMCStrategy(Strategy[MCMCSettings]):
+    """Moves the dead to the living; nothing is noted from step to step."""
+
+    initial_count: int = 0
     """Splats at the start of the run, from which the number grows."""
 
     def begin(self, count: int) -> None:
-        """Nothing to forget."""
+        self.initial_count = self.initial_count or count
 
-    def keep(self, kept: np.ndarray) -> None:
-        """Nothing is kept of single splats."""
-
-    def observe(self, frame: Frame, gradients: Gradients, seen: list[np.ndarray]) -> None:
-        """Nothing to note."""
+    def regularisation(self, progress: float, focal: float) -> Regularisation:
+        settings, factor = self.settings, self.settings.reg_end**progress
+        return Regularisation(
+            factor * settings.opacity_reg,
+            factor * settings.scale_reg / self.extent,
+            SMALLEST_REGULARISED * self.extent / focal,
+        )
 
     def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
-        opacities = sigmoids(splats.parameters.opacity_logits)
+        opacities = opacities_of(splats.parameters)
         living = (opacities > DEAD) & ~invalid_splats(splats.parameters)
         dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
@@ -79,7 +111,7 @@ class MCMCStrategy:
                     array[dead] = 0
         missing = min(self.count_at(progress), MOST_GROWTH * len(splats)) - len(splats)
         if missing > 0:
-            opacities = sigmoids(splats.parameters.opacity_logits)
+            opacities = opacities_of(splats.parameters)
             growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
             sources, copies = self._draw(splats.parameters, opacities, np.flatnonzero(growing), missing, rng)
             for array, values in zip(splats.parameters, copies, strict=True):
@@ -88,28 +120,22 @@ class MCMCStrategy:
         return splats
 
     def after_step(
-        self, splats: Splats, seen: list[np.ndarray], rate: float, iteration: int, threads: int
+        self, splats: Splats, visible: list[np.ndarray], rate: float, iteration: int, threads: int
     ) -> None:
-        """Adds noise to the positions of splats just moved; `rate` is that of the means."""
+        """Adds noise to the positions of splats just moved."""
         means, quats, log_scales, opacity_logits, _ = splats.parameters
         seed = np.uint64(mixed(self.settings.seed * 0x9E3779B97F4A7C15 + iteration))
         run(
             shake,
-            [(indices,) for indices in seen if len(indices)],
+            [(indices,) for indices in visible if len(indices)],
             (means, quats, log_scales, opacity_logits, self.settings.noise * rate, seed),
             threads,
         )
 
-    def totals(self) -> list[np.ndarray]:
-        """Nothing is added up."""
-        return []
-
     def state(self) -> dict[str, np.ndarray]:
-        """Arrays that `restore` takes."""
         return {"initial_count": np.array([self.initial_count])}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where another's `state` was taken."""
         self.initial_count = int(state["initial_count"][0])
 
     def count_at(self, progress: float) -> int:

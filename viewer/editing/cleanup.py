@@ -1,4 +1,4 @@
-"""Clean-up without its panel: what one would rather be without, what losing it costs, and losing it."""
+"""Clean-up without its panels: detectors, decimation, repairs, and what each costs in dB."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatview.edit.detectors import DETECTORS
-from splatview.edit.impact import Price, price, price_operations, unchanging, with_deleted
-from splatview.edit.operations.cleanup import Decimate, Prune, Repair, editable
-from splatview.edit.progress import Watch
+from splatview.edit.impact import Impact, frozen, measure_impact, operation_impacts, with_deleted
+from splatview.edit.operations.cleanup import Decimate, Prune, Repair
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
-from splatview.viewer.editing.session import EditSession
+from splatview.scene.progress import Progress
+from splatview.viewer.editing.session import EditSession, session_of, with_session
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
 VIEWS = 8
-"""That a price is measured in."""
+"""Number of views in which a price is measured."""
 
 MOST_LOADED = 16
-"""Of loaded cameras, spread evenly."""
+"""Largest number of loaded cameras used for a price, spread evenly."""
 
 
 def choose_detector(session: EditSession, name: str) -> None:
@@ -35,11 +35,12 @@ def choose_detector(session: EditSession, name: str) -> None:
 
 def find(app: AppState, detector: str) -> None:
     """Looks for splats by one of DETECTORS and shows the section that says what was found."""
-    if app.session is None:
+    session = session_of(app)
+    if session is None:
         app.tell("Open a scene first")
         return
-    choose_detector(app.session, detector)
-    app.session.forms.open_section = "Clean up"
+    choose_detector(session, detector)
+    session.forms.open_section = "Clean up"
     look(app)
 
 
@@ -51,19 +52,17 @@ def views(app: AppState, session: EditSession) -> tuple[Camera, ...]:
     return tuple(sample_cameras(session.document.gaussians, session.document.edits, VIEWS))
 
 
-def look(app: AppState) -> None:
-    """Scores in a thread; then the slider's first threshold."""
-    session = app.session
-    if session is None:
-        return
+@with_session
+def look(app: AppState, session: EditSession) -> None:
+    """Scores all splats in a thread, then highlights those above the detector's usual threshold."""
     form, document = session.forms.clean, session.document
     name, detector = form.detector, DETECTORS[form.detector]
     key = (name, document.versions)
     cameras = views(app, session) if detector.renders else ()
 
-    def work(watch: Watch) -> np.ndarray:
+    def work(progress: Progress) -> np.ndarray:
         # The document keeps them for the deletion that may follow.
-        return document.scores(detector(), cameras, watch=watch)
+        return document.scores(detector(), cameras, progress=progress)
 
     def done(scores: np.ndarray) -> None:
         form.scores, form.of, form.threshold = scores, key, detector.threshold
@@ -73,28 +72,26 @@ def look(app: AppState) -> None:
 
 
 def set_threshold(session: EditSession, value: float) -> None:
-    """Lights up what scores above it, as far as it may be deleted."""
+    """Highlights the splats that score above `value`, as far as they may be deleted."""
     form = session.forms.clean
     if form.scores is None:
         return
     form.threshold, form.price = value, None
-    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & editable(session.document)
+    form.mask = DETECTORS[form.detector]().mask(form.scores, value) & session.document.editable
     form.count = int(np.count_nonzero(form.mask))
     session.preview_mask = form.mask
 
 
-def measure_price(app: AppState) -> None:
-    session = app.session
-    if session is None:
-        return
+@with_session
+def measure_price(app: AppState, session: EditSession) -> None:
     form, document = session.forms.clean, session.document
-    mask, before = form.mask, unchanging(document.edits)
+    mask, before = form.mask, frozen(document.edits)
     if mask is None:
         return
     after, cameras = with_deleted(before, mask), views(app, session)
 
-    def work(watch: Watch) -> Any:
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch)
+    def work(progress: Progress) -> Any:
+        return measure_impact(document.gaussians, before, after, document.tools, cameras, progress=progress)
 
     def done(cost: Any) -> None:
         if form.mask is mask:
@@ -103,10 +100,8 @@ def measure_price(app: AppState) -> None:
     session.start("Measuring the price", work, done)
 
 
-def prune(app: AppState) -> None:
-    session = app.session
-    if session is None:
-        return
+@with_session
+def prune(app: AppState, session: EditSession) -> None:
     form = session.forms.clean
     detector = DETECTORS[form.detector]
     cameras = views(app, session) if detector.renders else ()
@@ -114,24 +109,24 @@ def prune(app: AppState) -> None:
     session.apply_slowly(Prune(by=detector(), threshold=form.threshold, cameras=cameras), "Deleting")
 
 
-def forget(app: AppState) -> None:
-    if app.session is not None:
-        form = app.session.forms.clean
-        form.scores, form.mask, form.price, app.session.preview_mask = None, None, None, None
+@with_session
+def forget(app: AppState, session: EditSession) -> None:
+    form = session.forms.clean
+    form.scores, form.mask, form.price, session.preview_mask = None, None, None, None
 
 
-def price_decimation(app: AppState) -> None:
-    session = app.session
-    if session is None:
-        return
+@with_session
+def price_decimation(app: AppState, session: EditSession) -> None:
     form, document = session.forms.clean, session.document
-    key, before, cameras = (form.keep, document.versions), unchanging(document.edits), views(app, session)
+    key, before, cameras = (form.keep, document.versions), frozen(document.edits), views(app, session)
 
-    def work(watch: Watch) -> Any:
-        part = watch.part(0.0, 0.4)
-        mask = Decimate(keep=key[0], cameras=cameras).doomed(document, part)
+    def work(progress: Progress) -> Any:
+        part = progress.part(0.0, 0.4)
+        mask = Decimate(keep=key[0], cameras=cameras).to_delete(document, part)
         after = with_deleted(before, mask)
-        return price(document.gaussians, before, after, document.tools, cameras, watch=watch.part(0.4, 1.0))
+        return measure_impact(
+            document.gaussians, before, after, document.tools, cameras, progress=progress.part(0.4, 1.0)
+        )
 
     def done(cost: Any) -> None:
         form.kept_price = (key, cost)
@@ -139,39 +134,31 @@ def price_decimation(app: AppState) -> None:
     session.start("Measuring the price", work, done)
 
 
-def keep_best(app: AppState) -> None:
-    if app.session is not None:
-        keep = app.session.forms.clean.keep
-        app.session.apply_slowly(Decimate(keep=keep, cameras=views(app, app.session)), "Keeping the best")
+@with_session
+def keep_best(app: AppState, session: EditSession) -> None:
+    keep = session.forms.clean.keep
+    session.apply_slowly(Decimate(keep=keep, cameras=views(app, session)), "Keeping the best")
 
 
-# ---- What repairs of the health report would cost, measured in a thread.
-
-
-__all__ = ["VIEWS", "measure", "prices"]
-
-
-def prices(app: AppState) -> dict[str, Price]:
-    """By finding; none where they were not measured, or the scene was edited since."""
-    if app.session is None:
+def repair_prices(app: AppState) -> dict[str, Impact]:
+    """Prices of repairs by finding; none where they were not measured, or the scene was edited since."""
+    session = session_of(app)
+    if session is None or session.forms.health.of != session.document.versions:
         return {}
-    form = app.session.forms.health
-    return form.prices if form.of == app.session.document.versions else {}
+    return session.forms.health.prices
 
 
-def measure(app: AppState, names: Sequence[str]) -> None:
-    """Of the repairs of the findings `names`, each by itself, by the renderer of all prices."""
-    session = app.session
-    if session is None:
-        return
+@with_session
+def measure_repairs(app: AppState, session: EditSession, names: Sequence[str]) -> None:
+    """Measures what the repair of each of the findings `names` would cost by itself, in a thread."""
     form, document = session.forms.health, session.document
     repairs = {name: Repair(finding=name) for name in names}
     of, cameras = document.versions, views(app, session)
 
-    def work(watch: Watch) -> dict[str, Price]:
-        return price_operations(document, repairs, cameras, watch=watch)
+    def work(progress: Progress) -> dict[str, Impact]:
+        return operation_impacts(document, repairs, cameras, progress=progress)
 
-    def done(found: dict[str, Price]) -> None:
+    def done(found: dict[str, Impact]) -> None:
         form.prices, form.of = found, of
 
     session.start("Measuring what repairs cost", work, done)

@@ -1,29 +1,22 @@
-"""Editing commands by name: keys, menus, the palette and buttons all end here."""
+"""Commands of editing; `viewer.commands` has them in its table, with their names and keys."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import wraps
 from typing import TYPE_CHECKING, Literal, get_args
 
-from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations import OPERATIONS
 from splatview.edit.operations.base import Operation
 from splatview.edit.operations.crop import AddCrop
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.scene.edits import Crop
-from splatview.viewer.editing.cleanup import find
-from splatview.viewer.editing.files import FILE_ACTIONS
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.camera import bounds
+from splatview.viewer.editing.session import EditSession, session_for_edit, session_of
 from splatview.viewer.editing.tool_state import Depth, ToolName
-from splatview.viewer.open import bounds
-from splatview.viewer.training.live_edits import hold
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
-
-
-# ---- A new crop, about where the scene is.
 
 
 Shape = Literal["box", "sphere"]
@@ -31,7 +24,7 @@ Shape = Literal["box", "sphere"]
 
 def add_crop(app: AppState, shape: Shape) -> None:
     """Adds a box or sphere that fits the scene, and gives it the handles."""
-    session = app.session
+    session = session_of(app)
     if session is None:
         app.tell("Open a scene first")
     elif session.apply(AddCrop(crop=fitting(app, session, shape))):
@@ -40,11 +33,8 @@ def add_crop(app: AppState, shape: Shape) -> None:
 
 
 def fitting(app: AppState, session: EditSession, shape: Shape) -> Crop:
-    """A first crop: about the bulk of what is shown."""
-    number = 1 + len(session.document.crops)
-    if app.training is not None and session.target is not None:
-        settings = app.training.status.settings
-        number += len(settings.cut) + len(settings.no_growth)
+    """A new crop about the bulk of the shown splats."""
+    number = 1 + len(session.document.crops) + session.target.rules
     found = bounds(app)
     if found is None:
         return Crop(name=f"crop {number}", shape=shape)
@@ -65,11 +55,13 @@ NEIGHBOURS = 8
 SELECT_FIRST = "Select splats first: R for a rectangle, C for a brush, Ctrl+A for all"
 
 
-def with_desk(command: Callable[..., None]) -> Callable[..., None]:
-    """`command(app, session, *args)` as `command(app, *args)`, which does nothing where no scene is open."""
+def editing_command(command: Callable[..., None]) -> Callable[..., None]:
+    """`command(app, session, *args)` as `command(app, *args)`, for what edits may begin
+    with: a snapshot of a training is frozen, and where nothing is open it says so."""
 
+    @wraps(command)
     def run(app: AppState, *args: object, **options: object) -> None:
-        session = hold(app)
+        session = session_for_edit(app)
         if session is None:
             app.tell("Open a scene first")
         else:
@@ -78,28 +70,28 @@ def with_desk(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-@with_desk
+@editing_command
 def undo(app: AppState, session: EditSession) -> None:
     session.undo()
 
 
-@with_desk
+@editing_command
 def redo(app: AppState, session: EditSession) -> None:
     session.redo()
 
 
-@with_desk
+@editing_command
 def jump(app: AppState, session: EditSession, position: int) -> None:
     """Undoes or redoes until `position` steps are in force."""
     session.jump(position)
 
 
-@with_desk
+@editing_command
 def apply(app: AppState, session: EditSession, operation: Operation) -> None:
     session.apply(operation)
 
 
-@with_desk
+@editing_command
 def apply_to_selection(app: AppState, session: EditSession, operation: Operation) -> None:
     """As `apply`, for what would do nothing without a selection: says so instead."""
     if session.document.counts.selected:
@@ -108,7 +100,7 @@ def apply_to_selection(app: AppState, session: EditSession, operation: Operation
         session.news = SELECT_FIRST
 
 
-@with_desk
+@editing_command
 def grow_or_shrink(app: AppState, session: EditSession, operation: Grow | Shrink) -> None:
     """In a thread: it looks for the neighbours of every splat."""
     if session.document.counts.selected:
@@ -117,15 +109,13 @@ def grow_or_shrink(app: AppState, session: EditSession, operation: Grow | Shrink
         session.news = SELECT_FIRST
 
 
-@with_desk
+@editing_command
 def take_tool(app: AppState, session: EditSession, tool: ToolName) -> None:
     """Takes a tool; the one in hand is put back by asking for it again."""
-    session.tool = "none" if session.tool == tool else tool
-    session.stroke = None
-    session.picked.clear()
+    session.take_tool("none" if session.tool == tool else tool)
 
 
-@with_desk
+@editing_command
 def next_depth(app: AppState, session: EditSession) -> None:
     depths: tuple[Depth, ...] = get_args(Depth)
     session.depth = depths[(depths.index(session.depth) + 1) % len(depths)]
@@ -133,47 +123,16 @@ def next_depth(app: AppState, session: EditSession) -> None:
     session.news = f"Screen tools select {text}"
 
 
-@with_desk
+@editing_command
 def scale_brush(app: AppState, session: EditSession, factor: float) -> None:
     session.brush_radius = min(max(session.brush_radius * factor, LEAST_BRUSH), MOST_BRUSH)
 
 
-@with_desk
-def cancel_job(app: AppState, session: EditSession) -> None:
-    if session.job is not None:
-        session.job.cancel()
+def operation(op: str) -> Callable[[AppState], None]:
+    """A command that applies the operation `op` of no parameters."""
+    return lambda app: apply(app, OPERATIONS[op]())
 
 
-def _operation(name: str, **fields: object) -> Operation:
-    return OPERATIONS[name](**fields)
-
-
-EDIT_ACTIONS: dict[str, Callable[[AppState], None]] = {
-    **FILE_ACTIONS,
-    "undo": undo,
-    "redo": redo,
-    "duplicate": partial(apply_to_selection, operation=_operation("duplicate")),
-    **{
-        name: partial(apply, operation=_operation(name))
-        for name in ("select_all", "select_none", "select_inverse", "show", "unlock")
-    },
-    **{
-        name: partial(apply_to_selection, operation=_operation(name))
-        for name in ("delete", "hide", "lock", "isolate")
-    },
-    **{
-        f"tool_{name}": partial(take_tool, tool=name)
-        for name in ("rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure")
-    },
-    "tool_ground": partial(take_tool, tool="ground"),
-    "grow": partial(grow_or_shrink, operation=Grow(neighbours=NEIGHBOURS)),
-    "shrink": partial(grow_or_shrink, operation=Shrink(neighbours=NEIGHBOURS)),
-    "add_box": partial(add_crop, shape="box"),
-    "add_sphere": partial(add_crop, shape="sphere"),
-    "delete_cropped": partial(apply, operation=_operation("delete_cropped")),
-    **{f"find_{name}": partial(find, detector=name) for name in DETECTORS},
-    "next_depth": next_depth,
-    "larger_brush": partial(scale_brush, factor=BRUSH_STEP),
-    "smaller_brush": partial(scale_brush, factor=1 / BRUSH_STEP),
-}
-"""Every editing action that has a name in `shortcuts.SHORTCUTS`."""
+def operation_on_selection(op: str) -> Callable[[AppState], None]:
+    """As `operation`, for one that does nothing without a selection."""
+    return lambda app: apply_to_selection(app, OPERATIONS[op]())

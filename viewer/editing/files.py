@@ -10,32 +10,35 @@ from typing import TYPE_CHECKING
 from splatview.edit.export import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
-from splatview.edit.progress import Watch
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from splatview.scene import InputError
+from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
-from splatview.viewer.editing.session import JOURNALS, EditSession
+from splatview.viewer import open as opening
+from splatview.viewer.editing.session import JOURNALS, Editing, EditSession, at_rest, can_edit, session_of
+from splatview.viewer.editing.target import AT_REST
 from splatview.viewer.loading import stamp_of, stamps_of
-from splatview.viewer.training.live import export as export_training
-from splatview.viewer.training.live_edits import AT_REST
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
-def at_rest(app: AppState) -> bool:
+def check_at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes; says so where not."""
-    if not app.at_rest:
-        app.tell(AT_REST if app.can_edit else "Open a scene first")
-    return app.at_rest
+    if at_rest(app):
+        return True
+    app.tell(AT_REST if can_edit(app) else "Open a scene first")
+    return False
 
 
 def choose_export(app: AppState) -> None:
     """Asks where the edited scene goes."""
-    if app.can_edit and not app.at_rest:
-        export_training(app)
+    live = app.feature(Editing).live
+    if live is not None and can_edit(app) and not at_rest(app):
+        live.export(app)
         return
-    if not at_rest(app):
+    if not check_at_rest(app):
         return
     app.choose_files(
         "Export the edited scene",
@@ -47,7 +50,7 @@ def choose_export(app: AppState) -> None:
 
 def export_to(app: AppState, path: Path) -> None:
     """Writes the edited scene, whole or not at all, in a thread."""
-    session = app.session
+    session = session_of(app)
     if session is None:
         return
     target = path if path.suffix else path.with_suffix(".ply")
@@ -61,7 +64,7 @@ def export_to(app: AppState, path: Path) -> None:
     session.document.cancel_preview()
     document = session.document
 
-    def work(watch: Watch) -> int:
+    def work(progress: Progress) -> int:
         return export(document, target)
 
     def done(count: int) -> None:
@@ -73,9 +76,10 @@ def export_to(app: AppState, path: Path) -> None:
 
 
 def choose_recipe_to_save(app: AppState) -> None:
-    if not at_rest(app):
+    if not check_at_rest(app):
         return
-    if app.session is None or not app.session.document.history.position:
+    session = session_of(app)
+    if session is None or not session.document.history.position:
         app.tell("Nothing has been done yet that a recipe could hold")
         return
     app.choose_files(
@@ -87,27 +91,26 @@ def choose_recipe_to_save(app: AppState) -> None:
 
 
 def save_recipe_to(app: AppState, path: Path) -> None:
-    if app.session is None:
+    session = session_of(app)
+    if session is None:
         return
     target = path if path.suffix else path.with_suffix(".json")
     try:
-        save_recipe(recipe_of(app.session.document), target)
+        save_recipe(recipe_of(session.document), target)
     except InputError as error:
         app.complain(str(error))
         return
-    app.tell(
-        f"{target}: {app.session.document.history.position} steps; splatview edit replays them on a file"
-    )
+    app.tell(f"{target}: {session.document.history.position} steps; splatview edit replays them on a file")
 
 
 def choose_recipe_to_replay(app: AppState) -> None:
-    if not at_rest(app):
+    if not check_at_rest(app):
         return
     app.choose_files("Replay a recipe", lambda paths: app.post(replay_file, paths[0]), kind="recipe")
 
 
 def replay_file(app: AppState, path: Path) -> None:
-    session = app.session
+    session = session_of(app)
     if session is None:
         return
     try:
@@ -124,9 +127,9 @@ def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -
     session.cancel_preview()
     folder, session.document.folder = session.document.folder, recipe.folder or session.document.folder
 
-    def work(watch: Watch) -> None:
+    def work(progress: Progress) -> None:
         try:
-            replay(recipe, session.document, watch=watch)
+            replay(recipe, session.document, progress=progress)
         finally:
             session.document.folder = folder
 
@@ -138,16 +141,17 @@ def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -
 
 def choose_merge(app: AppState) -> None:
     """Adds a file's splats as an edit, which can be undone and replayed."""
-    if not at_rest(app):
+    if not check_at_rest(app):
         return
     app.choose_files("Merge another scene", lambda paths: app.post(merge_files, paths), kind="scene")
 
 
 def merge_files(app: AppState, paths: Sequence[Path]) -> None:
     """Each is a step of its own; one that cannot be read ends it."""
-    if app.session is not None and paths:
+    session = session_of(app)
+    if session is not None and paths:
         merge = Merge(path=str(paths[0].absolute()))
-        app.session.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(app, paths[1:]))
+        session.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(app, paths[1:]))
 
 
 def choose_addition(app: AppState) -> None:
@@ -157,9 +161,8 @@ def choose_addition(app: AppState) -> None:
 def add_files(app: AppState, paths: Sequence[Path]) -> None:
     """Opens the scene that is open again with those of `paths` besides. Where it is edited that would leave
     the edits behind, so there each file is a step of editing."""
-    from splatview.viewer import open as opening
-
-    if app.session is not None and app.session.document.history.can_undo:
+    session = session_of(app)
+    if session is not None and session.document.history.can_undo:
         merge_files(app, paths)
     else:
         opening.begin(app, paths, add=True)
@@ -167,9 +170,10 @@ def add_files(app: AppState, paths: Sequence[Path]) -> None:
 
 def choose_split(app: AppState) -> None:
     """Moves the selection to a file of its own."""
-    if not at_rest(app):
+    if not check_at_rest(app):
         return
-    if app.session is None or not app.session.document.counts.selected:
+    session = session_of(app)
+    if session is None or not session.document.counts.selected:
         app.tell("Select the splats that are to go to a file of their own")
         return
     app.choose_files(
@@ -181,9 +185,10 @@ def choose_split(app: AppState) -> None:
 
 
 def split_to(app: AppState, path: Path) -> None:
-    if app.session is not None:
+    session = session_of(app)
+    if session is not None:
         target = path if path.suffix else path.with_suffix(".ply")
-        app.session.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
+        session.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
 
 
 def _stem(app: AppState) -> str:
@@ -194,40 +199,47 @@ def _stem(app: AppState) -> str:
 
 
 def look_for_abandoned(app: AppState) -> None:
-    """At the start: offers what a window that did not end well, or with unsaved edits, was doing."""
-    app.abandoned = [
+    """At the start: offers unsaved edits of windows that did not end well, or were closed with them."""
+    restoring = app.feature(Restoring)
+    restoring.abandoned = [
         journal
         for journal in find_abandoned_journals(config_folder() / JOURNALS)
         if journal.scene is not None
     ]
-    if app.abandoned:
+    if restoring.abandoned:
         app.dialog = "restore"
 
 
 def restore(app: AppState, journal: AbandonedJournal) -> None:
     """Opens the journal's scene; its steps follow when that is loaded."""
-    from splatview.viewer import open as opening
-
     if journal.scene is None or not journal.scene.exists():
         app.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
         return
-    app.restoring = journal
+    app.feature(Restoring).journal = journal
     opening.open_paths(app, [journal.scene])
 
 
-def continue_restoring(app: AppState) -> None:
-    """Called every frame: replays the steps once their scene is on the desk."""
-    journal, session = app.restoring, app.session
-    if journal is None or session is None or app.loading is not None or app.scene_path != journal.scene:
-        return
-    app.restoring = None
-    try:
-        check_scene(journal.recipe, session.document)
-    except InputError as error:
-        app.complain(f"The scene has changed since it was edited: {error}")
-        return
-    journal.discard()
-    replay_on(app, session, journal.recipe, "Restoring")
+class Restoring(Feature):
+    """Edits that earlier windows left unsaved: offered, and replayed once their scene is open."""
+
+    def __init__(self) -> None:
+        self.abandoned: list[AbandonedJournal] = []
+        """Journals to be offered."""
+        self.journal: AbandonedJournal | None = None
+        """Journal whose scene is being loaded."""
+
+    def before_frame(self, app: AppState) -> None:
+        journal, session = self.journal, session_of(app)
+        if journal is None or session is None or app.loading is not None or app.scene_path != journal.scene:
+            return
+        self.journal = None
+        try:
+            check_scene(journal.recipe, session.document)
+        except InputError as error:
+            app.complain(f"The scene has changed since it was edited: {error}")
+            return
+        journal.discard()
+        replay_on(app, session, journal.recipe, "Restoring")
 
 
 def described(journal: AbandonedJournal) -> str:
@@ -235,14 +247,3 @@ def described(journal: AbandonedJournal) -> str:
     name = journal.scene.name if journal.scene else "?"
     when = time.strftime("%d %b %H:%M", time.localtime(journal.time))
     return f"{name}: {len(journal.recipe.steps)} steps of {when}"
-
-
-FILE_ACTIONS = {
-    "export": choose_export,
-    "save_recipe": choose_recipe_to_save,
-    "replay_recipe": choose_recipe_to_replay,
-    "add": choose_addition,
-    "merge": choose_merge,
-    "split": choose_split,
-}
-"""Every file action that has a name in `shortcuts.SHORTCUTS`."""

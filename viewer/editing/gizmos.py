@@ -1,4 +1,4 @@
-"""Handles on the picture that move, turn and scale things, by ImGuizmo."""
+"""Handles on the picture that move, turn and scale things, by ImGuizmo; Euler angles and quaternions."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def placed(centre: ArrayLike, R: np.ndarray, sizes: ArrayLike = (1.0, 1.0, 1.0))
 
 def projection(camera: Camera) -> np.ndarray:
     """OpenGL's clip matrix (4, 4) of a camera without a lens."""
-    left, top, right, bottom = camera.seen_slopes  # y down, where pyrr's is up
+    left, top, right, bottom = camera.visible_slopes  # y down, where pyrr's is up
     if camera.orthographic:
         return matrix44.create_orthogonal_projection(left, right, -bottom, -top, NEAR, FAR).T
     left, top, right, bottom = (NEAR * slope for slope in (left, top, right, bottom))
@@ -82,9 +82,6 @@ def projection(camera: Camera) -> np.ndarray:
 
 def _columns(matrix: np.ndarray) -> imguizmo.im_guizmo.Matrix16:
     return guizmo.Matrix16(matrix.T.astype(np.float32).ravel().tolist())
-
-
-# ---- Rotations as people type them and as the scene keeps them. No ImGui in here.
 
 
 Euler = tuple[float, float, float]

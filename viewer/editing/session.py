@@ -1,194 +1,64 @@
-"""Where the window's edits pass: one scene's document, the tool in hand, and slow work under way.
+"""Editing without its panels: the session of the open scene, with its document, tool and slow work.
 
 Nothing here imports ImGui, so that all of it is tested without a display.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from splatview.edit.document import Document, Planned
-from splatview.edit.impact import Price, unchanging
+from splatview.edit.impact import frozen
 from splatview.edit.journal import Journal
-from splatview.edit.operations.appearance import Grade, How
-from splatview.edit.operations.base import Operation, Scope
-from splatview.edit.progress import Cancelled, Watch
-from splatview.edit.selectors import Histogram
+from splatview.edit.operations.base import Operation
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
-from splatview.renderers.headless import RasterTools
-from splatview.renderers.types import Highlight
+from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import PREVIEW, SceneEdits
+from splatview.scene.edits import PREVIEW, Crop, SceneEdits
+from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
-from splatview.viewer.editing.tool_state import Depth, Measured, Place, Stroke, ToolName
-from splatview.viewer.loading import Examination, Stamp
+from splatview.viewer.editing.target import EditTarget, SceneTarget
+from splatview.viewer.editing.tool_state import Depth, Forms, Measured, Place, Stroke, ToolName
+from splatview.viewer.loading import Examination, LoadedScene, Stamp
+from splatview.viewer.state import Feature
+from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
-    from splatview.viewer.loading import LoadedScene
     from splatview.viewer.state import AppState
-    from splatview.viewer.training.live_edits import TrainingTarget
-
-
-# ---- What is filled in on the editing panels, until it is applied.
-
-
-Euler = tuple[float, float, float]
-"""Degrees about x, y, z."""
-
-
-@dataclass(kw_only=True)
-class MoveForm:
-    """Of the transform section; neutral values change nothing."""
-
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """World units."""
-    rotation: Euler = (0.0, 0.0, 0.0)
-    scale: float = 1.0
-    gizmo: bool = False
-    """Whether handles are shown on the picture."""
-    turning: bool = False
-    """Whether the handles turn rather than move."""
-
-
-@dataclass(kw_only=True)
-class LookForm:
-    """Of the looks section."""
-
-    opacity: float = 1.0
-    """Factor, or the value."""
-    size: float = 1.0
-    """Likewise."""
-    grade: Grade = field(default_factory=Grade)
-
-
-@dataclass(kw_only=True)
-class RangeForm:
-    """Of selecting by a range of an attribute."""
-
-    attribute: str = "opacity"
-    values: np.ndarray | None = None
-    """(N,) float32 of the attribute, and..."""
-    of: object = None
-    """... the attribute and the document's versions that they are of."""
-    histogram: Histogram | None = None
-    low: float = 0.0
-    high: float = 1.0
-
-
-@dataclass(kw_only=True)
-class CleanForm:
-    """Of the clean-up section."""
-
-    detector: str = "clusters"
-    scores: np.ndarray | None = None
-    """(N,) float32, and..."""
-    of: object = None
-    """... the detector and the document's versions that they are of."""
-    threshold: float = 0.0
-    mask: np.ndarray | None = None
-    """(N,) bool: what would go."""
-    count: int = 0
-    price: Price | None = None
-    """Of deleting `mask`; None: not measured."""
-    keep: int = 0
-    """Splats that decimation leaves; 0: not filled in yet."""
-    kept_price: tuple[object, Price] | None = None
-    """What it is of, and the price of decimation."""
-
-
-@dataclass(kw_only=True)
-class HealthForm:
-    """Of the health report."""
-
-    prices: dict[str, Price] = field(default_factory=dict)
-    """Of the repair of each finding, by its name, and..."""
-    of: object = None
-    """... the document's versions that they are of."""
-
-
-@dataclass(kw_only=True)
-class Forms:
-    """All of them."""
-
-    scope: Scope = "selection"
-    move: MoveForm = field(default_factory=MoveForm)
-    look: LookForm = field(default_factory=LookForm)
-    how: How = "scale"
-    """Whether opacities and sizes are multiplied or set."""
-    range: RangeForm = field(default_factory=RangeForm)
-    clean: CleanForm = field(default_factory=CleanForm)
-    health: HealthForm = field(default_factory=HealthForm)
-    crop: int = -1
-    """Which crop has the handles; -1: none."""
-    crop_handles: int = 0
-    """What they do, an index of `panels.crops.KINDS`, and..."""
-    crop_dragged: bool = False
-    """... whether they are being dragged."""
-    open_section: str = ""
-    """Title of the section that the Edit panel is to open, once."""
-    previewing: str = ""
-    """The section whose preview is in force; "" for none."""
 
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
 
 
-class Job:
-    """Work that may take seconds, in a thread of its own: its progress, its end, its result."""
+class Job(Task[Any]):
+    """Slow work for a session: `work(progress)` in a thread, then `finish(result)` on the GL thread."""
 
     def __init__(
         self,
         title: str,
-        work: Callable[[Watch], Any],
-        done: Callable[[Any], None],
+        work: Callable[[Progress], Any],
+        finish: Callable[[Any], None],
         *,
-        gives_way: bool = False,
+        yields: bool = False,
     ):
         self.title = title
-        self.gives_way = gives_way
-        """Nobody asked for it: it is dropped where the user edits."""
-        self.progress = 0.0
-        self.result: Any = None
-        self.error: BaseException | None = None
-        self.finish = done
-        """Called with the result on the GL thread."""
-        self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(work,), name="splatview-edit", daemon=True)
-        self._thread.start()
-
-    def _run(self, work: Callable[[Watch], Any]) -> None:
-        try:
-            self.result = work(Watch(progress=self._note, cancelled=self._cancelled.is_set))
-        except BaseException as error:
-            # Every end is the GL thread's to tell of.
-            self.error = error
-
-    def _note(self, share: float) -> None:
-        self.progress = share
-
-    def cancel(self) -> None:
-        self._cancelled.set()
-
-    @property
-    def cancelled(self) -> bool:
-        return self._cancelled.is_set()
-
-    def join(self, timeout: float) -> None:
-        self._thread.join(timeout)
-
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
+        self.finish = finish
+        self.yields = yields
+        """Whether it is dropped where the user edits: the user did not ask for it."""
+        super().__init__(
+            lambda _: work(Progress(report=self.report, cancelled=lambda: self.cancelled)),
+            name="splatview-edit",
+        )
 
 
 @dataclass(eq=False, kw_only=True)
@@ -205,37 +75,35 @@ class EditSession:
     """How much colours may differ, for the magic wand and the eyedropper; Oklab, black to white being 1."""
     forms: Forms = field(default_factory=Forms)
     preview_mask: np.ndarray | None = None
-    """(N,) bool: splats that a tool would take, lit up on the picture until the next edit; never written
-    to."""
-    target: TrainingTarget | None = None
-    """Where the scene is in training: what edits mean to the trainer."""
+    """(N,) bool: splats that a tool would take, highlighted until the next edit; never written to."""
+    target: EditTarget = field(default_factory=SceneTarget)
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
-    """Of the files that are open, as they were read or as they were exported over since."""
+    """Stamps of the open files, as they were read or last exported over."""
     pivot: tuple[object, Place] | None = None
-    """What it is of, and the middle that transforms turn about."""
+    """Centre of transforms, after the scope and versions that it is of."""
     seen_position: int = -1
-    """Of the history, when its panel was drawn last."""
+    """Position in the history when its panel was drawn last."""
     loading: tuple[Gaussians, Generator[float]] | None = None
-    """A changed scene on its way to the picture."""
+    """Changed scene on its way to the picture, and the steps left."""
     loaded: Gaussians | None = None
-    """What the picture holds; None: the document's own scene."""
+    """Splats that the picture holds; None before the first frame."""
     stroke: Stroke | None = None
-    """What is being drawn on the picture."""
+    """Stroke being drawn on the picture."""
     picked: list[Place] = field(default_factory=list)
     """Points picked so far, for the tape measure or the ground."""
     measured: Measured | None = None
-    """What the tape measure said last."""
+    """Last distance of the tape measure."""
     job: Job | None = None
     problem: str | None = None
-    """A line for the user, taken by the window."""
+    """Error for the user, in one line, taken by the window."""
     _shown: tuple[object, SceneEdits] | None = None
     _latest: SceneEdits | None = None
     _held: SceneEdits | None = None
     _previewed: np.ndarray | None = None
     _previewed_at: object = None
     news: str | None = None
-    """Likewise, of less weight."""
+    """Message for the user, in one line, taken by the window."""
 
     @property
     def gaussians(self) -> Gaussians:
@@ -270,7 +138,7 @@ class EditSession:
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
-        if (self.job is not None and not self.job.gives_way) or self._refused(operation):
+        if (self.job is not None and not self.job.yields) or self._refused(operation):
             return
         self._busy()
         try:
@@ -292,7 +160,7 @@ class EditSession:
 
     def _busy(self) -> bool:
         """Says so where a job is under way: nothing may change beneath it, unless it gives way."""
-        if self.job is not None and self.job.gives_way:
+        if self.job is not None and self.job.yields:
             self.job.cancel()
             self.job = None
         if self.job is not None:
@@ -301,13 +169,13 @@ class EditSession:
 
     def _refused(self, operation: Operation) -> bool:
         """Says so where it cannot be done in training."""
-        refusal = self.target.refusal(operation) if self.target else None
+        refusal = self.target.refusal(operation)
         self.news = refusal or self.news
         return refusal is not None
 
     def _final(self) -> bool:
         """Says so where the trainer has been told of what would be undone."""
-        final = self.target.final if self.target else None
+        final = self.target.final
         self.news = final or self.news
         return final is not None
 
@@ -328,8 +196,7 @@ class EditSession:
             self.problem = str(error)
             return False
         self.news = change.title
-        if self.target is not None:
-            self.target.edited(self.document)
+        self.target.edited(self.document)
         return True
 
     def apply_slowly(
@@ -344,25 +211,25 @@ class EditSession:
             if self.apply(planned):
                 then()
 
-        self.start(title, lambda watch: self.document.plan(operation, watch=watch), done)
+        self.start(title, lambda progress: self.document.plan(operation, progress=progress), done)
 
     def start(
         self,
         title: str,
-        work: Callable[[Watch], Any],
+        work: Callable[[Progress], Any],
         done: Callable[[Any], None],
         *,
         edits: bool = False,
-        gives_way: bool = False,
+        yields: bool = False,
     ) -> None:
-        """Runs `work(watch)` in a thread and `done(result)` between frames; one job at a time. Where it
-        `edits` the document, the picture stays as it was until it has ended. One that `gives_way` is dropped
+        """Runs `work(progress)` in a thread and `done(result)` between frames; one job at a time. Where it
+        `edits` the document, the picture stays as it was until it has ended. One that `yields` is dropped
         without a word where the user edits or starts another."""
         if self._busy():
             return
         if edits:
-            self._held = unchanging(self.edits)
-        self.job = Job(title, work, done, gives_way=gives_way)
+            self._held = frozen(self.edits)
+        self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
         """Called every frame: ends a job that is done."""
@@ -378,6 +245,11 @@ class EditSession:
             self.problem = f"{job.title} failed inside the program: {type(job.error).__name__}: {job.error}"
         else:
             job.finish(job.result)
+
+    def take_tool(self, tool: ToolName) -> None:
+        self.tool = tool
+        self.stroke = None
+        self.picked.clear()
 
     def undo(self) -> None:
         if self._busy() or self._final():
@@ -399,17 +271,199 @@ class EditSession:
             self.journal.close(keep=self.document.history.modified)
 
 
-# ---- A scene whose values or number of splats an edit has changed: picture, census and panels follow.
-#
-# Marks, colours and crops need none of this; they are drawn over the scene that the picture holds.
+class LiveScene(Protocol):
+    """A scene that changes while it is shown, such as one in training: it is edited by way of snapshots."""
+
+    def is_shown(self, app: AppState) -> bool:
+        """Whether the window shows a snapshot of it that can be edited."""
+        ...
+
+    def freeze(self, app: AppState) -> EditSession | None:
+        """A session on the shown snapshot, which stays until it is released."""
+        ...
+
+    def release(self, app: AppState) -> None:
+        """Closes the session: snapshots are followed again."""
+        ...
+
+    def export(self, app: AppState) -> None:
+        """Asks where the scene goes, and writes it as it is then."""
+        ...
 
 
 LOAD_SECONDS = 0.012
-"""Of each frame, for giving the picture the changed scene."""
+"""Share of each frame, in seconds, for giving the picture a changed scene."""
+
+
+class Editing(Feature):
+    """The session of the open scene; picture, health check and messages follow its edits."""
+
+    def __init__(self) -> None:
+        self.session: EditSession | None = None
+        """None where nothing is open, or the scene cannot be edited."""
+        self.live: LiveScene | None = None
+        """Source of sessions while a training is watched."""
+        self.examining: Examination | None = None
+        """Examination of splats that an edit has changed, under way."""
+        self.outlined: tuple[Crop, ...] = ()
+        """Crops of a training's rule under the mouse, to be drawn on the picture."""
+
+    @property
+    def edits(self) -> SceneEdits | None:
+        return self.session.edits if self.session else None
+
+    @property
+    def highlight(self) -> Highlight | None:
+        return self.session.highlight if self.session else None
+
+    def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
+        """Opens a session of its own on `scene`; edits of the one before end with theirs."""
+        warm_up_once()
+        self.examining = None
+        if self.session is not None:
+            self.session.close()
+        folder = scene.paths[0].parent if scene.paths else None
+        try:
+            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=CpuRenderer())
+        except InputError as error:
+            self.session = None
+            app.tell(f"{error}; it can be looked at")
+            return
+        self.session = EditSession(document=document, stamps=dict(scene.stamps))
+        self.session.journal = Journal(
+            document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
+        )
+
+    def before_frame(self, app: AppState) -> None:
+        """Ends jobs, and reports what they and the user's edits came to."""
+        self._examine(app)
+        session = self.session
+        if session is None:
+            return
+        session.advance()
+        load_changed_scene(app, session)
+        if session.journal is not None and session.journal.problem is not None:
+            app.tell(session.journal.problem)
+            session.journal.close(keep=True)
+            session.journal = None
+        if session.problem is not None:
+            app.complain(session.problem)
+            session.problem = None
+        if session.news is not None:
+            app.tell(session.news)
+            session.news = None
+
+    def busy(self, app: AppState) -> bool:
+        session = self.session
+        return self.examining is not None or (
+            session is not None and (session.job is not None or session.loading is not None)
+        )
+
+    def cancel(self, app: AppState) -> bool:
+        """Cancels the job, else puts back the tool, else releases the frozen snapshot."""
+        session = self.session
+        if session is None:
+            return False
+        if session.job is not None:
+            session.job.cancel()
+        elif session.tool != "none":
+            session.take_tool("none")
+        elif self.live is not None and not session.target.at_rest:
+            self.live.release(app)
+        else:
+            return False
+        return True
+
+    def close_session(self, app: AppState) -> str | None:
+        """Closes the session with the window; a line for the user where edits are in no file."""
+        session, self.session = self.session, None
+        if session is None:
+            return None
+        if session.job is not None:
+            session.job.cancel()
+            session.job.join(LEAVING_SECONDS)
+        offered = len(app.scene.paths) == 1
+        kept = offered and session.journal is not None and session.document.history.modified
+        session.close()
+        return "the edits are in no file yet; the next start offers to restore them" if kept else None
+
+    def take_over(self, app: AppState, gaussians: Gaussians) -> None:
+        """The picture holds the edited splats now: scene and health check follow."""
+        if app.is_open:
+            app.scene = replace(app.scene, gaussians=gaussians)
+            # One at a time: of many steps undone in a row only the last state is looked through.
+            self.examining = self.examining or Examination(gaussians)
+
+    def _examine(self, app: AppState) -> None:
+        """Takes over the examination of changed splats. Settings follow what they call for, where the user
+        has not set them otherwise."""
+        found = self.examining
+        if found is None or not found.done:
+            return
+        self.examining = None
+        scene = app.scene
+        if scene.gaussians is not found.gaussians:
+            if self.session is not None and self.session.loaded is scene.gaussians:
+                self.examining = Examination(scene.gaussians)
+            return
+        app.examination = found
+        if found.settings is not None:
+            app.settings = followed(app.settings, scene.settings, found.settings)
+            app.scene = replace(scene, settings=found.settings)
+
+
+def session_of(app: AppState) -> EditSession | None:
+    """The session of the open scene, or of the frozen snapshot of a training; None where there is none."""
+    return app.feature(Editing).session
+
+
+def session_for_edit(app: AppState) -> EditSession | None:
+    """As `session_of`, but freezes the shown snapshot of a training where nothing is frozen yet."""
+    editing = app.feature(Editing)
+    if editing.session is None and editing.live is not None:
+        return editing.live.freeze(app)
+    return editing.session
+
+
+def with_session(command: Callable[..., None]) -> Callable[..., None]:
+    """`command(app, session, *args)` as `command(app, *args)`, which does nothing where no session
+    is open."""
+
+    @wraps(command)
+    def run(app: AppState, *args: Any, **options: Any) -> None:
+        session = session_of(app)
+        if session is not None:
+            command(app, session, *args, **options)
+
+    return run
+
+
+def post_edit(app: AppState, method: Callable[..., object], *args: Any) -> None:
+    """Posts a method of `EditSession`, for the session that is open then."""
+
+    def run(app: AppState) -> None:
+        session = session_of(app)
+        if session is not None:
+            method(session, *args)
+
+    app.post(run)
+
+
+def can_edit(app: AppState) -> bool:
+    """Whether splats are shown that tools can choose from."""
+    editing = app.feature(Editing)
+    return editing.session is not None or (editing.live is not None and editing.live.is_shown(app))
+
+
+def at_rest(app: AppState) -> bool:
+    """Whether a scene is open that no trainer changes: every edit can be done and kept."""
+    session = session_of(app)
+    return session is not None and session.target.at_rest
 
 
 def load_changed_scene(app: AppState, session: EditSession) -> None:
-    """Gives the picture a scene whose values or number of splats an edit has changed, some at each frame."""
+    """Gives the picture a scene whose values or number of splats an edit has changed, a part in each frame.
+    Flags, colours and crops need none of this; they are drawn over the scene that the picture holds."""
     wanted = session.document.gaussians
     if session.loaded is None:
         session.loaded = wanted
@@ -428,41 +482,15 @@ def load_changed_scene(app: AppState, session: EditSession) -> None:
             next(session.loading[1])
     except StopIteration:
         session.loaded, session.loading = wanted, None
-        take_over(app, wanted)
+        app.feature(Editing).take_over(app, wanted)
     except InputError as error:
         session.loading = None
         session.problem = f"{error}; the last step is taken back"
         session.undo()
 
 
-def take_over(app: AppState, gaussians: Gaussians) -> None:
-    """The picture holds these splats of the open scene now: so does whatever else looks at them."""
-    if app.scene is not None:
-        app.scene = replace(app.scene, gaussians=gaussians)
-        # One at a time: of many steps undone in a row only the last state is looked through.
-        app.examining = app.examining or Examination(gaussians)
-
-
-def continue_examining(app: AppState) -> None:
-    """Called every frame: takes over what has been found out about changed splats. Settings follow what they
-    call for, where the user has not set them otherwise."""
-    found = app.examining
-    if found is None or not found.done:
-        return
-    app.examining = None
-    scene = app.scene
-    if scene is None or scene.gaussians is not found.gaussians:
-        if scene is not None and app.session is not None and app.session.loaded is scene.gaussians:
-            app.examining = Examination(scene.gaussians)
-        return
-    app.examination = found
-    if found.settings is not None:
-        app.settings = followed(app.settings, scene.settings, found.settings)
-        app.scene = replace(scene, settings=found.settings)
-
-
 def followed(settings: RenderSettings, before: RenderSettings, after: RenderSettings) -> RenderSettings:
-    """`settings` with what was as a scene called for `before` as it calls for `after`."""
+    """`settings` with everything that is as a scene called for `before` as it calls for `after`."""
     near = settings.model.near
     if settings.model == replace(before.model, near=near):
         settings = replace(settings, model=replace(after.model, near=near))
@@ -473,70 +501,14 @@ def followed(settings: RenderSettings, before: RenderSettings, after: RenderSett
     return settings
 
 
-# ---- A desk for each scene that is opened, and what of it the frame loop does.
-
-
 JOURNALS = "journals"
 """Folder beside the settings: steps of windows that run, and of those that did not end well."""
 
+LEAVING_SECONDS = 60.0
+"""Longest wait of a closing window for a file that is being written; other work is given up at once."""
+
 
 @cache
-def compile_ahead() -> None:
-    """Once, in a thread: what the first edits need is there before the first click."""
-    threading.Thread(target=warm_up, name="splatview-warm-up", daemon=True).start()
-
-
-def take_up(app: AppState, scene: LoadedScene) -> None:
-    """Puts `scene`, just opened, on a desk of its own; edits of the one before end with it."""
-    compile_ahead()
-    if app.session is not None:
-        app.session.close()
-    folder = scene.paths[0].parent if scene.paths else None
-    try:
-        document = Document(scene.gaussians, name=scene.name, folder=folder, tools=RasterTools())
-    except InputError as error:
-        app.session = None
-        app.tell(f"{error}; it can be looked at")
-        return
-    app.session = EditSession(document=document, stamps=dict(scene.stamps))
-    app.session.journal = Journal(
-        document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
-    )
-
-
-def continue_editing(app: AppState) -> None:
-    """Called every frame: ends jobs, tells what they and the user's edits came to."""
-    continue_examining(app)
-    session = app.session
-    if session is None:
-        return
-    session.advance()
-    load_changed_scene(app, session)
-    if session.journal is not None and session.journal.problem is not None:
-        app.tell(session.journal.problem)
-        session.journal.close(keep=True)
-        session.journal = None
-    if session.problem is not None:
-        app.complain(session.problem)
-        session.problem = None
-    if session.news is not None:
-        app.tell(session.news)
-        session.news = None
-
-
-LEAVING_SECONDS = 60.0
-"""For so long a window that closes waits for a file that is being written; other work is given up at once."""
-
-
-def put_away(app: AppState) -> str | None:
-    """The window closes: a line for the user where edits are in no file."""
-    session, app.session = app.session, None
-    if session is None:
-        return None
-    if session.job is not None:
-        session.job.cancel()
-        session.job.join(LEAVING_SECONDS)
-    offered = app.scene is not None and len(app.scene.paths) == 1
-    kept = offered and session.journal is not None and session.document.history.modified
-    session.close()
-    return "the edits are in no file yet; the next start offers to restore them" if kept else None
+def warm_up_once() -> None:
+    """Compiles the kernels of the first edits in a thread, once for each process."""
+    Task(lambda _: warm_up(), name="splatview-warm-up")

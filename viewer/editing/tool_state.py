@@ -1,4 +1,4 @@
-"""What the mouse draws with a screen tool, and the selection that it means. No ImGui in here."""
+"""State of the tools and panels of editing: names, strokes, distances, values of forms. No ImGui in here."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
+from splatview.edit.impact import Impact
 from splatview.edit.operations import Select
-from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
+from splatview.edit.operations.appearance import Grade, How
+from splatview.edit.operations.base import Scope
+from splatview.edit.selectors import Brush, Histogram, Lasso, Polygon, Rectangle
 from splatview.scene import Camera
 
-# ---- The words that screen tools are spoken of by.
-
-
 ToolName = Literal["none", "rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure", "ground"]
-"""What the left mouse button does on the picture; "none" is navigation."""
+"""Use of the left mouse button on the picture; "none" is navigation."""
 
 Depth = Literal["through", "front"]
 """Whether screen tools take what is behind the surface too."""
 
 Mode = Literal["set", "add", "remove", "intersect"]
-"""What a new selection does to the one before."""
+"""Combination of a new selection with the one before."""
 
 Point = tuple[float, float]
 """px from the picture's top left corner."""
@@ -40,7 +42,7 @@ CLICKED: tuple[ToolName, ...] = ("flood", "colour", "measure", "ground")
 
 
 def mode_of(*, shift: bool, ctrl: bool) -> Mode:
-    """What held keys make of a selection: Shift adds, Ctrl removes, both keep the common part."""
+    """Mode of a selection by the held keys: Shift adds, Ctrl removes, both keep the common part."""
     if shift and ctrl:
         return "intersect"
     return "add" if shift else "remove" if ctrl else "set"
@@ -103,9 +105,6 @@ class Stroke:
         return Select(by=by, mode=self.mode)
 
 
-# ---- The tape measure's answer.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Measured:
     """A distance between two picked points."""
@@ -117,3 +116,101 @@ class Measured:
     def length(self) -> float:
         """World units."""
         return math.dist(self.start, self.end)
+
+
+Euler = tuple[float, float, float]
+"""Degrees about x, y, z."""
+
+
+@dataclass(kw_only=True)
+class MoveForm:
+    """Values of the Move section; the neutral ones change nothing."""
+
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World units."""
+    rotation: Euler = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    gizmo: bool = False
+    """Whether handles are shown on the picture."""
+    turning: bool = False
+    """Whether the handles turn rather than move."""
+
+
+@dataclass(kw_only=True)
+class LookForm:
+    """Values of the Look section."""
+
+    opacity: float = 1.0
+    """Factor on the opacities, or the opacity that all get."""
+    size: float = 1.0
+    """Factor on the sizes, or the size that all get, world units."""
+    grade: Grade = field(default_factory=Grade)
+
+
+@dataclass(kw_only=True)
+class RangeForm:
+    """Values of the selection by a range of an attribute."""
+
+    attribute: str = "opacity"
+    values: np.ndarray | None = None
+    """(N,) float32: the attribute of every splat."""
+    of: object = None
+    """Attribute and versions of the document that `values` are of."""
+    histogram: Histogram | None = None
+    low: float = 0.0
+    high: float = 1.0
+
+
+@dataclass(kw_only=True)
+class CleanForm:
+    """Values of the Clean up section."""
+
+    detector: str = "clusters"
+    scores: np.ndarray | None = None
+    """(N,) float32: score of every splat."""
+    of: object = None
+    """Detector and versions of the document that `scores` are of."""
+    threshold: float = 0.0
+    mask: np.ndarray | None = None
+    """(N,) bool: splats above the threshold that may be deleted."""
+    count: int = 0
+    price: Impact | None = None
+    """Impact of deleting `mask`; None: not measured."""
+    keep: int = 0
+    """Number of splats that decimation leaves; 0: not filled in yet."""
+    kept_price: tuple[object, Impact] | None = None
+    """Impact of decimation, after the number of splats and the versions that it is of."""
+
+
+@dataclass(kw_only=True)
+class HealthForm:
+    """Values of the health report."""
+
+    prices: dict[str, Impact] = field(default_factory=dict)
+    """Impact of the repair of each finding, by its name."""
+    of: object = None
+    """Versions of the document that `prices` are of."""
+
+
+@dataclass(kw_only=True)
+class Forms:
+    """Values that are filled in on the editing panels until they are applied."""
+
+    scope: Scope = "selection"
+    move: MoveForm = field(default_factory=MoveForm)
+    look: LookForm = field(default_factory=LookForm)
+    how: How = "scale"
+    """Whether opacities and sizes are multiplied or set."""
+    range: RangeForm = field(default_factory=RangeForm)
+    clean: CleanForm = field(default_factory=CleanForm)
+    health: HealthForm = field(default_factory=HealthForm)
+    crop: int = -1
+    """Index of the crop with the handles; -1: none."""
+    crop_handles: int = 0
+    """Kind of the handles: an index of `panels.crops.KINDS`."""
+    crop_dragged: bool = False
+    """Whether the handles are being dragged."""
+    open_section: str = ""
+    """Title of the section that the Edit panel is to open, once."""
+    previewing: str = ""
+    """The section whose preview is in force; "" for none."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
 
-from splatview.edit.operations import Operation, Select
+from splatview.edit.operations import Select
 from splatview.edit.operations.transform import Ground
 from splatview.edit.selectors import Flood, SimilarColour, picked
 from splatview.edit.selectors.attributes import base_colours
@@ -17,7 +17,14 @@ from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, adjusted_means
 from splatview.viewer import theme
 from splatview.viewer.editing.gizmos import grabbed
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import (
+    Editing,
+    EditSession,
+    at_rest,
+    post_edit,
+    session_of,
+    with_session,
+)
 from splatview.viewer.editing.tool_state import (
     CLICKED,
     DRAGGED,
@@ -36,9 +43,6 @@ if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
-# ---- What a click on the picture means to the tools that pick a splat: magic wand, eyedropper, measure.
-
-
 class Hit(NamedTuple):
     """The splat that makes the surface at a pixel."""
 
@@ -48,7 +52,7 @@ class Hit(NamedTuple):
 
 
 def hit(session: EditSession, camera: Camera, x: float, y: float) -> Hit | None:
-    """What is at pixel (x, y) of what `camera` sees; None: the background. Raises InputError."""
+    """The splat at pixel (x, y) of the view of `camera`; None: the background. Raises InputError."""
     document = session.document
     splat = picked(document.gaussians, document.edits, document.tools, camera, x, y)
     return None if splat is None else Hit(splat, place_of(document.gaussians, document.edits, splat))
@@ -62,10 +66,8 @@ def place_of(gaussians: Gaussians, edits: SceneEdits, splat: int) -> Place:
     return x, y, z
 
 
-def click(
-    app: AppState, session: EditSession, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float
-) -> None:
-    """A click at (x, y) px of what `camera` sees, with a tool that picks."""
+def click(session: EditSession, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
+    """A click at (x, y) px of what `camera` sees, with a tool that picks a splat."""
     found = hit(session, camera, x, y)
     if found is None:
         session.news = "Nothing there: the pixel shows the background"
@@ -110,13 +112,13 @@ COLOURS: dict[Mode, tuple[float, float, float]] = {
     "remove": (0.9, 0.4, 0.35),
     "intersect": (0.85, 0.7, 0.3),
 }
-"""Of the outline, by what the selection will do."""
+"""Colours of the outline by mode of selection."""
 
 
 def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:
     """Lets the tool in hand have the left button over the picture's item, which was submitted last. Returns
     whether navigation is to leave that button alone."""
-    session = app.session
+    session = session_of(app)
     io = imgui.get_io()
     if session is None or session.tool == "none" or (io.key_alt and session.stroke is None):
         return False
@@ -131,17 +133,19 @@ def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:
     return True
 
 
-def _click(app: AppState, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float) -> None:
-    if app.session is not None:
-        try:
-            click(app, app.session, tool, mode, camera, x, y)
-        except InputError as error:
-            app.complain(str(error))
+@with_session
+def _click(
+    app: AppState, session: EditSession, tool: ToolName, mode: Mode, camera: Camera, x: float, y: float
+) -> None:
+    try:
+        click(session, tool, mode, camera, x, y)
+    except InputError as error:
+        app.complain(str(error))
 
 
 def on_handles(app: AppState) -> bool:
     """Whether the mouse is on handles on the picture: navigation leaves the left button alone then."""
-    session = app.session
+    session = session_of(app)
     return session is not None and (session.forms.move.gizmo or session.forms.crop >= 0) and grabbed()
 
 
@@ -182,20 +186,15 @@ def finish(app: AppState, session: EditSession, stroke: Stroke, width: int, heig
     session.stroke = None
     operation = stroke.operation(app.view.camera(width, height), session.depth)
     if operation is not None:
-        app.post(_apply, operation)
-
-
-def _apply(app: AppState, operation: Operation) -> None:
-    if app.session is not None:
-        app.session.apply(operation)
+        post_edit(app, EditSession.apply, operation)
 
 
 def draw_tool(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     """The outline under way, the brush's circle, picked points and the last measured distance."""
-    session = app.session
+    session = session_of(app)
     draw = imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
-    for crop in app.training.pointed if app.training and not app.at_rest else ():
+    for crop in () if at_rest(app) else app.feature(Editing).outlined:
         crops.draw_outline(crop, app.view.camera(width, height), corner, crops.CUTTING, 2.0)
     if session is None:
         draw.pop_clip_rect()

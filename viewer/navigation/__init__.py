@@ -1,7 +1,19 @@
 """Navigation as plain mathematics: every function takes a `View` and returns a new one. No GL, no ImGui."""
 
-from splatview.viewer.navigation.controllers import dolly, look, move, orbit, pan, trackball
-from splatview.viewer.navigation.framing import AXIS_NAMES, axis_view, focus, frame, level, with_up
+from splatview.viewer.navigation.controllers import (
+    AXIS_NAMES,
+    axis_view,
+    dolly,
+    focus,
+    frame,
+    level,
+    look,
+    move,
+    orbit,
+    pan,
+    trackball,
+    with_up,
+)
 from splatview.viewer.navigation.picking import Pick, pick
 from splatview.viewer.navigation.view import Lens, Transition, View, view_from_camera
 

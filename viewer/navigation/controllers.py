@@ -1,4 +1,4 @@
-"""Turntable: the eye circles the target, the horizon stays level."""
+"""Moves of a view: by the mouse (orbit, look, trackball, pan, dolly), by keys, and to views with a name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 from pyrr import matrix33
 
-from splatview.viewer.navigation.view import View, orthonormal
+from splatview.scene.image_model import NEAR
+from splatview.viewer.navigation.view import Lens, View, look_from, orthonormal, unit
 
 POLE_MARGIN = math.radians(0.5)
 """How near the eye may come to straight above: at the pole itself left and right have no meaning."""
@@ -35,9 +36,6 @@ def orbit(view: View, azimuth: float, elevation: float) -> View:
     return replace(view, R_camera_world=orthonormal(R))
 
 
-# ---- Fly: the eye moves and looks around; the target is carried along ahead of it.
-
-
 def look(view: View, yaw: float, pitch: float) -> View:
     """Turns the head where the eye is: `yaw` radians to the right, `pitch` upwards. The horizon stays level.
 
@@ -51,9 +49,6 @@ def move(view: View, step: Sequence[float]) -> View:
     """Moves eye and target by `step` = (right, up, forward) in the camera's axes, world units."""
     right, up, forward = step
     return replace(view, target=view.target + np.array([right, -up, forward]) @ view.R_camera_world)
-
-
-# ---- Trackball: the scene turns under the mouse like a ball, with no up axis.
 
 
 def trackball(view: View, start: tuple[float, float], end: tuple[float, float]) -> View:
@@ -79,9 +74,6 @@ def on_ball(point: tuple[float, float]) -> np.ndarray:
     return np.array([x, y, -np.sqrt(1 - across)])
 
 
-# ---- Moves that all navigation modes share: pan and dolly.
-
-
 MIN_DISTANCE = 1e-6
 """World units; nearer than this the picture no longer changes but float32 renderers suffer."""
 
@@ -98,3 +90,77 @@ def dolly(view: View, factor: float) -> View:
     """Brings the eye to `factor` (> 0) times its distance from the target; the target stays. Parallel rays
     are as far apart as suits the distance, so this scales their picture."""
     return replace(view, distance=max(view.distance * factor, MIN_DISTANCE))
+
+
+FRAME_MARGIN = 1.1
+"""How much wider than the scene's sphere the picture is."""
+
+AXIS_NAMES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+
+
+def axis(name: str) -> np.ndarray:
+    """(3,) float64 of a name in `AXIS_NAMES`."""
+    direction = np.zeros(3)
+    direction["XYZ".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return direction
+
+
+def plain_lens(view: View) -> Lens:
+    """Its angle and its kind of rays, without what only a photo's has."""
+    return Lens(fov_y=view.lens.fov_y, orthographic=view.lens.orthographic)
+
+
+def frame(view: View, centre: np.ndarray, radius: float, *, aspect: float = 1.0) -> View:
+    """The view in its direction that has the sphere (centre (3,), radius > 0, world) in full.
+
+    `aspect` is the picture's width over its height. A photo's shifted lens is centred again.
+    """
+    half = math.radians(view.lens.fov_y) / 2
+    half_x = math.atan(math.tan(half) * aspect)
+    distance = FRAME_MARGIN * radius / math.sin(min(half, half_x))
+    return replace(
+        view,
+        target=np.asarray(centre, dtype=np.float64),
+        # A scene of millimetres must not end up before the near plane.
+        distance=max(distance, radius + 2 * NEAR),
+        lens=plain_lens(view),
+    )
+
+
+def focus(view: View, point: np.ndarray) -> View:
+    """Puts `point` (3,) world into the centre, as far away as it is, without turning the eye. Where rays are
+    parallel how far it is makes no difference, and the scale stays."""
+    depth = float((point - view.eye) @ view.forward)
+    if view.lens.orthographic:
+        depth = view.distance
+    return replace(
+        view,
+        target=np.asarray(point, dtype=np.float64),
+        distance=max(depth, MIN_DISTANCE),
+        lens=plain_lens(view),
+    )
+
+
+def axis_view(view: View, name: str) -> View:
+    """Looks at the target from the side that `name` (one of `AXIS_NAMES`) says, at the same distance.
+
+    From above and below the next axis is upwards in the picture, as in a plan.
+    """
+    outwards = axis(name)
+    upwards = view.up
+    if abs(float(outwards @ upwards)) > 0.99:
+        upwards = np.roll(np.abs(np.round(upwards)), 1)
+        if not np.any(upwards):  # an oblique up axis: no world axis is better than another
+            upwards = view.R_camera_world[1]
+    found = look_from(view.target + view.distance * outwards, view.target, upwards)
+    return replace(view, R_camera_world=found.R_camera_world, lens=plain_lens(view))
+
+
+def level(view: View) -> View:
+    """The same eye and target with the horizon level."""
+    return replace(look_from(view.eye, view.target, view.up, view.lens), distance=view.distance)
+
+
+def with_up(view: View, up: np.ndarray) -> View:
+    """The same eye and target, level about the new axis `up` (3,)."""
+    return level(replace(view, up=unit(up)))

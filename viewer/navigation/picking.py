@@ -34,7 +34,7 @@ SAMPLES_SLACK = 1.5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pick:
-    """What is under a pixel."""
+    """The surface under a pixel."""
 
     index: int
     """Of the splat in the scene at which transmittance falls through `SURFACE`, or, in front of haze
@@ -113,7 +113,7 @@ def may_reach(
         radius = reach * np.sqrt(size * size * slant + model.blur) * np.float32(1.01) + 1
         hidden = z < model.near
         if camera.lens is not None:
-            hidden |= u * u + v * v >= camera.lens.form.reach_squared
+            hidden |= u * u + v * v >= camera.lens.form.valid_radius_squared
             u, v = distort(np.stack([u, v], axis=1), camera.lens).T
         dx = u * np.float32(camera.fx) + np.float32(camera.cx - x)
         dy = v * np.float32(camera.fy) + np.float32(camera.cy - y)

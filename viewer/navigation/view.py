@@ -1,4 +1,8 @@
-"""What the user steers: an eye that looks at a target from a distance, and how its rays go."""
+"""The view: an eye that looks at a target from a distance, its lens, and transitions between views.
+
+Rotations are (3, 3) float64. A matrix that pyrr makes of an axis acts on rows, so it turns the camera's
+axes, the rows of `R_camera_world`, from the right; one that it makes of a quaternion (xyzw) acts on columns.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,6 @@ from pyrr import matrix33, matrix44, quaternion, vector3
 
 from splatview.scene import Camera, look_at_matrix
 from splatview.scene import Lens as Distortion
-
-# ---- Rotations of the view by pyrr, and what it leaves open. All (3, 3) float64 unless said otherwise.
-#
-# A matrix that pyrr makes of an axis acts on rows, so it turns the camera's axes, the rows of
-# `R_camera_world`, from the right; one that it makes of a quaternion (xyzw) acts on columns.
 
 
 def orthonormal(R: np.ndarray) -> np.ndarray:
@@ -165,9 +164,6 @@ def look_from(eye: np.ndarray, target: np.ndarray, up: np.ndarray, lens: Lens | 
         up=unit(up),
         lens=lens or Lens(),
     )
-
-
-# ---- A short eased way from one view to another, so that a jump does not lose the user.
 
 
 DURATION = 0.35

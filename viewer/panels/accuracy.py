@@ -12,10 +12,9 @@ from splatview.measure.work import rows, sums
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES
-from splatview.viewer.quality import state as commands
 from splatview.viewer.quality.comparison import RIGHTS
-from splatview.viewer.quality.measurement import applicable, renderer_name, unpriced_knobs
-from splatview.viewer.quality.state import Accuracy, price_of
+from splatview.viewer.quality.measurement import applicable, unpriced_knobs
+from splatview.viewer.quality.state import Accuracy, choose, price_of
 from splatview.viewer.state import AppState
 
 RIGHT_NAMES = {
@@ -27,8 +26,8 @@ RIGHT_NAMES = {
 
 
 def show(app: AppState) -> None:
-    accuracy = app.accuracy
-    if app.scene is None or app.picture is None:
+    accuracy = app.feature(Accuracy)
+    if not app.is_open or app.picture is None:
         widgets.note("Open a scene to see what accuracy costs in it.")
         return
     tools(app, accuracy)
@@ -56,16 +55,20 @@ def tools(app: AppState, accuracy: Accuracy) -> None:
             f"{again}###measure",
             "Measures every shortcut in this view, beside the exact picture, for some seconds. The window "
             "can be used meanwhile; a busy machine only makes the noise floor higher.",
-            partial(app.post, commands.measure),
+            partial(app.post, accuracy.measure),
         )
     else:
         imgui.progress_bar(measurement.progress, (-imgui.get_font_size() * 5, 0), measurement.text)
         imgui.same_line()
-        widgets.button("Cancel###cancel", "Ends measuring.", partial(app.post, commands.cancel))
+        widgets.button(
+            "Cancel###cancel", "Ends measuring.", partial(app.post, lambda app: accuracy.cancel_measuring())
+        )
     if accuracy.choices:
         if measurement is None:
             imgui.same_line()
-        widgets.button("Exact###exact", "Takes all shortcuts back.", partial(app.post, commands.exact))
+        widgets.button(
+            "Exact###exact", "Takes all shortcuts back.", partial(app.post, lambda app: accuracy.exact())
+        )
 
 
 def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
@@ -90,7 +93,7 @@ def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
                 imgui.text_colored(theme.QUIET, knob(before).title)
                 widgets.tooltip(knob(before).changes)
             row(app, accuracy, ladder, one)
-        for other in unpriced_knobs(renderer_name(picture)) if picture is not None else ():
+        for other in unpriced_knobs(picture.backend) if picture is not None else ():
             unpriced(app, accuracy, other)
         imgui.end_table()
     if ladder.left_out:
@@ -125,7 +128,10 @@ def choice(app: AppState, accuracy: Accuracy, name: str, value: str, words: str)
     imgui.pop_style_color()
     widgets.tooltip(f"{words} Click to draw by it, again for exact.")
     if clicked:
-        app.post(commands.leave if chosen else commands.choose, name, *(() if chosen else (value,)))
+        if chosen:
+            app.post(lambda app: accuracy.choices.pop(name, None))
+        else:
+            app.post(choose, name, value)
 
 
 def row(app: AppState, accuracy: Accuracy, ladder: Ladder, one: Measured) -> None:
@@ -159,7 +165,7 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
         "after it rests the exact picture is back. The badge in the picture states the present error.",
     )
     if changed is not None:
-        app.post(commands.hold, app.preferences.frame_budget_ms if changed else None)
+        app.post(accuracy.hold, app.preferences.frame_budget_ms if changed else None)
     milliseconds = widgets.slider(
         "A frame",
         app.preferences.frame_budget_ms,
@@ -171,7 +177,7 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
     if milliseconds is not None:
         app.prefer(frame_budget_ms=milliseconds)
         if held:
-            app.post(commands.hold, milliseconds)
+            app.post(accuracy.hold, milliseconds)
     widgets.fact("That is", f"{1000 / app.preferences.frame_budget_ms:.0f} frames a second at most")
     if accuracy.note:
         widgets.fact("Now", accuracy.note)

@@ -1,4 +1,4 @@
-"""Where the eye is and how it moves."""
+"""The Camera and Views panels: navigation, position, lens, bookmarks, camera lists."""
 
 from __future__ import annotations
 
@@ -8,38 +8,33 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from splatview.viewer import save as saving
-from splatview.viewer.commands import (
-    NAVIGATION_MODES,
+from splatview.viewer.camera import (
     UP_NAMES,
     delete_bookmark,
     go_to_bookmark,
-    keys_of,
-    navigate,
+    go_to_camera,
     rename_bookmark,
     set_up,
     toggle_lenses,
     toggle_orthographic,
     up_name,
 )
-from splatview.viewer.depth_of_field import focus_by_click, is_pinhole
+from splatview.viewer.commands import NAVIGATION_MODES, keys_of, navigate
+from splatview.viewer.depth_of_field import DepthOfField, focus_by_click, is_pinhole
 from splatview.viewer.navigation import AXIS_NAMES
-from splatview.viewer.open import go_to_camera
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES
 from splatview.viewer.state import AppState
 
-# ---- Depth of field: how wide the lens is, and what is sharp.
-
-
 APERTURES = (0.001, 0.5)
-"""Of the distance to the turning point."""
+"""Range of the aperture's slider, in distances to the turning point."""
 
 FOCUS_RANGE = (0.02, 50.0)
-"""Likewise."""
+"""Range of the focus slider, in distances to the turning point."""
 
 
 def show_lens(app: AppState) -> None:
-    lens = app.depth_of_field
+    lens = app.feature(DepthOfField)
     on = widgets.checkbox(
         "Depth of field",
         lens.on,
@@ -130,21 +125,21 @@ def show(app: AppState) -> None:
 
     widgets.section("Look")
     axis_buttons(app)
-    widgets.action_button(app, "Whole scene", "frame_all")
+    widgets.command_button(app, "Whole scene", "frame_all")
     imgui.same_line()
-    widgets.action_button(app, "Level", "level")
+    widgets.command_button(app, "Level", "level")
 
     widgets.section("Position")
     position(app)
-    widgets.action_button(app, "Copy", "copy_camera")
+    widgets.command_button(app, "Copy", "copy_camera")
     imgui.same_line()
-    widgets.action_button(app, "Paste", "paste_camera")
+    widgets.command_button(app, "Paste", "paste_camera")
     imgui.same_line()
     widgets.button(
         "Save...", "Writes the camera as JSON, for `splatview render --camera`.", lambda: ask_where(app)
     )
     imgui.same_line()
-    widgets.action_button(app, "Load...", "open_cameras")
+    widgets.command_button(app, "Load...", "open_cameras")
 
     widgets.section("Lens")
     show_lens(app)
@@ -210,7 +205,7 @@ def axis_buttons(app: AppState) -> None:
     for i, name in enumerate(AXIS_NAMES):
         if i:
             imgui.same_line()
-        widgets.action_button(app, name, f"look_from_{name}", width=width)
+        widgets.command_button(app, name, f"look_from_{name}", width=width)
 
 
 def position(app: AppState) -> None:
@@ -239,13 +234,10 @@ def ask_where(app: AppState) -> None:
     )
 
 
-# ---- Views to go back to: bookmarks, and the cameras of a loaded list.
-
-
 def show_bookmarks(app: AppState) -> None:
     imgui.push_id("bookmarks")
     widgets.section("Bookmarks")
-    widgets.action_button(app, "Bookmark this view", "add_bookmark")
+    widgets.command_button(app, "Bookmark this view", "add_bookmark")
     if not app.bookmarks:
         widgets.note(f"None yet. {keys_of('add_bookmark')} keeps the present view, beside the scene's file.")
     for index, bookmark in enumerate(app.bookmarks):
@@ -257,7 +249,7 @@ def show_bookmarks(app: AppState) -> None:
         cameras(app)
     else:
         widgets.note("A cameras.json, a COLMAP model or a saved camera: drop it on the window, or")
-        widgets.action_button(app, "Load...", "open_cameras")
+        widgets.command_button(app, "Load...", "open_cameras")
     imgui.pop_id()
 
 
@@ -293,9 +285,9 @@ def bookmark_row(app: AppState, index: int, name: str) -> None:
 
 
 def cameras(app: AppState) -> None:
-    widgets.action_button(app, "Previous", "previous_camera")
+    widgets.command_button(app, "Previous", "previous_camera")
     imgui.same_line()
-    widgets.action_button(app, "Next", "next_camera")
+    widgets.command_button(app, "Next", "next_camera")
     imgui.same_line()
     changed, shown = imgui.checkbox("In the view", app.preferences.show_cameras)
     widgets.tooltip("Draws each camera as a small pyramid that opens the way it looks.")

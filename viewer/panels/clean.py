@@ -1,4 +1,4 @@
-"""Clean-up: detectors with a slider, what they would take lit up, and its price before it is paid."""
+"""The Clean up section: detectors with a threshold, what they would delete, and its price in dB."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from imgui_bundle import ImVec4, imgui
 
 from splatview.edit.detectors import DETECTORS
-from splatview.edit.impact import NO_LOSS, Price
+from splatview.edit.impact import NO_LOSS, Impact
 from splatview.edit.operations.cleanup import Decimate
 from splatview.viewer import theme
-from splatview.viewer.editing import cleanup as cleaning
+from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.cleanup import VIEWS
 from splatview.viewer.editing.session import EditSession
 from splatview.viewer.panels import widgets
@@ -32,7 +32,7 @@ def show(app: AppState, session: EditSession) -> None:
         "Find", form.detector, names, detector.what, [DETECTORS[name].label for name in names]
     )
     if chosen is not None:
-        cleaning.choose_detector(session, chosen)
+        cleanup.choose_detector(session, chosen)
         detector = DETECTORS[chosen]
     widgets.note(detector.what)
     key = (form.detector, session.document.versions)
@@ -40,10 +40,10 @@ def show(app: AppState, session: EditSession) -> None:
         if form.scores is not None:
             form.scores, form.mask, form.price, session.preview_mask = None, None, None, None
         tip = "Looks at every splat" + (", in pictures from around the scene." if detector.renders else ".")
-        widgets.button("Look for them", tip, partial(app.post, cleaning.look), width=-1)
+        widgets.button("Look for them", tip, partial(app.post, cleanup.look), width=-1)
     else:
         threshold(app, session)
-    if session.target is None:  # training fills up again to its number
+    if session.target.at_rest:  # training fills up again to its number
         widgets.section("Fewer splats")
         decimation(app, session)
 
@@ -56,7 +56,7 @@ def threshold(app: AppState, session: EditSession) -> None:
         "Threshold", form.threshold, low, high, f"In {detector.unit}.", form="%.4g", logarithmic=detector.log
     )
     if value is not None:
-        cleaning.set_threshold(session, value)
+        cleanup.set_threshold(session, value)
     widgets.note(f"{form.count:,} splats are {detector.meaning(form.threshold)}: red on the picture.")
     if not form.count:
         return
@@ -65,13 +65,13 @@ def threshold(app: AppState, session: EditSession) -> None:
         widgets.button(
             "What would it cost?",
             f"Draws {VIEWS} views with and without them and compares.",
-            partial(app.post, cleaning.measure_price),
+            partial(app.post, cleanup.measure_price),
         )
         widgets.beside(f"Delete {form.count:,}")
-    tip = "Undo brings them back." if session.target is None else "From the training; there is no way back."
-    widgets.button(f"Delete {form.count:,}", tip, partial(app.post, cleaning.prune))
+    tip = "Undo brings them back." if session.target.at_rest else "From the training; there is no way back."
+    widgets.button(f"Delete {form.count:,}", tip, partial(app.post, cleanup.prune))
     widgets.beside("Leave them")
-    widgets.button("Leave them", "Nothing is deleted.", partial(app.post, cleaning.forget))
+    widgets.button("Leave them", "Nothing is deleted.", partial(app.post, cleanup.forget))
 
 
 def show_price(cost: Any) -> None:
@@ -85,7 +85,7 @@ def show_price(cost: Any) -> None:
     )
 
 
-def quality(cost: Price) -> ImVec4:
+def quality(cost: Impact) -> ImVec4:
     """A colour that says whether anybody would see the difference."""
     if cost.worst >= GOOD:
         return ImVec4(0.45, 0.8, 0.5, 1)
@@ -107,11 +107,11 @@ def decimation(app: AppState, session: EditSession) -> None:
         widgets.button(
             "What would that cost?##keep",
             f"Draws {VIEWS} views with all splats and with the {form.keep:,} that matter most.",
-            partial(app.post, cleaning.price_decimation),
+            partial(app.post, cleanup.price_decimation),
         )
         widgets.beside(f"Keep {form.keep:,} of {counts.kept:,}")
     widgets.button(
         f"Keep {form.keep:,} of {counts.kept:,}",
         Decimate.summary + ".",
-        partial(app.post, cleaning.keep_best),
+        partial(app.post, cleanup.keep_best),
     )

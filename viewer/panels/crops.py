@@ -1,4 +1,4 @@
-"""Crop boxes and spheres: a list, numbers for the chosen one, handles on the picture."""
+"""The Crop section: a list of boxes and spheres, numbers for the chosen one, handles on the picture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.edit.operations import Select
-from splatview.edit.operations.base import Operation
 from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
 from splatview.edit.selectors import Box, Sphere
 from splatview.scene import Camera
@@ -20,11 +19,11 @@ from splatview.viewer import theme
 from splatview.viewer.editing import gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import EditSession, post_edit
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 from splatview.viewer.theme import point_on_picture
-from splatview.viewer.training import live_edits as held
+from splatview.viewer.training.live import LiveTraining
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -58,7 +57,7 @@ def show(app: AppState, session: EditSession) -> None:
         session.forms.crop = -1
         widgets.note(
             "No crops. Export leaves out what they cut away."
-            if session.target is None
+            if session.target.at_rest
             else "No crops. They show what is left; then let them cut, or let nothing grow inside."
         )
         return
@@ -68,7 +67,7 @@ def show(app: AppState, session: EditSession) -> None:
         toggled, enabled = imgui.checkbox("##on", crop.enabled)
         widgets.tooltip("Switches this crop on or off.")
         if toggled:
-            _post(app, EnableCrop(index=index, enabled=enabled))
+            post_edit(app, EditSession.apply, EnableCrop(index=index, enabled=enabled))
         imgui.same_line()
         word = "keeps" if crop.keep == "inside" else "cuts out"
         clicked, _ = imgui.selectable(
@@ -81,21 +80,25 @@ def show(app: AppState, session: EditSession) -> None:
         numbers(app, session, session.forms.crop)
     if not any(crop.enabled for crop in crops):
         return
-    if session.target is not None:
+    if not session.target.at_rest:
         widgets.button(
             "Cut away in training",
             "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
-            partial(app.post, held.cut_away),
+            partial(app.post, app.feature(LiveTraining).editor.cut_away),
         )
     else:
         operation = DeleteCropped()
-        widgets.button("Delete what is cut away", operation.summary, partial(_post, app, operation))
+        widgets.button(
+            "Delete what is cut away",
+            operation.summary,
+            partial(post_edit, app, EditSession.apply, operation),
+        )
 
 
 def numbers(app: AppState, session: EditSession, index: int) -> None:
     """Every number of a crop, to type or to drag; undo goes back over a whole drag."""
     crop = session.document.crops[index]
-    speed = max(app.scene.radius if app.scene else 1.0, 1e-6) / 300
+    speed = max(app.scene.radius, 1e-6) / 300
     new, settled = crop, False
     widgets.label("Name", "For you and the history.")
     changed, name = imgui.input_text("##name", crop.name, imgui.InputTextFlags_.enter_returns_true)
@@ -131,25 +134,25 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     imgui.begin_disabled(by is None)
     if imgui.button("Select inside") and by is not None:
         io = imgui.get_io()
-        _post(app, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
+        post_edit(app, EditSession.apply, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
     widgets.tooltip(
         "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
     )
     imgui.end_disabled()
     widgets.beside("Remove")
     if imgui.button("Remove"):
-        _post(app, RemoveCrop(index=index))
+        post_edit(app, EditSession.apply, RemoveCrop(index=index))
     widgets.tooltip("Removes this crop; what it cut away is back.")
-    if session.target is not None:
+    if not session.target.at_rest:
         widgets.button(
             "No growth inside",
             "From now on no splat is born in it. Those that are there are trained on, and may die.",
-            partial(app.post, held.stop_growth, index),
+            partial(app.post, app.feature(LiveTraining).editor.stop_growth, index),
         )
 
 
 def volume(crop: Crop) -> Box | Sphere | None:
-    """What selects the inside of a crop; None for a sphere that was drawn out to an egg."""
+    """Selector of the inside of a crop; None for a sphere that was stretched to an ellipsoid."""
     if crop.shape == "box":
         return Box(centre=crop.centre, half_extents=crop.half_extents, rotation=crop.rotation)
     low, high = min(crop.half_extents), max(crop.half_extents)
@@ -160,9 +163,9 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
     """Previews a crop while it is dragged, and makes one step of the drag when it ends."""
     if new != session.document.crops[index]:
         operation = ChangeCrop(index=index, crop=new)
-        app.post(lambda app: app.session.preview(SECTION, operation) if app.session else None)
+        post_edit(app, EditSession.preview, SECTION, operation)
     if settled:
-        app.post(lambda app: app.session.commit_preview() if app.session else None)
+        post_edit(app, EditSession.commit_preview)
 
 
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
@@ -208,7 +211,7 @@ def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: Im
         change(app, session, index, new, settled=False)
     elif session.forms.crop_dragged and not gizmos.dragging():
         session.forms.crop_dragged = False
-        app.post(lambda app: app.session.commit_preview() if app.session else None)
+        post_edit(app, EditSession.commit_preview)
 
 
 def outline(crop: Crop) -> list[np.ndarray]:
@@ -223,7 +226,3 @@ def outline(crop: Crop) -> list[np.ndarray]:
         own[:, (axis + 1) % 3], own[:, (axis + 2) % 3] = np.cos(CIRCLE), np.sin(CIRCLE)
         circles.append(place(own))
     return circles
-
-
-def _post(app: AppState, operation: Operation) -> None:
-    app.post(lambda app: app.session.apply(operation) if app.session else None)

@@ -17,19 +17,22 @@ from splatview.scene import Camera
 from splatview.scene.edits import IDENTITY, Adjustment
 from splatview.scene.framing import robust_bounds
 from splatview.viewer import theme
+from splatview.viewer.camera import bounds
 from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import EditSession, LookForm, MoveForm
-from splatview.viewer.editing.tool_state import Place, ToolName
-from splatview.viewer.open import bounds
-from splatview.viewer.panels import clean, crops, select, widgets
-from splatview.viewer.panels import recipe as rules
+from splatview.viewer.editing.session import (
+    EditSession,
+    at_rest,
+    can_edit,
+    post_edit,
+    session_of,
+)
+from splatview.viewer.editing.tool_state import LookForm, MoveForm, Place, ToolName
+from splatview.viewer.panels import clean, crops, recipe, select, widgets
+from splatview.viewer.training.live import LiveTraining
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
-
-
-# ---- What a change is about, and the buttons that put a preview in force or take it back.
 
 
 def choose_scope(session: EditSession) -> bool:
@@ -65,15 +68,12 @@ def keep_or_cancel(app: AppState, session: EditSession, section: str) -> bool | 
     cancelled = imgui.button(f"Cancel##{section}")
     widgets.tooltip("Take the preview back.")
     if kept:
-        app.post(lambda app: app.session.commit_preview() if app.session else None)
+        post_edit(app, EditSession.commit_preview)
         return True
     if cancelled:
-        app.post(lambda app: app.session.cancel_preview() if app.session else None)
+        post_edit(app, EditSession.cancel_preview)
         return False
     return None
-
-
-# ---- Opacity, size and colours: sliders that show at once what they do.
 
 
 APPEARANCE_SECTION = "look"
@@ -126,7 +126,7 @@ def opacity_and_size(app: AppState, session: EditSession) -> None:
     )
     if how is not None:
         session.forms.how = how
-        app.post(lambda app: app.session.cancel_preview() if app.session else None)
+        post_edit(app, EditSession.cancel_preview)
     form, factor = session.forms.look, session.forms.how == "scale"
     tip = "Factor on the opacity of each splat." if factor else "The opacity that all get, 0 to 1."
     name, high = ("Opacity x", 3.0) if factor else ("Opacity", 1.0)
@@ -136,7 +136,7 @@ def opacity_and_size(app: AppState, session: EditSession) -> None:
         session.preview(
             APPEARANCE_SECTION, Opacity(value=opacity, how=session.forms.how, scope=session.forms.scope)
         )
-    radius = max(app.scene.radius if app.scene else 1.0, 1e-6)
+    radius = max(app.scene.radius, 1e-6)
     tip = "Factor on the size of each splat, about its centre." if factor else "Mean deviation, world units."
     name, low, high = ("Size x", 0.1, 10.0) if factor else ("Size", 1e-5 * radius, 0.1 * radius)
     size = widgets.slider(name, form.size, low, high, tip, form="%.3g", logarithmic=True)
@@ -154,9 +154,6 @@ def _changed(grade: Grade, field: str, value: float) -> Grade:
     elif field == "white":
         value = max(value, grade.black + 0.01)
     return replace(grade, **{field: value})
-
-
-# ---- Moving, turning and scaling by numbers or by handles on the picture; setting the scene upright.
 
 
 TRANSFORM_SECTION = "move"
@@ -177,7 +174,7 @@ UPS: tuple[tuple[str, Place], ...] = (
 def show_transform(app: AppState, session: EditSession) -> None:
     if choose_scope(session):
         session.forms.move = MoveForm(gizmo=session.forms.move.gizmo)
-        app.post(lambda app: app.session.cancel_preview() if app.session else None)
+        post_edit(app, EditSession.cancel_preview)
     if not nothing_to_change(session):
         by_numbers(app, session)
     widgets.section("Upright")
@@ -186,7 +183,7 @@ def show_transform(app: AppState, session: EditSession) -> None:
 
 def by_numbers(app: AppState, session: EditSession) -> None:
     form = session.forms.move
-    speed = max(app.scene.radius if app.scene else 1.0, 1e-6) / 300
+    speed = max(app.scene.radius, 1e-6) / 300
     changed = False
     moved = widgets.vector("Move", form.translation, speed, "World units along x, y, z.")
     if moved is not None:
@@ -258,7 +255,7 @@ def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2)
     else:
         x, y, z = (new[:3, 3] - centre).tolist()
         form.translation = (x, y, z)
-    app.post(lambda app: preview(app.session) if app.session else None)
+    post_edit(app, preview)
 
 
 def upright(app: AppState, session: EditSession) -> None:
@@ -284,9 +281,10 @@ def upright(app: AppState, session: EditSession) -> None:
 def orient(app: AppState, up: Place) -> None:
     """Turns what is shown about its middle until `up` points up."""
     found = bounds(app)
-    if app.session is not None and found is not None:
+    session = session_of(app)
+    if session is not None and found is not None:
         x, y, z = found[0].tolist()
-        app.session.apply(Orient(up=up, pivot=(x, y, z)))
+        session.apply(Orient(up=up, pivot=(x, y, z)))
 
 
 SECTIONS: tuple[tuple[str, bool, Callable[[AppState, EditSession], None]], ...] = (
@@ -315,14 +313,14 @@ TOOLS: tuple[tuple[str, ToolName], ...] = (
 
 
 def show(app: AppState) -> None:
-    session = app.session
-    if not app.can_edit:
+    session = session_of(app)
+    if not can_edit(app):
         widgets.note("Open a scene to edit it.")
         return
     toolbar(app, session)
-    training = None if app.at_rest else app.training
+    training = None if at_rest(app) else app.find(LiveTraining)
     if training is not None:
-        rules.show_rules(app, training)
+        recipe.show_rules(app, training)
     if session is not None:
         job(app, session)
         for title, opened, contents in SECTIONS:
@@ -338,7 +336,7 @@ def show(app: AppState) -> None:
                 imgui.pop_id()
     if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
         imgui.push_id(RULES)
-        rules.in_force(app, training)
+        recipe.in_force(app, training)
         imgui.pop_id()
 
 
@@ -350,7 +348,7 @@ def toolbar(app: AppState, session: EditSession | None) -> None:
         chosen = session is not None and session.tool == tool
         if chosen:
             imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))
-        widgets.action_button(app, name, f"tool_{tool}")
+        widgets.command_button(app, name, f"tool_{tool}")
         if chosen:
             imgui.pop_style_color()
     if session is not None and session.tool != "none":
@@ -363,4 +361,4 @@ def job(app: AppState, session: EditSession) -> None:
         return
     imgui.progress_bar(session.job.progress, (-imgui.get_font_size() * 5, 0), session.job.title)
     imgui.same_line()
-    widgets.action_button(app, "Cancel", "cancel")
+    widgets.command_button(app, "Cancel", "cancel")

@@ -14,33 +14,13 @@ from splatview.viewer.panels import widgets
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.state import AppState
 
-# ---- What the Effects panel asks for, run between two frames.
-
-
-def measure(app: AppState) -> None:
-    """Begins to price the effects in the view that is seen."""
-    app.effects.measure(app)
-
-
-def cancel(app: AppState) -> None:
-    app.effects.cancel()
-
-
-def switch(app: AppState, name: str, on: bool) -> None:
-    app.effects.switch(app, name, on)
-
-
-def as_called_for(app: AppState) -> None:
-    app.effects.as_called_for(app)
-
-
 EDIT_EFFECTS = ("hidden splats", "crop", "adjusted splats", "colour grade")
-"""Of the census: those whose price is that of the edits together."""
+"""Effects whose price is that of the edits together."""
 
 
 def show(app: AppState) -> None:
-    effects = app.effects
-    if app.scene is None:
+    effects = app.feature(Effects)
+    if not app.is_open:
         widgets.note("Open a scene to see which effects it calls for.")
         return
     if app.examination is None or not app.examination.done:
@@ -67,17 +47,21 @@ def tools(app: AppState, effects: Effects) -> None:
             f"{again}###measure effects",
             "Draws this view with each effect the other way, beside the picture as it is, for some seconds, "
             "and tells the difference in time.",
-            partial(app.post, measure),
+            partial(app.post, effects.measure),
         )
     else:
         imgui.progress_bar(pricing.progress, (-imgui.get_font_size() * 5, 0), pricing.text)
         imgui.same_line()
-        widgets.button("Cancel###cancel effects", "Ends measuring.", partial(app.post, cancel))
+        widgets.button(
+            "Cancel###cancel effects",
+            "Ends measuring.",
+            partial(app.post, lambda app: effects.cancel_measuring()),
+        )
     if effects.overridden(app):
         widgets.button(
             "As the scene calls for###as called for",
             "Takes all switches back.",
-            partial(app.post, as_called_for),
+            partial(app.post, effects.as_called_for),
         )
 
 
@@ -89,7 +73,7 @@ def row(app: AppState, effects: Effects, effect: Effect) -> None:
         changed, on = imgui.checkbox(f"##{effect.name}", effect.in_force)
         widgets.tooltip("Computed or not, whatever the scene calls for.")
         if changed:
-            app.post(switch, effect.name, on)
+            app.post(effects.switch, effect.name, on)
     else:
         imgui.align_text_to_frame_padding()
         colour = ImVec4(*theme.ACCENT, 1) if effect.in_force else theme.QUIET

@@ -1,46 +1,43 @@
-"""The steps so far: undo, redo, and any of them on a click."""
+"""The History panel: undo, redo, every step on a click; and the offer to restore unsaved edits."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from imgui_bundle import ImVec2, imgui
 
+from splatview.edit.journal import AbandonedJournal
 from splatview.viewer import theme
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.editing import commands
-from splatview.viewer.editing.files import described
-from splatview.viewer.editing.files import restore as restore_journal
+from splatview.viewer.editing.files import Restoring, described, restore
+from splatview.viewer.editing.session import can_edit, session_of
+from splatview.viewer.editing.target import NO_WAY_BACK
 from splatview.viewer.panels import widgets
-from splatview.viewer.training.live_edits import NO_WAY_BACK
-
-if TYPE_CHECKING:
-    from splatview.edit.journal import AbandonedJournal
-    from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState
 
 
 def show(app: AppState) -> None:
-    session = app.session
+    session = session_of(app)
     if session is None:
-        widgets.note("Nothing is held: take a tool first." if app.can_edit else "Nothing is open.")
+        widgets.note("Nothing is held: take a tool first." if can_edit(app) else "Nothing is open.")
         return
     history = session.document.history
-    if session.target is not None:
+    if not session.target.at_rest:
         widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
     imgui.begin_disabled(not history.can_undo)
-    widgets.action_button(app, "Undo", "undo")
+    widgets.command_button(app, "Undo", "undo")
     imgui.end_disabled()
     imgui.same_line()
     imgui.begin_disabled(not history.can_redo)
-    widgets.action_button(app, "Redo", "redo")
+    widgets.command_button(app, "Redo", "redo")
     imgui.end_disabled()
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
     used = f"{number}, {memory(history.nbytes)}"
     widgets.beside(used)
     imgui.text_colored(theme.QUIET, used)
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
-    if app.at_rest:
+    if session.target.at_rest:
         for number, (name, action) in enumerate(
             (
                 ("Export...", "export"),
@@ -50,7 +47,7 @@ def show(app: AppState) -> None:
         ):
             if number:
                 widgets.beside(name)
-            widgets.action_button(app, name, action)
+            widgets.command_button(app, name, action)
     imgui.begin_child("##steps", ImVec2(0, 0))
     steps = ["As opened", *(step.title for step in history.steps)]
     for position, title in enumerate(steps):
@@ -73,16 +70,15 @@ def memory(size: int) -> str:
     return f"{size / 1024:.0f} KiB" if size < 1 << 20 else f"{size / (1 << 20):.1f} MiB"
 
 
-# ---- The offer to go on with edits that an earlier window left in no file.
-
-
 def show_restore(app: AppState) -> None:
-    if app.dialog != "restore" or not app.abandoned:
+    """The offer to restore edits that an earlier window left in no file."""
+    restoring = app.feature(Restoring)
+    if app.dialog != "restore" or not restoring.abandoned:
         return
     centred(34)
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
-    for journal in tuple(app.abandoned):
+    for journal in tuple(restoring.abandoned):
         imgui.push_id(str(journal.file))
         widgets.button(
             "Restore", "Opens the scene and does its steps again.", partial(_restore, app, journal)
@@ -95,18 +91,18 @@ def show_restore(app: AppState) -> None:
         imgui.pop_id()
     widgets.button("Later", "Asks again at the next start.", partial(_close, app))
     imgui.end()
-    if not opened or not app.abandoned:
+    if not opened or not restoring.abandoned:
         app.dialog = None
 
 
 def _restore(app: AppState, journal: AbandonedJournal) -> None:
     _close(app)
-    app.post(partial(restore_journal, journal=journal))
+    app.post(partial(restore, journal=journal))
 
 
 def _discard(app: AppState, journal: AbandonedJournal) -> None:
     journal.discard()
-    app.abandoned.remove(journal)
+    app.feature(Restoring).abandoned.remove(journal)
 
 
 def _close(app: AppState) -> None:

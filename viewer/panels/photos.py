@@ -1,4 +1,4 @@
-"""The photos of a training: which are trained on, which are held out and how they score."""
+"""The Photos and Compare panels: photos of a training with their scores, and one beside the scene."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ from splatview.viewer import theme
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
-from splatview.viewer.training.comparison import Wish, shrink_for
+from splatview.viewer.training.comparison import ComparisonRequest, shrink_for
 from splatview.viewer.training.live import LiveTraining, viewer_threads
 
 
-def show(app: AppState) -> None:
-    training = app.training
-    if training is None:
-        return
+def show(app: AppState, training: LiveTraining) -> None:
     widgets.button(
         "Go to this camera",
         "Looks from where the chosen photo was taken. A double click on a photo does it, too.",
@@ -33,12 +30,10 @@ def show(app: AppState) -> None:
     if any(photo.held_out for photo in training.photos):
         imgui.same_line()
         widgets.button("Measure", "Scores the held-out photos now.", partial(app.post, actions.evaluate))
-    table(app)
+    table(app, training)
 
 
-def table(app: AppState) -> None:
-    training = app.training
-    assert training is not None
+def table(app: AppState, training: LiveTraining) -> None:
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_stretch_prop
     if not imgui.begin_table("photos", 3, flags):
         return
@@ -71,21 +66,16 @@ def table(app: AppState) -> None:
     imgui.end_table()
 
 
-# ---- A photo beside what the scene shows from its camera, and where the two differ.
-
-
 TITLES = ("Photo", "Scene", "Difference")
 
 GAINS = (1.0, 20.0)
 
 LENS_SHARE = 1 / 6
-"""Of a picture's width, that the magnifying tooltip shows."""
+"""Share of a picture's width that the magnifying tooltip shows."""
 
 
-def show_comparison(app: AppState) -> None:
-    training = app.training
-    if training is None:
-        return
+def show_comparison(app: AppState, training: LiveTraining) -> None:
+    """The chosen photo beside the scene from its camera, and their difference."""
     tools(app, training)
     comparison = training.comparer.latest
     room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing
@@ -93,8 +83,8 @@ def show_comparison(app: AppState) -> None:
     width = (room.x - 2 * spacing.x) / 3
     width = max(min(width, room.y * camera.width / camera.height), 16.0)
     height = width * camera.height / camera.width
-    want(app, training, width, height)
-    if comparison is None or comparison.wish.shot is not training.photo.shot:
+    request(app, training, width, height)
+    if comparison is None or comparison.request.shot is not training.photo.shot:
         widgets.note(training.comparer.problem or "Drawing...")
         return
     textures = training.pictures.of(comparison)
@@ -141,7 +131,7 @@ def tools(app: AppState, training: LiveTraining) -> None:
     imgui.same_line()
     comparison = training.comparer.latest
     score = ""
-    if comparison is not None and comparison.wish.shot is training.photo.shot:
+    if comparison is not None and comparison.request.shot is training.photo.shot:
         height, width = comparison.photo.shape[:2]
         score = f"   {comparison.psnr:.2f} dB at {width} x {height}"
     imgui.text_unformatted(
@@ -157,20 +147,20 @@ def tools(app: AppState, training: LiveTraining) -> None:
         training.gain = min(max(gain, GAINS[0]), GAINS[1])
 
 
-def want(app: AppState, training: LiveTraining, width: float, height: float) -> None:
+def request(app: AppState, training: LiveTraining, width: float, height: float) -> None:
     """Asks for the pictures in the size in which they are seen."""
     if training.shown is None:
         return
     camera, scale = training.photo.camera, imgui.get_io().display_framebuffer_scale
-    training.comparer.want(
-        Wish(
+    training.comparer.threads = viewer_threads(app.preferences.training_share, training.thread.cores)
+    training.comparer.request(
+        ComparisonRequest(
             shot=training.photo.shot,
             gaussians=training.shown.gaussians,
             settings=training.settings,
             shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
             gain=training.gain,
-        ),
-        viewer_threads(app.preferences.training_share, training.thread.cores),
+        )
     )
 
 

@@ -1,4 +1,4 @@
-"""The recipe of a training, below its controls: what may be changed on the way, and what was decided."""
+"""The recipe of a training and the rules of its edits: settings to change on the way, and those decided."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from splatview.scene.edits import Crop
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import theme
+from splatview.viewer.editing.session import Editing, session_of
+from splatview.viewer.editing.target import NO_WAY_BACK
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
-from splatview.viewer.training import live_edits as held
 from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.training.live_edits import Rule, frozen_target, in_use
 
 DEFAULTS = TrainSettings()
 
 STRATEGIES = {"mcmc": "MCMC", "classic": "Classic"}
 
 
-def show(app: AppState) -> None:
-    if app.training is None:
-        return
-    status = app.training.status
+def show(app: AppState, training: LiveTraining) -> None:
+    status = training.status
     settings = status.settings
     length(app, settings)
     factor = widgets.slider(
@@ -58,25 +58,23 @@ def show(app: AppState) -> None:
     imgui.spacing()
     widgets.fact("Strategy", STRATEGIES[settings.strategy], "How splats are born and die.")
     widgets.fact("Seed", str(settings.seed), "Of all that is random.")
-    first = app.training.photos[0].camera
-    held_out = sum(photo.held_out for photo in app.training.photos)
-    widgets.fact("Photos", f"{len(app.training.photos) - held_out} + {held_out} held out")
+    first = training.photos[0].camera
+    held_out = sum(photo.held_out for photo in training.photos)
+    widgets.fact("Photos", f"{len(training.photos) - held_out} + {held_out} held out")
     widgets.fact("First photo", f"{first.width} x {first.height} px", "After downscaling.")
     red, green, blue = settings.background
     widgets.fact("Background", f"{red:.2f}, {green:.2f}, {blue:.2f}", "Behind the scene, RGB.")
     widgets.fact("Loss", f"{1 - settings.ssim_weight:g} L1 + {settings.ssim_weight:g} (1 - SSIM)")
     widgets.section("Effects")
-    effects(app)
+    effects(training)
 
 
-def effects(app: AppState) -> None:
-    """What the run computes, decided from the capture; the evidence on demand."""
-    if app.training is None:
-        return
-    for effect in app.training.thread.effects:
+def effects(training: LiveTraining) -> None:
+    """Effects that the run computes, decided from the capture; the evidence is in the tooltips."""
+    for effect in training.thread.effects:
         on = effect.in_force
         if effect.name == "SH bands":
-            on = app.training.status.sh_degree > 0
+            on = training.status.sh_degree > 0
         imgui.text_colored(ImVec4(*theme.ACCENT, 1) if on else theme.QUIET, "on" if on else "off")
         imgui.same_line(imgui.get_font_size() * 2.6)
         imgui.text(effect.name)
@@ -125,9 +123,6 @@ def set_position_rate(app: AppState, factor: float) -> None:
     )
 
 
-# ---- The part of the Edit panel that is about training: whether the view waits, and the rules in force.
-
-
 WHICH = (
     "Delete, clean-up and crops act on the training. Hiding and locking only help to choose. Everything else "
     "(moving, colours, merging, recipes) is for scenes at rest."
@@ -136,11 +131,12 @@ WHICH = (
 
 def waiting_note(app: AppState) -> str:
     """Why the view does not follow the training; "" where it does."""
-    session = app.session
-    if session is None or session.target is None or not held.engaged(session):
+    session, training = session_of(app), app.find(LiveTraining)
+    target = frozen_target(session)
+    if session is None or target is None or not in_use(session):
         return ""
-    step = f"{session.target.snapshot.iteration:,}"
-    goes_on = app.training is not None and app.training.status.state == "training"
+    step = f"{target.snapshot.iteration:,}"
+    goes_on = training is not None and training.status.state == "training"
     begin = "Training goes on; the view" if goes_on else "The view"
     counts = session.document.counts
     why = (
@@ -163,24 +159,24 @@ def show_rules(app: AppState, training: LiveTraining) -> None:
         widgets.button(
             f"{icons.ICON_FA_PLAY}  Let go###let go",
             "Puts the tool away, selects nothing, and shows the training as it goes on (Esc).",
-            partial(app.post, held.let_go),
+            partial(app.post, training.editor.release),
         )
     else:
         widgets.note("Take a tool to choose splats: the view then waits, and training goes on.")
         widgets.button(
             f"{icons.ICON_FA_PAUSE}  Hold the view###hold",
             "Stays with this moment of the training, for all that the panel can do.",
-            partial(app.post, held.keep_waiting),
+            partial(app.post, training.editor.pin),
         )
     imgui.same_line()
     imgui.text_colored(theme.QUIET, icons.ICON_FA_CIRCLE_QUESTION)
-    widgets.tooltip(f"{WHICH} {held.NO_WAY_BACK}; rules can be removed below.")
+    widgets.tooltip(f"{WHICH} {NO_WAY_BACK}; rules can be removed below.")
 
 
 def in_force(app: AppState, training: LiveTraining) -> None:
     """The list of rules, each with a way out. The one under the mouse is drawn on the picture."""
     settings = training.status.settings
-    training.pointed = ()
+    app.feature(Editing).outlined = ()
     if not settings.cut and not settings.no_growth:
         widgets.note("None yet: add a crop and let it cut, or let nothing grow in it.")
         return
@@ -193,13 +189,13 @@ def in_force(app: AppState, training: LiveTraining) -> None:
 
 
 def _row(
-    app: AppState, training: LiveTraining, kind: held.Rule, number: int, crops: tuple[Crop, ...], text: str
+    app: AppState, training: LiveTraining, kind: Rule, number: int, crops: tuple[Crop, ...], text: str
 ) -> None:
     imgui.push_id(f"{kind} {number}")
     widgets.button(
         f"{icons.ICON_FA_XMARK}###remove",
         "Removes this rule. What it took out comes back only by training.",
-        partial(app.post, held.remove_rule, kind, number),
+        partial(app.post, training.editor.remove_rule, kind, number),
     )
     pointed = imgui.is_item_hovered()
     imgui.same_line()
@@ -207,7 +203,7 @@ def _row(
     imgui.text(text)
     widgets.tooltip("; ".join(described(crop) for crop in crops))
     if pointed or imgui.is_item_hovered():
-        training.pointed = crops
+        app.feature(Editing).outlined = crops
     imgui.pop_id()
 
 

@@ -1,4 +1,4 @@
-"""How the picture is made: what is shown, the image model's knobs, the background."""
+"""The Picture panel: visual mode, background, image model."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from typing import get_args
 
 from imgui_bundle import ImVec4, imgui
 
-from splatview.scene.image_model import BLUR, DISC_BLUR, ImageModel
+from splatview.renderers import MODES
+from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
-from splatview.viewer.commands import VISUAL_MODES, set_mode
+from splatview.viewer.commands import set_mode
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES, BackgroundKind
 from splatview.viewer.state import AppState
-
-# ---- What is behind the scene: one colour, a sky over a ground, or a picture all around.
-
 
 COLOURS = (
     ("Black", (0.0, 0.0, 0.0)),
@@ -84,22 +82,13 @@ def colour(app: AppState, name: str, preference: str, tip: str) -> None:
         app.prefer(**{preference: (r, g, b)})
 
 
-MODE_NAMES = {
-    "splats": "Splats",
-    "points": "Points",
-    "ellipsoids": "Ellipsoids",
-    "depth": "Depth",
-    "overdraw": "Overdraw",
-}
-MODE_TIP = (
-    "What is drawn for each splat. Splats: the picture itself. Points: centres only, to see structure. "
-    "Ellipsoids: solid bodies, to see needles and discs. Depth: near is bright. "
-    "Overdraw: how many splats each pixel costs, to see where time goes."
+MODE_TIP = "What is drawn for each splat. " + " ".join(
+    f"{mode.label}: {mode.explanation}." for mode in MODES.values()
 )
 
 
 def show(app: AppState) -> None:
-    mode = widgets.combo("Show", app.mode, VISUAL_MODES, MODE_TIP, [MODE_NAMES[m] for m in VISUAL_MODES])
+    mode = widgets.combo("Show", app.mode, tuple(MODES), MODE_TIP, [mode.label for mode in MODES.values()])
     if mode is not None:
         app.post(set_mode, mode)
     sh_degree(app)
@@ -120,7 +109,7 @@ def show(app: AppState) -> None:
 
 
 def sh_degree(app: AppState) -> None:
-    stored = app.scene.gaussians.sh_degree if app.scene else 3
+    stored = app.scene.gaussians.sh_degree if app.is_open else 3
     choices = ["all", *(str(degree) for degree in range(stored + 1))]
     names = [f"All stored ({stored})", "0: constant colour", "1", "2", "3"][: len(choices)]
     now = app.settings.sh_degree
@@ -188,7 +177,7 @@ def image_model(app: AppState) -> None:
     )
     if blend is not None:
         app.prefer(blend=blend)
-    called_for = app.scene.settings.model if app.scene else ImageModel()
+    called_for = app.scene.settings.model
     if app.settings.model != called_for:
         widgets.button(
             "As the scene calls for",

@@ -1,4 +1,4 @@
-"""What is open: its files, size, what its effects are and what is ill in it."""
+"""The Scene panel: files and size of the open scene, its effects, and its health."""
 
 from __future__ import annotations
 
@@ -10,34 +10,35 @@ from imgui_bundle import imgui
 from splatview.edit.impact import NO_LOSS, in_words
 from splatview.edit.operations import Select
 from splatview.edit.operations.cleanup import REPAIRS, Repair
-from splatview.edit.selectors import IllSplats
+from splatview.edit.selectors import InvalidSplats
 from splatview.scene.health import Finding
 from splatview.viewer import theme
-from splatview.viewer.editing import cleanup as repairing
+from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.commands import apply
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.loading import Examination
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.clean import quality
+from splatview.viewer.quality.effects import Effects
 from splatview.viewer.state import AppState
-
-# ---- What is ill in the scene: a click selects it, a button repairs it, and says before what that costs.
 
 
 def show_health(app: AppState, findings: Sequence[Finding]) -> None:
-    """Those that concern any splat, of the scene as edits have made it, what they hide or delete included."""
+    """Findings of the health check, hidden and deleted splats included: a click selects the splats, a button
+    repairs them, and says before what that costs."""
     widgets.section("Health")
-    ill = [finding for finding in findings if finding.count]
-    if not ill:
-        widgets.note("No splat is ill.")
-    prices = repairing.prices(app)
+    found = [finding for finding in findings if finding.count]
+    if not found:
+        widgets.note("No splat is invalid.")
+    prices = cleanup.repair_prices(app)
     size = imgui.get_font_size()
-    for finding in ill:
+    for finding in found:
         imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
         imgui.same_line(size * 4)
         clicked, _ = imgui.selectable(finding.name, False)
         widgets.tooltip(f"{finding.what} Click to select them.")
         if clicked:
-            app.post(partial(apply, operation=Select(by=IllSplats(finding=finding.name))))
+            app.post(partial(apply, operation=Select(by=InvalidSplats(finding=finding.name))))
         if finding.name not in REPAIRS:
             continue
         # On a line of its own, which a narrow panel holds too.
@@ -51,28 +52,28 @@ def show_health(app: AppState, findings: Sequence[Finding]) -> None:
             worst = "no change" if price.worst >= NO_LOSS else f"{price.worst:.0f} dB"
             imgui.text_colored(quality(price), worst)
             widgets.tooltip(f"The repair: {in_words(price)}. Above 45 dB nobody sees a difference.")
-    names = [finding.name for finding in ill if finding.name in REPAIRS]
-    if names and not prices and app.session is not None:
+    names = [finding.name for finding in found if finding.name in REPAIRS]
+    if names and not prices and session_of(app) is not None:
         widgets.button(
             "What would repairs cost?",
-            f"Draws {repairing.VIEWS} views as they are and with each repair, and compares.",
-            partial(app.post, partial(repairing.measure, names=names)),
+            f"Draws {cleanup.VIEWS} views as they are and with each repair, and compares.",
+            partial(app.post, partial(cleanup.measure_repairs, names=names)),
             width=-1,
         )
 
 
 def show(app: AppState) -> None:
     scene = app.scene
-    if scene is None:
+    if not app.is_open:
         widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
-        widgets.action_button(app, "Open...", "open")
+        widgets.command_button(app, "Open...", "open")
         return
     gaussians = scene.gaussians
     for path in scene.paths:
         widgets.fact("File", path.name, str(path))
     if not scene.paths:
         widgets.fact("Scene", scene.name, "Made by the program itself; open a file to replace it.")
-    widgets.fact("Splats", f"{len(gaussians):,}", "Gaussians in the scene, ill ones included.")
+    widgets.fact("Splats", f"{len(gaussians):,}", "Gaussians in the scene, invalid ones included.")
     widgets.fact(
         "SH degree", str(gaussians.sh_degree), "Highest band of view-dependent colour that is stored."
     )
@@ -97,11 +98,11 @@ def show(app: AppState) -> None:
 
 
 def examination(app: AppState, found: Examination) -> None:
-    """How many effects are computed, and splats that are ill: a click selects them."""
+    """The number of effects computed, and the health of the splats."""
     if not found.done:
         widgets.note("Looking at the splats...")
         return
-    receipt = app.effects.receipt(app)
+    receipt = app.feature(Effects).receipt(app)
     on = sum(effect.in_force for effect in receipt)
     tip = "The Effects panel tells which, why, and at which price."
     widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)

@@ -1,4 +1,4 @@
-"""Choosing splats: tools, words for the selection, and a range on a histogram."""
+"""The Select section: commands on the selection, options of the tools, and a range of an attribute."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 
 from splatview.edit.operations import Select
-from splatview.edit.progress import Watch
 from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
 from splatview.scene.edits import DELETED, HIDDEN
+from splatview.scene.progress import Progress
 from splatview.viewer import theme
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import EditSession, post_edit
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 
@@ -38,25 +38,25 @@ def show(app: AppState, session: EditSession) -> None:
     for number, (name, action) in enumerate(zip(words, actions, strict=True)):
         if number:
             widgets.beside(name)
-        widgets.action_button(app, name, action)
+        widgets.command_button(app, name, action)
     for number, (name, action) in enumerate(
         (("Delete", "delete"), ("Hide", "hide"), ("Isolate", "isolate"), ("Lock", "lock"))
     ):
         if number:
             widgets.beside(name)
-        widgets.action_button(app, name, action)
+        widgets.command_button(app, name, action)
     if counts.hidden:
-        widgets.action_button(app, "Show hidden", "show")
+        widgets.command_button(app, "Show hidden", "show")
     if counts.locked:
         if counts.hidden:
             widgets.beside("Unlock all")
-        widgets.action_button(app, "Unlock all", "unlock")
+        widgets.command_button(app, "Unlock all", "unlock")
     options(session)
     by_range(app, session)
 
 
 def options(session: EditSession) -> None:
-    """Of the screen tools."""
+    """Options of the screen tools."""
     front = widgets.checkbox(
         "Front only",
         session.depth == "front",
@@ -83,7 +83,7 @@ def options(session: EditSession) -> None:
 
 
 def by_range(app: AppState, session: EditSession) -> None:
-    """A histogram of one attribute; the shaded range lights up on the picture as it is dragged."""
+    """A histogram of one attribute; the shaded range is highlighted on the picture as it is dragged."""
     form = session.forms.range
     names = tuple(ATTRIBUTES)
     chosen = widgets.combo(
@@ -120,8 +120,8 @@ def measure(session: EditSession) -> None:
     gaussians, edits, tools = document.gaussians, document.edits, document.tools
     fresh = form.histogram is None
 
-    def work(watch: Watch):
-        watch.step(0.0)
+    def work(progress: Progress):
+        progress.step(0.0)
         values = attribute_values(name, gaussians, edits, tools)
         seen = (edits.marks & (DELETED | HIDDEN)) == 0
         span = usual_span(values, seen)
@@ -139,7 +139,7 @@ def measure(session: EditSession) -> None:
             form.low, form.high = float(edges[0]), float(edges[len(edges) // 10])
 
     asked = ATTRIBUTES[name].renders
-    session.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, gives_way=not asked)
+    session.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, yields=not asked)
 
 
 def plot(session: EditSession) -> None:
@@ -172,12 +172,12 @@ def plot(session: EditSession) -> None:
         if changed:
             setattr(form, end, float(value))
             form.low, form.high = min(form.low, form.high), max(form.low, form.high)
-            light_up(session)
+            highlight_range(session)
     implot.end_plot()
 
 
-def light_up(session: EditSession) -> None:
-    """Shows on the picture what the range holds."""
+def highlight_range(session: EditSession) -> None:
+    """Highlights the splats in the range on the picture."""
     form = session.forms.range
     if form.values is not None:
         mask = AttributeRange(attribute=form.attribute, low=form.low, high=form.high).of(form.values)
@@ -192,7 +192,7 @@ def selecting(app: AppState, session: EditSession) -> None:
         changed, value = imgui.input_double(f"##{end}", getattr(form, end), 0.0, 0.0, "%.6g")
         if changed and np.isfinite(value):
             setattr(form, end, float(value))
-            light_up(session)
+            highlight_range(session)
     if session.preview_mask is not None:
         widgets.note(f"{int(np.count_nonzero(session.preview_mask)):,} splats are in this range.")
     io = imgui.get_io()
@@ -201,16 +201,14 @@ def selecting(app: AppState, session: EditSession) -> None:
     if imgui.button(words[mode]) and form.low <= form.high:
         by = AttributeRange(attribute=form.attribute, low=form.low, high=form.high)
         session.preview_mask = None
-        app.post(_apply, Select(by=by, mode=mode))
+        post_edit(app, _apply, Select(by=by, mode=mode))
     widgets.tooltip(
         "Hold Shift to add to the selection, Ctrl to remove from it, both to keep what is common."
     )
 
 
-def _apply(app: AppState, operation: Select) -> None:
-    if app.session is None:
-        return
+def _apply(session: EditSession, operation: Select) -> None:
     if ATTRIBUTES[operation.by.attribute].renders:
-        app.session.apply_slowly(operation, "Selecting")
+        session.apply_slowly(operation, "Selecting")
     else:
-        app.session.apply(operation)
+        session.apply(operation)

@@ -6,10 +6,11 @@ import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.viewer import theme
+from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
 REACH = 0.5
-"""Of a line of text: so near to the line the mouse takes hold of it."""
+"""Distance in font heights within which the mouse takes hold of the line."""
 
 LEFT_NAME = "exact"
 RIGHT_NAMES = {"chosen": "chosen", "signed": "signed difference", "perceptual": "what an eye notices"}
@@ -17,7 +18,7 @@ RIGHT_NAMES = {"chosen": "chosen", "signed": "signed difference", "perceptual": 
 
 def drag_line(app: AppState, corner: ImVec2, width: int) -> bool:
     """Moves the line; to be called after the picture's button. Whether the mouse is the line's."""
-    comparing = app.accuracy.comparing
+    comparing = app.feature(Accuracy).comparing
     if comparing.right == "off":
         return False
     mouse, place = imgui.get_mouse_pos(), corner.x + comparing.line * width
@@ -34,10 +35,11 @@ def drag_line(app: AppState, corner: ImVec2, width: int) -> bool:
 
 def draw_split(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     """Over the picture just drawn: both sides where this view has been compared, and the line."""
-    comparing = app.accuracy.comparing
+    accuracy = app.feature(Accuracy)
+    comparing = accuracy.comparing
     if comparing.right == "off":
         return
-    compared = comparing.want(app, app.accuracy.wake)
+    compared = comparing.want(app, accuracy.plan(app), accuracy.wake)
     draw, place = imgui.get_window_draw_list(), comparing.line
     middle, low = corner.x + place * width, corner.y + height
     if compared is not None and app.picture is not None:
@@ -82,8 +84,8 @@ def caption(text: str, low: ImVec2, colour: ImVec4 | None = None) -> None:
 
 
 def badges(app: AppState, at: ImVec2) -> None:
-    """What the picture leaves out by the user's choice or the budget's, upwards from `at`."""
-    accuracy = app.accuracy
+    """Badges of the shortcuts in force, chosen or by the budget, upwards from `at`."""
+    accuracy = app.feature(Accuracy)
     lines = []
     if accuracy.note:
         lines.append((f"moving: {accuracy.note}", theme.QUIET))
@@ -96,8 +98,8 @@ def badges(app: AppState, at: ImVec2) -> None:
 
 
 def present_error(app: AppState) -> str:
-    """Of the shortcut taken, where there is one and it was measured; of several no sum would be true."""
-    accuracy = app.accuracy
+    """Error of the shortcut taken, where it is the only one and was measured."""
+    accuracy = app.feature(Accuracy)
     if accuracy.ladder is None or len(accuracy.choices) != 1:
         return ""
     ((name, value),) = accuracy.choices.items()

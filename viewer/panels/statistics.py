@@ -1,4 +1,4 @@
-"""What a frame costs and what draws it."""
+"""The Statistics and Messages panels."""
 
 from __future__ import annotations
 
@@ -69,10 +69,8 @@ def history(app: AppState) -> None:
     widgets.tooltip(f"Milliseconds of the last {len(times)} drawn frames")
 
 
-# ---- What the program has said, newest at the bottom.
-
-
 def show_messages(app: AppState) -> None:
+    """All messages, the newest at the bottom."""
     if not app.messages:
         widgets.note("Nothing to report.")
         return

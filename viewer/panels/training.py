@@ -1,23 +1,29 @@
-"""The panel that runs a training: its state, buttons, numbers, and its share of the machine."""
+"""The Training and Curves panels: state, buttons, numbers, share of the cores, loss and PSNR so far."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 
-from imgui_bundle import ImVec4, imgui
+import numpy as np
+from imgui_bundle import ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.trainer.background import Status, pace_of
 from splatview.viewer import theme
 from splatview.viewer.commands import keys_of
-from splatview.viewer.panels import curves, recipe, widgets
-from splatview.viewer.panels import photos as compare
-from splatview.viewer.panels import photos as photo_list
+from splatview.viewer.panels import photos, recipe, widgets
 from splatview.viewer.preferences import RANGES, TrainingUpdates
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training.live import LiveTraining, viewer_threads
+
+SMOOTHED = 60
+"""The bright line of the loss is a mean over this share of the curve: photos differ, so steps jump."""
+
+LOSS = ImVec4(0.93, 0.62, 0.33, 1)
+SCORE = ImVec4(0.45, 0.80, 0.50, 1)
+COUNT = ImVec4(*theme.ACCENT, 1)
 
 RUNNING = ImVec4(0.45, 0.80, 0.50, 1)
 
@@ -31,10 +37,7 @@ STATES = {
 UPDATES: dict[TrainingUpdates, str] = {"off": "Off", "low": "Low", "live": "Live"}
 
 
-def show(app: AppState) -> None:
-    training = app.training
-    if training is None:
-        return
+def show(app: AppState, training: LiveTraining) -> None:
     status = training.status
     headline(status)
     buttons(app, status)
@@ -53,7 +56,7 @@ def show(app: AppState) -> None:
     widgets.section("Keep")
     keep(app, training, status)
     widgets.section("Recipe")
-    recipe.show(app)
+    recipe.show(app, training)
 
 
 def headline(status: Status) -> None:
@@ -211,19 +214,105 @@ def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     widgets.tooltip(str(outputs.scene.resolve()))
 
 
-# ---- The panels that a window with a training has besides the usual ones.
+def show_curves(app: AppState, training: LiveTraining) -> None:
+    """Loss, PSNR of the held-out photos, and number of splats, over steps or seconds."""
+    imgui.align_text_to_frame_padding()
+    imgui.text_colored(theme.QUIET, "Over")
+    imgui.same_line()
+    if imgui.radio_button("steps", not training.by_seconds):
+        training.by_seconds = False
+    imgui.same_line()
+    if imgui.radio_button("seconds", training.by_seconds):
+        training.by_seconds = True
+    widgets.tooltip("Seconds of training; pauses are left out.")
+    room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing.x
+    size = ((room.x - 2 * spacing) / 3, max(room.y, imgui.get_font_size() * 6))
+    over = "seconds" if training.by_seconds else "iteration"
+    loss_curve(training, over, size)
+    imgui.same_line()
+    score_curve(training, over, size)
+    imgui.same_line()
+    count_curve(training, over, size)
+
+
+def begin_curve(
+    title: str, over: str, size: tuple[float, float], points: int, *, logarithmic: bool = False
+) -> bool:
+    """Opens a plot that follows its data, empty up to two points; true where it is to be filled."""
+    flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_box_select
+    if not implot.begin_plot(title, size, flags):
+        return False
+    if points < 2:
+        bare = implot.AxisFlags_.no_decorations
+        implot.setup_axes("", "", bare, bare)
+        return True
+    fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_label
+    implot.setup_axes(over, "", fit, fit)
+    if logarithmic:
+        implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.log10)
+    return True
+
+
+def loss_curve(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
+    x, values = training.thread.history.read(over, "loss")
+    good = np.isfinite(values) & (values > 0)
+    x, values = x[good], values[good]
+    if begin_curve("Loss", over, size, len(x), logarithmic=True):
+        if len(x) > 1:
+            faint = implot.Spec(line_color=ImVec4(LOSS.x, LOSS.y, LOSS.z, 0.3))
+            implot.plot_line("loss", x, values, faint)
+            implot.plot_line("smoothed", x, smoothed(values), implot.Spec(line_color=LOSS, line_weight=2.0))
+        implot.end_plot()
+
+
+def score_curve(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
+    x, values = training.thread.evaluations.read(over, "psnr")
+    good = np.isfinite(values)
+    x, values = x[good], values[good]
+    title = f"Held-out PSNR, dB{f': {values[-1]:.2f}' if len(values) else ''}###psnr"
+    if begin_curve(title, over, size, len(x)):
+        if len(x) > 1:
+            marked = implot.Spec(
+                line_color=SCORE,
+                line_weight=2.0,
+                marker=int(implot.Marker_.circle),
+                marker_size=3,
+                marker_fill_color=SCORE,
+                marker_line_color=SCORE,
+            )
+            implot.plot_line("psnr", x, values, marked)
+        implot.end_plot()
+
+
+def count_curve(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
+    x, values = training.thread.history.read(over, "gaussians")
+    if begin_curve("Splats", over, size, len(x)):
+        if len(x) > 1:
+            implot.plot_line("splats", x, values, implot.Spec(line_color=COUNT, line_weight=2.0))
+        implot.end_plot()
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Means over SMOOTHED-ths of the curve, each ending at its point: (N,) float64."""
+    width = max(len(values) // SMOOTHED, 1)
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(ends - width, 0)
+    return (sums[ends] - sums[starts]) / (ends - starts)
 
 
 STRIP = "Strip"
-"""The dock under the picture."""
-
-PANELS: tuple[tuple[str, str, Callable[[AppState], None]], ...] = (
-    ("Training", "Upper", show),
-    ("Photos", "Lower", photo_list.show),
-    ("Curves", STRIP, curves.show),
-    ("Compare", STRIP, compare.show_comparison),
-)
-"""Name, dock and contents of each."""
+"""Dock under the picture."""
 
 FIRST = ("Training", "Photos", "Curves")
-"""What is in front of each dock when the window opens for the first time."""
+"""Panels in front of each dock when the window opens for the first time."""
+
+
+def panels(training: LiveTraining) -> tuple[tuple[str, str, Callable[[AppState], None]], ...]:
+    """Name, dock and contents of the panels that a window with a training has besides the usual ones."""
+    return (
+        ("Training", "Upper", partial(show, training=training)),
+        ("Photos", "Lower", partial(photos.show, training=training)),
+        ("Curves", STRIP, partial(show_curves, training=training)),
+        ("Compare", STRIP, partial(photos.show_comparison, training=training)),
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui
 
 from splatview.viewer import theme
-from splatview.viewer.commands import ACTIONS, keys_of, text_of
+from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.state import AppState
 
 Choice = TypeVar("Choice", bound=str)
@@ -18,10 +18,10 @@ Choice = TypeVar("Choice", bound=str)
 Triple = tuple[float, float, float]
 
 LABEL_SHARE = 0.38
-"""Of a panel's width that labels take."""
+"""Share of a panel's width for labels."""
 
 VECTOR_LABEL_SHARE = 0.25
-"""The same beside three numbers, which need the room."""
+"""Share of a panel's width for labels beside three numbers."""
 
 
 def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
@@ -36,7 +36,7 @@ def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
 
 
 def tooltip(tip: str) -> None:
-    """Of the last item, after a short rest on it."""
+    """Tooltip of the last item, after a short rest on it."""
     if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
         imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
         imgui.text_unformatted(tip)
@@ -117,12 +117,12 @@ def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
     imgui.pop_text_wrap_pos()
 
 
-def action_button(app: AppState, name: str, action: str, *, width: float = 0) -> None:
-    """A button for an action of the shortcut table; its tooltip names the key."""
+def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> None:
+    """A button that runs a command; its tooltip names the key."""
     if imgui.button(name, (width, 0)):
-        app.post(ACTIONS[action])
-    key = keys_of(action)
-    tooltip(f"{text_of(action)} ({key})" if key else text_of(action))
+        app.post(COMMANDS[id].run)
+    key = keys_of(id)
+    tooltip(f"{COMMANDS[id].title} ({key})" if key else COMMANDS[id].title)
 
 
 def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0) -> None:

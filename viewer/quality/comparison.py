@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -12,10 +11,11 @@ import numpy as np
 
 from splatview import raster
 from splatview.measure.knobs import Plan
+from splatview.measure.ladder import draw_by_path
 from splatview.measure.metrics import heat, largest_error, perceptual_map, psnr, signed_map
-from splatview.scene import Camera, Gaussians
-from splatview.scene.edits import SceneEdits
-from splatview.viewer.quality.measurement import Cancelled, Painter
+from splatview.renderers.request import FrameRequest
+from splatview.viewer.quality.measurement import Cancelled, WindowScene
+from splatview.viewer.tasks import LatestTask, Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -30,32 +30,22 @@ REST_SECONDS = 0.2
 """A view that has stayed the same for so long is compared."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Wish:
-    """What is to be compared."""
+Pair = tuple[FrameRequest, FrameRequest, float]
+"""The exact picture, the chosen one, and by how much their difference is brightened."""
 
-    gaussians: Gaussians
-    edits: SceneEdits | None
-    camera: Camera
-    exact: Plan
-    chosen: Plan
-    gain: float
 
-    def same_as(self, other: Wish | None) -> bool:
-        return (
-            other is not None
-            and self.gaussians is other.gaussians
-            and self.edits is other.edits
-            and self.camera.same_view(other.camera)
-            and (self.exact, self.chosen, self.gain) == (other.exact, other.chosen, other.gain)
-        )
+def same_pair(one: Pair | None, other: Pair | None) -> bool:
+    """Whether both give the same comparison."""
+    if one is None or other is None:
+        return False
+    return one[0].same_picture(other[0]) and one[1].same_picture(other[1]) and one[2] == other[2]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Compared:
     """Pictures (H, W, 3) uint8 of one view."""
 
-    wish: Wish
+    of: Pair
     exact: np.ndarray
     chosen: np.ndarray
     signed: np.ndarray
@@ -77,49 +67,54 @@ class Comparing:
         """Where the two sides meet, as a share of the picture's width."""
         self.gain = 8.0
         """By how much the signed difference is brightened."""
-        self.latest: Compared | None = None
-        self.problem: str | None = None
         self.dragging = False
-        self._wish: Wish | None = None
+        self._pair: Pair | None = None
         self._since = 0.0
-        self._tried: Wish | None = None
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
+        self._closed = False
+        self._wake: Callable[[], object] = lambda: None
+        self._task: LatestTask[tuple[Pair, WindowScene | None], Compared] = LatestTask(
+            self._work,
+            name="splatview-compare",
+            same=lambda one, other: same_pair(one[0], other[0]),
+            on_done=self._on_compared,
+        )
         self._textures: dict[str, moderngl.Texture] = {}
         self._uploaded: Compared | None = None
 
     @property
     def busy(self) -> bool:
-        waiting = self._wish is not None and not self._wish.same_as(self._tried)
-        return self.right != "off" and (waiting or self._thread is not None)
+        waiting = self._pair is not None and not self._task.has_tried((self._pair, None))
+        return self.right != "off" and (waiting or self._task.busy)
 
-    def want(self, app: AppState, wake: Callable[[], object]) -> Compared | None:
-        """Called every frame while it is on: the comparison of what is seen now, if there is one."""
-        if self._thread is not None and not self._thread.is_alive():
-            self._thread = None
-        if app.scene is None or app.picture is None or app.mode != "splats":
+    @property
+    def latest(self) -> Compared | None:
+        return self._task.latest
+
+    @property
+    def problem(self) -> str | None:
+        """Error of the last comparison, in one line."""
+        return self._task.problem
+
+    def want(self, app: AppState, by: Plan, wake: Callable[[], object]) -> Compared | None:
+        """Called every frame while it is on: the comparison of what is seen now with the
+        picture by the plan `by`, if there is one."""
+        self._task.collect()
+        if not app.is_open or app.picture is None or app.mode != "splats":
             return None
-        wish = Wish(
-            gaussians=app.scene.gaussians,
-            edits=app.edits,
-            camera=app.camera,
-            exact=Plan(settings=app.settings),
-            chosen=app.accuracy.plan(app),
-            gain=self.gain,
+        shown = app.scene.gaussians, app.camera
+        exact, chosen = (
+            FrameRequest.by_plan(*shown, plan, edits=app.edits) for plan in (Plan(settings=app.settings), by)
         )
+        pair = exact, chosen, self.gain
         now = app.now()
-        if not wish.same_as(self._wish):
-            self._wish, self._since = wish, now
+        if not same_pair(pair, self._pair):
+            self._pair, self._since = pair, now
         rested = now - self._since >= REST_SECONDS
-        if self._thread is None and rested and not wish.same_as(self._tried):
-            self._tried, self.problem = wish, None
-            painter = Painter(app, self._stop, wake)
-            self._thread = threading.Thread(
-                target=self._work, args=(painter, wish, wake), name="splatview-compare", daemon=True
-            )
-            self._thread.start()
+        if rested and not self._task.busy and not self._task.has_tried((pair, None)):
+            self._wake = wake
+            self._task.request((pair, WindowScene(app, lambda: self._closed, wake)))
         latest = self.latest
-        return latest if latest is not None and wish.same_as(latest.wish) else None
+        return latest if latest is not None and same_pair(pair, latest.of) else None
 
     def textures(
         self, ctx: moderngl.Context, compared: Compared
@@ -135,10 +130,8 @@ class Comparing:
         return self._textures["exact"], self._textures["chosen" if self.right == "off" else self.right]
 
     def end(self) -> None:
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        self._closed = True
+        self._task.close()
         self._release_textures()
 
     def _release_textures(self) -> None:
@@ -147,30 +140,34 @@ class Comparing:
         self._textures.clear()
         self._uploaded = None
 
-    def _work(self, painter: Painter, wish: Wish, wake: Callable[[], object]) -> None:
+    def _on_compared(self) -> None:
+        self._wake()
+
+    @staticmethod
+    def _work(request: tuple[Pair, WindowScene | None], task: Task[Compared]) -> Compared:
+        pair, scene = request
+        assert scene is not None
+        camera, plans = pair[0].camera, [each.plan for each in pair[:2]]
         try:
-            if wish.chosen.attributes == wish.exact.attributes:
-                exact = painter.draw(wish.camera, wish.exact)
+            if plans[0].attributes == plans[1].attributes:
+                exact, _ = draw_by_path(scene, camera, plans[0])
             else:  # the renderer has the rounded scene only
-                exact = raster.render(wish.gaussians, wish.camera, wish.exact.settings, edits=wish.edits)
-            chosen = exact if wish.exact == wish.chosen else painter.draw(wish.camera, wish.chosen)
-            self.latest = compare(wish, exact, chosen)
+                exact = raster.render(scene.gaussians, camera, plans[0].settings, edits=scene.edits)
+            chosen = exact if plans[0] == plans[1] else draw_by_path(scene, camera, plans[1])[0]
         except Cancelled:
-            pass
-        except Exception as error:
-            self.problem = f"{type(error).__name__}: {error}"
-        finally:
-            wake()
+            task.cancel()
+            raise
+        return compare(pair, exact, chosen)
 
 
-def compare(wish: Wish, exact: np.ndarray, chosen: np.ndarray) -> Compared:
+def compare(pair: Pair, exact: np.ndarray, chosen: np.ndarray) -> Compared:
     """Two pictures (H, W, 4) float of one view, and where they differ."""
     noticed = perceptual_map(chosen, exact)
     return Compared(
-        wish=wish,
+        of=pair,
         exact=eight_bit(exact[..., :3]),
         chosen=eight_bit(chosen[..., :3]),
-        signed=eight_bit(signed_map(chosen, exact, gain=wish.gain)),
+        signed=eight_bit(signed_map(chosen, exact, gain=pair[2])),
         perceptual=eight_bit(heat(noticed)),
         psnr=psnr(chosen, exact),
         largest=largest_error(chosen, exact),

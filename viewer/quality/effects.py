@@ -11,9 +11,10 @@ from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, settings_for
 from splatview.scene.effects.appearance import background_effect
-from splatview.scene.effects.census import edit_effects, lens_effect, redrawing_effect
 from splatview.scene.effects.overrides import as_settings_have_them, switched
+from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect
 from splatview.viewer.quality.measurement import EFFECT_SECONDS, Pricing
+from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -25,8 +26,8 @@ would be looked at in every frame."""
 
 
 @dataclass(eq=False, kw_only=True)
-class Effects:
-    """Part of the window's `AppState`; for the GL thread."""
+class Effects(Feature):
+    """Effects of the picture that is shown, and their prices; for the GL thread."""
 
     wake: Callable[[], object] = lambda: None
     """Makes an idle window draw its next frame. May be called from any thread."""
@@ -48,7 +49,7 @@ class Effects:
     def receipt(self, app: AppState) -> tuple[Effect, ...]:
         """Every effect of the picture that is shown, as far as the scene has been looked through."""
         scene, found = app.scene, app.examination
-        if scene is None or found is None or not found.done:
+        if found is None or not found.done:
             return ()
         if self._own is None or self._own[0] is not found.effects or self._own[1] != app.settings:
             own = as_settings_have_them(found.effects, scene.gaussians, app.settings)
@@ -81,12 +82,12 @@ class Effects:
 
     def switch(self, app: AppState, name: str, on: bool) -> None:
         """The user's word on an effect counts more than the census."""
-        if app.scene is not None:
+        if app.is_open:
             app.settings = switched(app.scene.gaussians, app.settings, name, on)
 
     def as_called_for(self, app: AppState) -> None:
         """Takes all switches back."""
-        if app.scene is not None:
+        if app.is_open:
             wanted = settings_for(app.scene.gaussians)
             app.settings = replace(
                 app.settings,
@@ -100,23 +101,22 @@ class Effects:
         if self.pricing is None and receipt and app.picture is not None:
             self.pricing = Pricing(app, receipt, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
-    def cancel(self) -> None:
+    def cancel_measuring(self) -> None:
         if self.pricing is not None:
             self.pricing.cancel()
 
     # ---- between two frames
 
-    @property
-    def waiting(self) -> bool:
+    def busy(self, app: AppState) -> bool:
         return self.pricing is not None
 
-    def advance(self, app: AppState) -> None:
+    def before_frame(self, app: AppState) -> None:
         """Takes over what was measured."""
         self._cameras = self._cameras[1], app.camera
-        gaussians = app.scene.gaussians if app.scene else None
+        gaussians = app.scene.gaussians
         if self._priced is not gaussians:
             self._priced, self.prices = gaussians, {}
-            self.cancel()
+            self.cancel_measuring()
         pricing = self.pricing
         if pricing is None or not pricing.done:
             return
@@ -127,8 +127,7 @@ class Effects:
             self.prices = pricing.prices
             app.tell(f"Prices of {len(self.prices)} effects measured in this view")
 
-    def end(self) -> None:
-        """The window closes."""
+    def close(self, app: AppState) -> None:
         if self.pricing is not None:
             self.pricing.cancel()
             self.pricing.join()

@@ -1,9 +1,14 @@
-"""The ladder of the view that is seen, climbed in a thread beside the frame loop. No ImGui in here."""
+"""Prices of shortcuts and of effects in the view that is seen, measured in a thread beside the frame loop.
+
+The window's own renderer draws: OpenGL's work is done on its thread, between two frames, and everything else
+where it is asked for. No ImGui in here.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,109 +17,87 @@ import numpy as np
 
 from splatview import raster
 from splatview.measure.effect_costs import EffectPrice, price_effects
-from splatview.measure.knobs import KNOBS, Knob, Plan, path_to_view
-from splatview.measure.ladder import Ladder, climb, rungs_for
-from splatview.measure.metrics import enlarged, reduced_size
+from splatview.measure.knobs import KNOBS, Knob, Plan
+from splatview.measure.ladder import Ladder, draw_by_path, run_ladder, rungs_for
+from splatview.measure.metrics import enlarged
 from splatview.measure.work import Bill, bill_of
 from splatview.raster.contributions import count_work
-from splatview.renderers.headless import with_rest_hidden
+from splatview.renderers.headless import ANY_CAMERA
+from splatview.renderers.quality import with_rest_hidden
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians
-from splatview.scene.camera import turned_about
+from splatview.scene.camera import orbited
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects import Effect, used_sh_degree
+from splatview.scene.progress import Cancelled
 from splatview.viewer.navigation import orbit
-from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
+from splatview.viewer.picture import scaled_camera
+from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
-
-
-# ---- The window's own renderer, for a thread that measures: GL work is done on the GL thread, between two
-# frames, and everything else where it is asked for. No ImGui in here.
 
 
 PATIENCE = 0.05
 """Seconds between two looks at whether the work was cancelled, while the GL thread is waited for."""
 
 
-class Cancelled(Exception):
-    """The user has what was asked for no longer in mind."""
+class WindowScene:
+    """The open scene in the window's renderer, with the edits that were in force when it was made: a
+    `measure.ladder.SceneRenderer` for a thread that measures."""
 
-
-class Painter:
-    """Draws the open scene by plans, with the edits that were in force when it was made. An `Artist`."""
-
-    def __init__(self, app: AppState, cancelled: threading.Event, wake: Callable[[], object]):
-        if app.picture is None or app.scene is None:
+    def __init__(self, app: AppState, cancelled: Callable[[], bool], wake: Callable[[], object]):
+        if app.picture is None or not app.is_open:
             raise ValueError("nothing is open")
-        self.name = renderer_name(app.picture)
+        self.name = app.picture.backend
         self.gaussians: Gaussians = app.scene.gaussians
         self.edits: SceneEdits | None = app.edits
         self._kept: dict[float, SceneEdits | None] = {}
         self._app, self._post, self._picture = app, app.post, app.picture
-        self._anywhere = isinstance(app.picture, CpuPicture)
         self._cancelled, self._wake = cancelled, wake
         self._target = np.asarray(app.view.target, np.float64)
         """About which a camera turns, for pictures that depend on those before."""
 
-    def can_draw(self, plan: Plan) -> bool:
-        return applicable(plan) and self._picture.refusal(plan.settings) is None
+    def supports(self, plan: Plan) -> bool:
+        request = FrameRequest.by_plan(self.gaussians, ANY_CAMERA, plan)
+        return applicable(plan) and self._picture.unsupported(request) is None
 
-    def prepare(self, camera: Camera, plan: Plan) -> None:
+    def turned(self, camera: Camera, degrees: float) -> Camera:
+        return orbited(camera, self._target, -camera.R_camera_world[1], degrees)
+
+    def prepare(self, plan: Plan) -> None:
         """Finds out what the plan leaves out; the scene itself is there."""
         self._edits_by(plan)
 
-    def draw(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return self._path(camera, plan)[-1][0]
-
-    def follow(self, camera: Camera, plan: Plan) -> np.ndarray:
-        return self._sorted(camera, plan)[0]
-
-    def timed(self, camera: Camera, plan: Plan) -> float:
-        """ms of one frame up to its pixels in memory, of a path the mean; waiting for the GL thread's turn
-        is no part of it."""
-        return float(np.mean([milliseconds for _, milliseconds in self._path(camera, plan)]))
-
-    def memory(self, plan: Plan) -> int:
-        return 0
-
-    def _path(self, camera: Camera, plan: Plan) -> list[tuple[np.ndarray, float]]:
-        """Pictures and their ms, the camera's last."""
-        first, *others = (self._turned(camera, degrees) for degrees in path_to_view(plan.settings))
-        begun = self._sorted(first, plan) if others else self._timed(first, plan)
-        return [begun, *(self._timed(each, plan) for each in others)]
-
-    def _sorted(self, camera: Camera, plan: Plan) -> tuple[np.ndarray, float]:
-        """Of a frame whose order is its own, though the settings let it be older."""
-        return self._timed(camera, plan, anew=True)
-
-    def _turned(self, camera: Camera, degrees: float) -> Camera:
-        return turned_about(camera, self._target, -camera.R_camera_world[1], degrees) if degrees else camera
-
-    def _timed(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
-        size = reduced_size(camera.width, camera.height, plan.resolution)
-        small = camera if size == (camera.width, camera.height) else camera.resized(*size)
+    def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
+        """Waiting for the turn of the OpenGL thread is no part of the milliseconds."""
+        request = FrameRequest(
+            None, camera, plan.settings, edits=self._edits_by(plan), resolution=plan.resolution
+        )
 
         def work() -> tuple[np.ndarray, float]:
             if anew:
                 self._picture.forget_order()
             begun = time.perf_counter()
-            image = self._picture.read(small, plan.settings, "splats", self._edits_by(plan))
+            image = self._picture.read(request)
             return image, 1e3 * (time.perf_counter() - begun)
 
         try:
-            image, milliseconds = work() if self._anywhere else self._on_gl_thread(work)
+            image, milliseconds = work() if self._picture.draws_anywhere else self._on_gl_thread(work)
         except Exception:
             if self._overtaken:
                 raise Cancelled from None
             raise
         return enlarged(image, camera.width, camera.height), milliseconds
 
+    def memory(self) -> int:
+        return 0
+
     @property
     def _overtaken(self) -> bool:
         """Whether another scene has been loaded since this was made, or is about to be."""
         scene, loading = self._app.scene, self._app.loading
-        same = scene is not None and scene.gaussians is self.gaussians
+        same = scene.gaussians is self.gaussians
         return not same or (loading is not None and loading.done)
 
     def _edits_by(self, plan: Plan) -> SceneEdits | None:
@@ -129,7 +112,7 @@ class Painter:
 
         def command(app: AppState) -> None:
             try:
-                if app.picture is self._picture and not self._overtaken and not self._cancelled.is_set():
+                if app.picture is self._picture and not self._overtaken and not self._cancelled():
                     answers.append(work())
             except Exception as error:  # the thread that asked must hear of it, not the frame loop
                 failures.append(error)
@@ -138,18 +121,13 @@ class Painter:
         self._post(command)
         self._wake()
         while not done.wait(PATIENCE):
-            if self._cancelled.is_set():
+            if self._cancelled():
                 raise Cancelled
         if failures:
             raise failures[0]
         if not answers:
             raise Cancelled
         return answers[0]
-
-
-def renderer_name(picture: Picture) -> str:
-    """As the knobs know it: "quads" or "cpu"."""
-    return picture.name.split()[0]
 
 
 def applicable(plan: Plan) -> bool:
@@ -166,12 +144,12 @@ def unpriced_knobs(renderer: str) -> tuple[Knob, ...]:
     )
 
 
-SECONDS = 8.0
-"""Of timing, where frames are quick."""
+SECONDS, EFFECT_SECONDS = 8.0, 5.0
+"""Of timing, where frames are quick: of shortcuts, and of effects."""
 
 FRAMES = 240
-"""That timing may take where they are slow: some for each shortcut, as many of the baseline, and the window's
-own between them..."""
+"""That timing shortcuts may take where frames are slow: some for each, as many of the baseline, and the
+window's own between them..."""
 
 MOST_SECONDS = 90.0
 """... but no longer than this."""
@@ -183,8 +161,45 @@ BEFORE_ALL = -2
 """Number of the frame that tells how quick they are: none of those that are timed."""
 
 
-class Measurement:
-    """Begins when made; `ladder` is there when `done`."""
+class Measuring(Task[None], ABC):
+    """A measurement of the view that is seen. Begins when made."""
+
+    def __init__(
+        self, app: AppState, *, seconds: float, rounds: int | None, wake: Callable[[], object], text: str
+    ):
+        self.text = text
+        self._wake = wake
+        self._scene = WindowScene(app, lambda: self.cancelled, wake)
+        self._plan, self._seconds, self._rounds = Plan(settings=app.settings), seconds, rounds
+        self.view, self._size, self._scale = app.view, app.picture_size, app.preferences.resolution_scale
+        self.gaussians = self._scene.gaussians
+        self.camera = scaled_camera(self.view.camera(*self._size), self._scale)
+
+    def _begin(self) -> None:
+        """Starts the thread; for subclasses to call when all is set."""
+        super().__init__(lambda _: self._measure(), name="splatview-measure", on_done=self._wake)
+
+    @property
+    def problem(self) -> str | None:
+        """Error of the measurement, in one line; None where it was cancelled."""
+        if self.error is None or isinstance(self.error, Cancelled):
+            return None
+        return f"measuring failed: {type(self.error).__name__}: {self.error}"
+
+    def _moved(self, _: int, number: int) -> Camera:
+        turned = orbit(self.view, FRAME_TURN * (number + 1), 0.0)
+        return scaled_camera(turned.camera(*self._size), self._scale)
+
+    @abstractmethod
+    def _measure(self) -> None: ...
+
+    def report(self, share: float, text: str = "") -> None:
+        super().report(share, text)
+        self._wake()
+
+
+class Measurement(Measuring):
+    """Prices of shortcuts; `ladder` is there when `done`."""
 
     def __init__(
         self,
@@ -194,87 +209,40 @@ class Measurement:
         rounds: int | None = None,
         wake: Callable[[], object] = lambda: None,
     ):
-        self.progress = 0.0
-        self.text = "the truth in float64"
+        super().__init__(app, seconds=seconds, rounds=rounds, wake=wake, text="the truth in float64")
         self.ladder: Ladder | None = None
         self.bill: Bill | None = None
-        self.problem: str | None = None
-        self._stop = threading.Event()
-        self._wake = wake
-        self._painter = Painter(app, self._stop, wake)
-        self._plan, self._seconds, self._rounds = Plan(settings=app.settings), seconds, rounds
-        view, size, scale = app.view, app.picture_size, app.preferences.resolution_scale
+        self._begin()
 
-        def moved(_: int, number: int) -> Camera:
-            return scaled_camera(orbit(view, FRAME_TURN * (number + 1), 0.0).camera(*size), scale)
-
-        self.view = view
-        self.gaussians = self._painter.gaussians
-        self.camera = scaled_camera(view.camera(*size), scale)
-        self._moved = moved
-        self._thread = threading.Thread(target=self._work, name="splatview-accuracy", daemon=True)
-        self._thread.start()
-
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    def cancel(self) -> None:
-        self._stop.set()
-
-    def join(self) -> None:
-        self._thread.join()
-
-    def _work(self) -> None:
-        try:
-            painter, plan = self._painter, self._plan
-            workspace = raster.Workspace()
-            exact = replace(plan.settings, sh_degree=None, early_stop=0.0)
-            splats = raster.parameters_of(painter.gaussians)
-            truth = raster.draw_frame(
-                splats, self.camera, exact, workspace, edits=painter.edits, dtype=np.float64
-            ).image
-            if self._stop.is_set():
-                return
-            work = count_work(splats, self.camera, plan.settings, workspace, edits=painter.edits)
-            self.bill = bill_of(painter.gaussians, work)
-            slow = FRAMES * painter.timed(self._moved(0, BEFORE_ALL), plan) / 1000
-            rungs = rungs_for([painter], plan, used_sh_degree=used_sh_degree(painter.gaussians))
-            ladder = climb(
-                rungs,
-                [self.camera],
-                [truth],
-                moved=self._moved,
-                seconds=max(self._seconds, min(slow, MOST_SECONDS)),
-                rounds=self._rounds,
-                on_progress=self._show,
-                cancelled=self._stop.is_set,
-            )
-            if ladder.complete:
-                self.ladder = ladder
-        except Cancelled:
-            pass
-        except Exception as error:
-            self.problem = f"measuring failed: {type(error).__name__}: {error}"
-        finally:
-            self._wake()
-
-    def _show(self, share: float, text: str) -> None:
-        self.progress, self.text = share, text
-        self._wake()
+    def _measure(self) -> None:
+        scene, plan = self._scene, self._plan
+        workspace = raster.Workspace()
+        exact = replace(plan.settings, sh_degree=None, early_stop=0.0)
+        splats = raster.parameters_of(scene.gaussians)
+        truth = raster.draw_frame(
+            splats, self.camera, exact, workspace, edits=scene.edits, dtype=np.float64
+        ).image
+        if self.cancelled:
+            return
+        work = count_work(splats, self.camera, plan.settings, workspace, edits=scene.edits)
+        self.bill = bill_of(scene.gaussians, work)
+        slow = FRAMES * draw_by_path(scene, self._moved(0, BEFORE_ALL), plan)[1] / 1000
+        ladder = run_ladder(
+            rungs_for([scene], plan, used_sh_degree=used_sh_degree(scene.gaussians)),
+            [self.camera],
+            [truth],
+            moved=self._moved,
+            seconds=max(self._seconds, min(slow, MOST_SECONDS)),
+            rounds=self._rounds,
+            on_progress=self.report,
+            cancelled=lambda: self.cancelled,
+        )
+        if ladder.complete:
+            self.ladder = ladder
 
 
-# ---- Prices of effects in the view that is seen, found out beside the frame loop. No ImGui in here.
-
-
-EFFECT_SECONDS = 5.0
-
-EFFECT_FRAME_TURN = 1e-5
-"""Radians by which timed frames differ: enough that nothing is kept from the one before."""
-
-
-class Pricing:
-    """Begins when made; `prices` are there when `done`."""
+class Pricing(Measuring):
+    """Prices of effects; `prices` are there when `done`."""
 
     def __init__(
         self,
@@ -285,61 +253,26 @@ class Pricing:
         rounds: int | None = None,
         wake: Callable[[], object] = lambda: None,
     ):
-        self.progress = 0.0
-        self.text = ""
+        super().__init__(app, seconds=seconds, rounds=rounds, wake=wake, text="")
         self.prices: dict[str, EffectPrice] | None = None
-        self.problem: str | None = None
-        self._stop = threading.Event()
-        self._wake = wake
-        self._painter = Painter(app, self._stop, wake)
-        self._unedited: Painter | None = None
+        self._effects = effects
+        self._unedited: WindowScene | None = None
         if app.edits is not None and app.edits.in_force:
-            self._unedited = Painter(app, self._stop, wake)
+            self._unedited = WindowScene(app, lambda: self.cancelled, wake)
             self._unedited.edits = None
-        self.gaussians = self._painter.gaussians
-        self._plan, self._effects = Plan(settings=app.settings), effects
-        self._seconds, self._rounds = seconds, rounds
-        view, size, scale = app.view, app.picture_size, app.preferences.resolution_scale
+        self._begin()
 
-        def moved(_: int, number: int) -> Camera:
-            return scaled_camera(orbit(view, EFFECT_FRAME_TURN * (number + 1), 0.0).camera(*size), scale)
-
-        self._camera, self._moved = scaled_camera(view.camera(*size), scale), moved
-        self._thread = threading.Thread(target=self._work, name="splatview-effects", daemon=True)
-        self._thread.start()
-
-    @property
-    def done(self) -> bool:
-        return not self._thread.is_alive()
-
-    def cancel(self) -> None:
-        self._stop.set()
-
-    def join(self) -> None:
-        self._thread.join()
-
-    def _work(self) -> None:
-        try:
-            self.prices = price_effects(
-                self._painter,
-                self._plan,
-                self.gaussians,
-                self._effects,
-                self._camera,
-                moved=self._moved,
-                seconds=self._seconds,
-                rounds=self._rounds,
-                unedited=self._unedited,
-                on_progress=self._show,
-                cancelled=self._stop.is_set,
-            )
-        except Cancelled:
-            pass
-        except Exception as error:
-            self.problem = f"measuring failed: {type(error).__name__}: {error}"
-        finally:
-            self._wake()
-
-    def _show(self, share: float, text: str) -> None:
-        self.progress, self.text = share, text
-        self._wake()
+    def _measure(self) -> None:
+        self.prices = price_effects(
+            self._scene,
+            self._plan,
+            self.gaussians,
+            self._effects,
+            self.camera,
+            moved=self._moved,
+            seconds=self._seconds,
+            rounds=self._rounds,
+            unedited=self._unedited,
+            on_progress=self.report,
+            cancelled=lambda: self.cancelled,
+        )

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from splatview.measure.governor import Governor, Shortcut, Watch, priced, unpriced
 from splatview.measure.knobs import Plan, apply_choices
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.renderers.headless import is_ranked, rank, with_rest_hidden
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings
+from splatview.renderers.quality import (
+    Governor,
+    Watch,
+    is_ranked,
+    priced,
+    rank,
+    unpriced,
+    with_rest_hidden,
+)
+from splatview.renderers.request import FrameRequest
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.picture import CpuPicture, Picture, scaled_camera
+from splatview.viewer.editing.session import session_of
+from splatview.viewer.picture import Picture, scaled_camera
 from splatview.viewer.quality.comparison import Comparing
-from splatview.viewer.quality.measurement import SECONDS, Measurement, renderer_name
+from splatview.viewer.quality.measurement import SECONDS, Measurement
+from splatview.viewer.state import Feature
+from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.measure.work import Bill
@@ -38,13 +48,8 @@ class Storing:
         self.gaussians = gaussians
         self.attributes: Attributes = attributes
         self._picture = picture
-        self._form: list[Gaussians] = []
         self._steps: Generator[float] | None = None
-        self._thread = threading.Thread(target=self._round, name="splatview-storing", daemon=True)
-        self._thread.start()
-
-    def _round(self) -> None:
-        self._form.append(stored(self.gaussians, self.attributes))
+        self._rounding = Task(lambda _: stored(gaussians, attributes), name="splatview-storing")
 
     def advance(self) -> bool:
         """Some milliseconds of it; whether all is done. For the GL thread.
@@ -52,23 +57,25 @@ class Storing:
         Raises:
             InputError: the picture's renderer cannot have the scene so.
         """
-        if self._thread.is_alive():
+        if not self._rounding.done:
             return False
+        if self._rounding.result is None:
+            raise InputError(f"attributes {self.attributes}: {self._rounding.error}")
         if self._steps is None:
-            self._steps = self._picture.load_steps(self._form[0], self.attributes)
+            self._steps = self._picture.load_steps(self._rounding.result, self.attributes)
         until = time.perf_counter() + UPLOAD_SECONDS
         return all(time.perf_counter() <= until for _ in self._steps)
 
     def end(self) -> None:
         """Gives it up; what was shown stays."""
-        self._thread.join()
+        self._rounding.join()
         if self._steps is not None:
             self._steps.close()
 
 
 @dataclass(eq=False, kw_only=True)
-class Accuracy:
-    """Part of the window's `AppState`; for the GL thread."""
+class Accuracy(Feature):
+    """Shortcuts taken, their prices in the open scene, and the frame budget; for the GL thread."""
 
     wake: Callable[[], object] = lambda: None
     """Makes an idle window draw its next frame. May be called from any thread."""
@@ -89,13 +96,13 @@ class Accuracy:
     """Instead, how often each shortcut is drawn."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
-    watch: Watch[Shortcut] = field(default_factory=lambda: Watch(Governor(1000 / 60)))
+    progress: Watch = field(default_factory=lambda: Watch(Governor(1000 / 60)))
     stored: Attributes = "float32"
     """How the renderer has the open scene now, and..."""
     storing: Storing | None = None
     """... how it is getting it."""
     _kept: float = 1.0
-    _ranking: threading.Thread | None = None
+    _ranking: Task[None] | None = None
     """Finds out what a share of the splats would keep."""
     _hidden: tuple[Any, Any, SceneEdits | None] | None = None
     _camera: Camera | None = None
@@ -110,10 +117,10 @@ class Accuracy:
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
             app.complain("Take attributes back first: prices are measured on the scene as it is")
-        elif self.measurement is None and app.scene is not None and app.picture is not None:
+        elif self.measurement is None and app.is_open and app.picture is not None:
             self.measurement = Measurement(app, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
-    def cancel(self) -> None:
+    def cancel_measuring(self) -> None:
         if self.measurement is not None:
             self.measurement.cancel()
 
@@ -121,8 +128,8 @@ class Accuracy:
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
         if app.picture is None:
             return
-        plan = apply_choices(Plan(), {knob: value}, renderer_name(app.picture))
-        problem = app.picture.refusal(plan.settings)
+        plan = apply_choices(Plan(), {knob: value}, app.picture.backend)
+        problem = app.picture.unsupported(FrameRequest(None, app.camera, plan.settings))
         if problem is not None:
             raise InputError(problem)
         self.choices[knob] = value
@@ -135,12 +142,12 @@ class Accuracy:
         """Sets the frame budget, or gives it up."""
         self.budget_ms = budget_ms
         if budget_ms is not None:
-            self.watch.governor.set_budget(budget_ms)
-            if not self.watch.governor.steps and self._full_ms > 0:
+            self.progress.governor.set_budget(budget_ms)
+            if not self.progress.governor.steps and self._full_ms > 0:
                 # Until prices are known.
-                self.watch.governor.follow(unpriced(self._full_ms))
-        if isinstance(app.picture, CpuPicture):
-            app.picture.hold_budget(budget_ms)
+                self.progress.governor.follow(unpriced(self._full_ms))
+        if app.picture is not None:
+            app.picture.budget_ms = budget_ms
 
     # ---- what is drawn
 
@@ -148,29 +155,31 @@ class Accuracy:
         """The settings with the shortcuts taken."""
         plan = Plan(settings=app.settings)
         if self.choices and app.picture is not None:
-            plan = apply_choices(plan, self.choices, renderer_name(app.picture))
+            plan = apply_choices(plan, self.choices, app.picture.backend)
         return plan
 
-    def next_frame(self, app: AppState) -> tuple[Camera, RenderSettings]:
-        """By what the frame that comes is drawn."""
+    def next_frame(self, app: AppState) -> FrameRequest:
+        """What the frame that comes is drawn by: of the loaded scene, on the pixels that are drawn."""
         plan, camera, self.note = self.plan(app), app.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
         if app.picture is not None and self.governs(app):
-            step = self.watch.next(moved=moved)
+            step = self.progress.next(moved=moved)
             if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
-                plan = apply_choices(plan, dict(step.choices), renderer_name(app.picture))
+                plan = apply_choices(plan, dict(step.choices), app.picture.backend)
                 scale, kept = plan.resolution * step.scale, min(plan.kept, step.kept)
                 plan = replace(plan, resolution=scale, kept=kept)
                 self.note = step.note
         self._kept = plan.kept if app.mode == "splats" else 1.0
-        return scaled_camera(camera, app.preferences.resolution_scale * plan.resolution), plan.settings
+        camera = scaled_camera(camera, app.preferences.resolution_scale * plan.resolution)
+        more = {"mode": app.mode, "edits": self._edits(app), "highlight": app.highlight}
+        return FrameRequest(None, camera, plan.settings, **more)
 
-    def edits(self, app: AppState) -> SceneEdits | None:
+    def _edits(self, app: AppState) -> SceneEdits | None:
         """Those that the frame that comes is drawn with: what a shortcut leaves out is hidden."""
         edits = app.edits
-        if self._kept >= 1 or app.scene is None:
+        if self._kept >= 1 or not app.is_open:
             self._hidden = None
             return edits
         if not is_ranked(app.scene.gaussians):
@@ -185,38 +194,30 @@ class Accuracy:
         return held[2]
 
     def _rank(self, gaussians: Gaussians) -> None:
-        if self._ranking is not None and self._ranking.is_alive():
+        if self._ranking is not None and not self._ranking.done:
             return
-
-        def work() -> None:
-            rank(gaussians)
-            self.wake()
-
-        self._ranking = threading.Thread(target=work, name="splatview-rank", daemon=True)
-        self._ranking.start()
+        self._ranking = Task(lambda _: rank(gaussians), name="splatview-rank", on_done=self.wake)
 
     def governs(self, app: AppState) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
         return (
             self.budget_ms is not None
             and app.picture is not None
-            and not isinstance(app.picture, CpuPicture)
+            and not app.picture.draws_anywhere
             and app.mode == "splats"
         )
 
-    @property
-    def waiting(self) -> bool:
-        """Whether the next frames will show something else, though nobody touches the window."""
-        governed = self.budget_ms is not None and not self.watch.resting
+    def busy(self, app: AppState) -> bool:
+        governed = self.budget_ms is not None and not self.progress.resting
         loading = self.measurement is not None or self.storing is not None
-        ranking = self._ranking is not None and self._ranking.is_alive()
+        ranking = self._ranking is not None and not self._ranking.done
         return loading or governed or ranking or self.comparing.busy
 
     # ---- between two frames
 
-    def advance(self, app: AppState) -> None:
+    def before_frame(self, app: AppState) -> None:
         """Takes over what was measured, and learns from the latest frame."""
-        gaussians = app.scene.gaussians if app.scene else None
+        gaussians = app.scene.gaussians
         if self.measurement is not None and self.measurement.gaussians is not gaussians:
             self.measurement.cancel()
         if self._gaussians is not gaussians:
@@ -224,10 +225,9 @@ class Accuracy:
             self._gaussians, self.ladder, self.bill = gaussians, None, None
             self.stored = "float32"  # as scenes are loaded
             self._full_ms = 0.0
-            self.watch.governor.follow(())
-        name = app.scene.name if app.scene else ""
-        if self._name != name:
-            self._name = name
+            self.progress.governor.follow(())
+        if self._name != app.scene.name:
+            self._name = app.scene.name
             self.choices.clear()
         if self.measurement is not None and self.measurement.done:
             self._collect(app, self.measurement)
@@ -236,9 +236,10 @@ class Accuracy:
 
     def _store(self, app: AppState) -> None:
         """Loads the scene in the form that was chosen, where it is in another."""
-        if app.scene is None or app.picture is None or app.loading is not None:
+        if not app.is_open or app.picture is None or app.loading is not None:
             return
-        if app.session is not None and app.session.loading is not None:
+        session = session_of(app)
+        if session is not None and session.loading is not None:
             return
         wanted: Any = self.choices.get("attributes", "float32")
         gaussians, made = app.scene.gaussians, self.storing
@@ -263,9 +264,9 @@ class Accuracy:
         self.measurement = None
         if made.problem is not None:
             app.complain(made.problem)
-        elif made.ladder is not None and app.scene is not None and made.gaussians is app.scene.gaussians:
+        elif made.ladder is not None and made.gaussians is app.scene.gaussians:
             self.ladder, self.bill = made.ladder, made.bill
-            self.watch.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
+            self.progress.governor.follow(priced(made.ladder.baseline, made.ladder.rungs))
             app.tell(f"Prices of {len(made.ladder.rungs) - 1} shortcuts measured in this view")
 
     def _learn(self, app: AppState) -> None:
@@ -278,13 +279,12 @@ class Accuracy:
             return
         if not self.governs(app):
             self._full_ms = milliseconds
-        elif self.watch.governor.steps:
-            self.watch.took(milliseconds)
+        elif self.progress.governor.steps:
+            self.progress.took(milliseconds)
         else:
-            self.watch.governor.follow(unpriced(milliseconds))
+            self.progress.governor.follow(unpriced(milliseconds))
 
-    def end(self) -> None:
-        """The window closes."""
+    def close(self, app: AppState) -> None:
         if self.measurement is not None:
             self.measurement.cancel()
             self.measurement.join()
@@ -305,36 +305,9 @@ def price_of(one: Measured, ladder: Ladder) -> str:
     return f"{time}, {one.psnr:.1f} dB, largest error {one.max_error:.2g}"
 
 
-# ---- What the Accuracy panel asks for, run between two frames.
-
-
-def measure(app: AppState) -> None:
-    """Begins to measure the view that is seen."""
-    app.accuracy.measure(app)
-
-
-def cancel(app: AppState) -> None:
-    app.accuracy.cancel()
-
-
 def choose(app: AppState, knob: str, value: str) -> None:
     """Draws by a shortcut from now on."""
     try:
-        app.accuracy.choose(app, knob, value)
+        app.feature(Accuracy).choose(app, knob, value)
     except InputError as error:
         app.complain(str(error))
-
-
-def leave(app: AppState, knob: str) -> None:
-    """Takes one shortcut back."""
-    app.accuracy.choices.pop(knob, None)
-
-
-def exact(app: AppState) -> None:
-    """Takes all shortcuts back."""
-    app.accuracy.exact()
-
-
-def hold(app: AppState, budget_ms: float | None) -> None:
-    """Holds a frame budget, in ms; None: no longer."""
-    app.accuracy.hold(app, budget_ms)

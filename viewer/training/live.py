@@ -1,7 +1,4 @@
-"""The window's side of a training: takes snapshots over, keeps the shares of the cores, knows the photos.
-
-Nothing here imports ImGui, so all of it is tested without a display.
-"""
+"""Watching a training: its snapshots, its share of the cores, and its photos. No ImGui in here."""
 
 from __future__ import annotations
 
@@ -10,35 +7,35 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
-from splatview.renderers.cpu_async import FRAME_SECONDS
+from splatview.renderers.async_renderer import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
-from splatview.scene.edits import Crop
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.background import BackgroundTraining, Snapshot, State, Status, pace_of
-from splatview.trainer.views import Shot
-from splatview.viewer import open as camera_list
-from splatview.viewer.loading import Examination, LoadedScene
+from splatview.trainer.views import TrainView
+from splatview.viewer.camera import common_up, go_to_camera
+from splatview.viewer.editing.session import Editing
+from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene
 from splatview.viewer.navigation import view_from_camera
-from splatview.viewer.open import UPLOAD_SECONDS, common_up
+from splatview.viewer.open import UPLOAD_SECONDS
 from splatview.viewer.preferences import TrainingUpdates
-from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.comparison import Comparer, Pictures
-from splatview.viewer.training.live_edits import succeed, waits
+from splatview.viewer.training.live_edits import TrainingEdits
 
 
 @dataclass(frozen=True)
 class UpdateRate:
-    """What new pictures of the scene may cost."""
+    """Cost that new pictures of the scene may have."""
 
     seconds: float
-    """Between snapshots at least."""
+    """Least seconds between snapshots."""
     share: float
-    """Of all cores, that drawing them may take where the processor draws."""
+    """Share of all cores that drawing them may take where the processor draws."""
     fps: float
-    """Frames of the window itself a second, while nobody touches it."""
+    """Frames per second of the window itself while nobody touches it."""
 
 
 RATES: dict[TrainingUpdates, UpdateRate] = {
@@ -62,7 +59,7 @@ STARVED_SECONDS = 1.0
 MINIMISED_FPS = 0.5
 
 LEAST_FOR_VIEWER = 0.1
-"""Of the cores, even where training has been given all: a view that can be turned, if slowly."""
+"""Share of the cores even where training has been given all: a view that can be turned, if slowly."""
 
 MOST_FOR_BOUNDS = 20_000
 """Splats that tell where the scene is: enough for that, and done within a millisecond or two."""
@@ -72,7 +69,7 @@ MOST_FOR_BOUNDS = 20_000
 class WatchedPhoto:
     """One row of the list of photos."""
 
-    shot: Shot
+    shot: TrainView
     held_out: bool
     label: str
     """Its name, without folders where that is enough to tell it from the others."""
@@ -87,44 +84,44 @@ class WatchedPhoto:
 
 
 @dataclass(eq=False, kw_only=True)
-class LiveTraining:
-    """A training and how it is watched. Fields are plain: panels set the simple ones."""
+class LiveTraining(Feature):
+    """A training that the window watches. Fields are plain: panels set the simple ones."""
 
     thread: BackgroundTraining
     name: str
-    """Of the capture."""
+    """Name of the capture."""
     photos: list[WatchedPhoto]
-    """By name."""
+    """All photos, sorted by name."""
     settings: RenderSettings
-    """What the scene is trained for."""
+    """Settings that the scene is trained for."""
     minimised: bool = False
-    """Nobody sees the window: nothing is shown."""
+    """Whether the window is minimised, so that nothing is shown."""
     photo_index: int = 0
-    """Of `photos`, the one that is compared."""
+    """Index of the compared one of `photos`."""
     gain: float = 4.0
-    """By how much differences are brightened."""
+    """Factor by which differences are brightened."""
     by_seconds: bool = False
     """Whether curves are over seconds rather than steps."""
     shown: Snapshot | None = None
-    """What the view shows."""
-    pointed: tuple[Crop, ...] = ()
-    """Crops of a rule under the mouse, to be drawn on the picture."""
+    """Snapshot that the view shows."""
     app: AppState | None = None
-    """The window's, once there is one."""
+    """State of the window, once there is one."""
     cameras: list[Camera] = field(init=False)
-    """Of the photos, what the window's list of cameras is."""
+    """Cameras of the photos, for the window's list."""
+    editor: TrainingEdits = field(init=False)
     comparer: Comparer = field(default_factory=Comparer)
     pictures: Pictures = field(default_factory=Pictures)
-    _scene: LoadedScene | None = None
+    _scene: LoadedScene = EMPTY_SCENE
     _arriving: tuple[Snapshot, Generator[float]] | None = None
     _last_view: object = None
     _touched: float = -1e9
     _shown_at: float = -1e9
-    _told: State = "training"
+    _reported: State = "training"
     _camera_index: int = -1
 
     def __post_init__(self) -> None:
         self.cameras = [photo.camera for photo in self.photos]
+        self.editor = TrainingEdits(self.thread, lambda app: self.shown if self.followed_by(app) else None)
 
     @property
     def status(self) -> Status:
@@ -155,21 +152,21 @@ class LiveTraining:
     def start(self, app: AppState, *, on_change: Callable[[], object] = lambda: None) -> None:
         """The window is there: shows the first snapshot and begins. `on_change` wakes the window."""
         self.app = app
+        app.feature(Editing).live = self.editor
         self.comparer = Comparer(on_change)
         self.thread.on_change = on_change
         app.settings = replace(self.settings, blend=app.preferences.blend)
         app.cameras = self.cameras
         self.thread.begin()
 
-    def stop(self) -> None:
-        """The window is about to go. The thread is left to whoever made it."""
+    def close(self, app: AppState) -> None:
+        """Stops watching; the thread is left to whoever made it."""
         self.thread.on_change = lambda: None
         self.comparer.close()
         self.pictures.release()
         self._drop_arriving()
 
-    def advance(self, app: AppState) -> None:
-        """Called every frame, between two frames."""
+    def before_frame(self, app: AppState) -> None:
         for note in self.thread.take_notes():
             app.tell(note)
         if app.cameras is self.cameras and app.camera_index != self._camera_index:
@@ -178,7 +175,7 @@ class LiveTraining:
             self.photo_index = max(app.camera_index, 0)
         self._report(app)
         self._keep_shares(app)
-        self._follow(app)
+        self._take_snapshot(app)
 
     def follow(self, app: AppState) -> None:
         """Shows this training again after something else was opened."""
@@ -194,9 +191,9 @@ class LiveTraining:
     def _report(self, app: AppState) -> None:
         """Says once what the thread's new state means."""
         status = self.status
-        if status.state == self._told:
+        if status.state == self._reported:
             return
-        self._told = status.state
+        self._reported = status.state
         if status.state == "failed":
             app.complain(f"Training has stopped: {status.failure}. The scene is kept as it was.")
         elif status.state == "done":
@@ -220,9 +217,9 @@ class LiveTraining:
         else:
             self.thread.snapshot_seconds = None
 
-    def _follow(self, app: AppState) -> None:
+    def _take_snapshot(self, app: AppState) -> None:
         """Takes the latest snapshot over, for a few milliseconds of uploading."""
-        if app.loading is not None or not self.followed_by(app) or waits(app):
+        if app.loading is not None or not self.followed_by(app) or self.editor.stays_frozen(app):
             self._drop_arriving()
             return
         if app.picture is None or app.picture_size == (1, 1):  # nothing has been laid out yet
@@ -256,7 +253,7 @@ class LiveTraining:
         return moved and now - self._shown_at >= max(STARVED_SECONDS, 4 * last)
 
     def _adopt(self, app: AppState, snapshot: Snapshot) -> None:
-        first = self._scene is None
+        first = self._scene is EMPTY_SCENE
         means = snapshot.gaussians.means
         centre, radius = robust_bounds(means[:: -(-len(means) // MOST_FOR_BOUNDS)])
         self._scene = app.scene = LoadedScene(
@@ -269,7 +266,7 @@ class LiveTraining:
             seconds=0.0,
         )
         self.shown, self._shown_at = snapshot, app.now()
-        succeed(app, snapshot)
+        self.editor.carry_over(app, snapshot)
         if first:
             self._first_view(app)
         if self.status.state != "training":
@@ -277,7 +274,6 @@ class LiveTraining:
 
     def _first_view(self, app: AppState) -> None:
         """From the camera of the middle photo: there the scene is surely before the eye."""
-        assert self._scene is not None
         camera = self.photos[len(self.photos) // 2].camera
         ahead = float((self._scene.centre - camera.eye) @ camera.forward)
         up = common_up(app.cameras)
@@ -299,11 +295,11 @@ def advanced(steps: Generator[float], seconds: float) -> bool:
 
 
 def viewer_threads(share: float, cores: int) -> int:
-    """What training leaves of the cores, at least one."""
+    """Number of cores that training leaves, at least one."""
     return max(cores - pace_of(share, cores).threads, 1)
 
 
-def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[WatchedPhoto]:
+def watched_photos(train: Sequence[TrainView], held_out: Sequence[TrainView]) -> list[WatchedPhoto]:
     """Both sorts, sorted by name."""
     shots = [(shot, False) for shot in train] + [(shot, True) for shot in held_out]
     files = Counter(PurePosixPath(shot.camera.name).name for shot, _ in shots)
@@ -317,7 +313,7 @@ def watched_photos(train: Sequence[Shot], held_out: Sequence[Shot]) -> list[Watc
 
 
 def redraw_seconds(app: AppState) -> float:
-    """AppState-seconds that the processor spends on a new picture of the scene, the window's frames for it
+    """Core-seconds that the processor spends on a new picture of the scene, the window's frames for it
     included; 0 where a GPU does it."""
     if app.stats is None or app.picture is None or app.picture.name != "cpu":
         return 0.0
@@ -325,14 +321,15 @@ def redraw_seconds(app: AppState) -> float:
     return drawing + FRAMES_A_PICTURE * FRAME_SECONDS
 
 
-# ---- What the user can ask of a training; all are posted to the `AppState`, as `viewer.window.actions` are.
-
-
 def training_of(app: AppState) -> LiveTraining | None:
     """The training in this window; says so where there is none."""
-    if app.training is None:
+    training = app.find(LiveTraining)
+    if training is None:
         app.tell("Nothing is being trained: start with splatview train CAPTURE")
-    return app.training
+    return training
+
+
+# Commands, to be posted.
 
 
 def pause_or_resume(app: AppState) -> None:
@@ -366,17 +363,9 @@ def evaluate(app: AppState) -> None:
 
 
 def export(app: AppState) -> None:
-    """Asks where, and writes the scene as it stands then."""
-    training = training_of(app)
-    if training is None:
-        return
-    proposal = training.thread.outputs.scene
-    app.choose_files(
-        "Export the scene",
-        lambda paths: training.thread.export(Path(paths[0])),
-        kind="save_scene",
-        name=f"{proposal.stem}-{training.status.iteration}.ply",
-    )
+    """Asks where the scene goes, and writes it as it is then."""
+    if training := training_of(app):
+        training.editor.export(app)
 
 
 def change_settings(app: AppState, **settings: Any) -> None:
@@ -397,15 +386,13 @@ def show_now(app: AppState) -> None:
 
 def compare_photo(app: AppState, index: int) -> None:
     """Compares photo `index`, counted round the list; the view stays."""
-    if app.training is not None:
-        app.training.photo_index = index % len(app.training.photos)
+    if training := app.find(LiveTraining):
+        training.photo_index = index % len(training.photos)
 
 
 def go_to_photo(app: AppState, index: int) -> None:
     """Looks from where photo `index` was taken, and compares it."""
-    training = app.training
-    if training is None:
-        return
-    compare_photo(app, index)
-    app.cameras = training.cameras
-    camera_list.go_to_camera(app, index)
+    if training := app.find(LiveTraining):
+        compare_photo(app, index)
+        app.cameras = training.cameras
+        go_to_camera(app, index)

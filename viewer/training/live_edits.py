@@ -1,166 +1,173 @@
-"""Editing what is being trained: the view waits on one snapshot, and edits go to the trainer by the numbers
-of the splats. No ImGui in here."""
+"""Editing a training: the view stays on a frozen snapshot while the user edits. No ImGui in here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import Future
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from splatview.edit.document import Document
-from splatview.edit.operations import AddCrop, Hide, Lock, Operation, RemoveCrop, Select
+from splatview.edit.operations import AddCrop, Hide, Lock, RemoveCrop, Select
 from splatview.edit.selectors import IndexRuns
-from splatview.renderers.headless import RasterTools
+from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import InputError
-from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, Crop
+from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
 from splatview.trainer.background import BackgroundTraining, Snapshot
 from splatview.trainer.run import TrainingRun
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import Editing, EditSession, session_of
+from splatview.viewer.editing.target import TrainingTarget
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
-ON_THE_TRAINER = frozenset({"delete", "delete_cropped", "prune"})
-"""Operations whose deletions the trainer is told of."""
-
-ON_THE_PICTURE = frozenset(
-    {
-        *("select", "select_all", "select_none", "select_inverse", "grow", "shrink"),
-        *("hide", "show", "lock", "unlock", "isolate"),
-        *("add_crop", "change_crop", "enable_crop", "remove_crop"),
-    }
-)
-"""Operations that help to choose; the trainer never hears of them."""
-
-REFUSALS = {
-    "decimate": "Training would fill up to its number again: set the most splats in its recipe instead",
-}
-
-AT_REST = "That is for scenes at rest: stop and save the training, then open its file"
-
-NO_WAY_BACK = "What was deleted from the training comes back only by training"
-
 Rule = Literal["cut", "no_growth"]
 """Field of `TrainSettings` that holds rules of this kind."""
 
 
-class TrainingTarget:
-    """What edits of one snapshot mean to the trainer that it is of."""
+class TrainingEdits:
+    """Sessions on snapshots of a training: a `LiveScene` for the `Editing` feature."""
 
-    def __init__(self, thread: BackgroundTraining, snapshot: Snapshot) -> None:
-        self.snapshot = snapshot
-        self.pinned = False
-        """The user wants the view to wait, whatever is in hand."""
+    def __init__(self, thread: BackgroundTraining, shown: Callable[[AppState], Snapshot | None]) -> None:
+        """`shown` gives the snapshot that the window shows; None where it shows something else."""
         self._thread = thread
-        self._told = np.zeros(len(snapshot.ids), bool)
-        self._answers: list[Future[str]] = []
-        self._cuts: list[Crop] = []
-        self.changed = False
-        """The trainer has done something that the next snapshot shows."""
+        self._shown = shown
 
-    def refusal(self, operation: Operation) -> str | None:
-        """Why it cannot be done in training."""
-        if operation.op in ON_THE_TRAINER or operation.op in ON_THE_PICTURE:
-            return None
-        return REFUSALS.get(operation.op, AT_REST)
+    def is_shown(self, app: AppState) -> bool:
+        return self._shown(app) is not None
 
-    @property
-    def final(self) -> str | None:
-        """Why steps can no longer be undone."""
-        return NO_WAY_BACK if self._told.any() or self._cuts else None
+    def freeze(self, app: AppState) -> EditSession | None:
+        """The session of the shown snapshot, opened if there is none; None where no snapshot is shown."""
+        editing, snapshot = app.feature(Editing), self._shown(app)
+        if editing.session is None and snapshot is not None:
+            try:
+                editing.session = self._session(app, snapshot)
+            except InputError as error:
+                app.tell(f"{error}; it can be looked at")
+        return editing.session
 
-    def edited(self, document: Document) -> None:
-        """The document was changed: tells the trainer which splats are to go."""
-        deleted = (document.marks & DELETED) != 0
-        new = deleted & ~self._told
-        if not new.any():
+    def release(self, app: AppState) -> None:
+        """Snapshots are followed again; what was only selected or hidden is forgotten."""
+        editing = app.feature(Editing)
+        if frozen_target(editing.session) is not None and editing.session is not None:
+            editing.session.close()
+            editing.session = None
+            self._thread.show_now()
+
+    def export(self, app: AppState) -> None:
+        proposal = self._thread.outputs.scene
+        app.choose_files(
+            "Export the scene",
+            lambda paths: self._thread.export(paths[0]),
+            kind="save_scene",
+            name=f"{proposal.stem}-{self._thread.status.iteration}.ply",
+        )
+
+    def stays_frozen(self, app: AppState) -> bool:
+        """Whether the view stays with the snapshot that it shows; asked in every frame. A session in which
+        nothing is under way any more is released."""
+        session = session_of(app)
+        target = frozen_target(session)
+        if session is None or target is None:
+            return False
+        session.news = target.take_answers(session.document) or session.news
+        if target.waiting or session.job is not None or session.stroke is not None:
+            return True
+        if target.changed:
+            return False
+        if in_use(session):
+            return True
+        self.release(app)
+        return False
+
+    def carry_over(self, app: AppState, snapshot: Snapshot) -> None:
+        """The picture holds `snapshot` now: its session replaces that of the one before. Tool, selection and
+        crops are carried over, where the splats still exist."""
+        editing = app.feature(Editing)
+        old, editing.session = editing.session, None
+        if old is None:
             return
-        self._told = deleted
-        ids = self.snapshot.ids[new]
+        old.close()
+        target = frozen_target(old)
+        if target is None:
+            return
+        new = self._session(app, snapshot)
+        new.tool, new.depth, new.highlight = old.tool, old.depth, old.highlight
+        new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
+        new.news, new.problem = old.news, old.problem
+        document, marks = new.document, old.document.marks
+        _, here, there = np.intersect1d(
+            snapshot.ids, target.snapshot.ids, assume_unique=True, return_indices=True
+        )
+        for flag, operation in ((LOCKED, Lock()), (HIDDEN, Hide()), (SELECTED, None)):
+            mask = np.zeros(len(snapshot.ids), bool)
+            mask[here[(marks[there] & (flag | DELETED)) == flag]] = True
+            if mask.any():
+                document.apply(Select(by=IndexRuns.of(mask)))
+                if operation is not None:
+                    document.apply(operation)
+        for crop in target.without_rules(old.document.crops):
+            document.apply(AddCrop(crop=crop))
+        editing.session = new
 
-        def delete(training_run: TrainingRun) -> str:
-            gone = training_run.trainer.delete(ids)
-            return f"{gone:,} splats deleted from the training"
+    def _session(self, app: AppState, snapshot: Snapshot) -> EditSession:
+        document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=CpuRenderer())
+        return EditSession(document=document, target=TrainingTarget(self._thread, snapshot))
 
-        self._answers.append(self._thread.post(delete, changes=True))
+    # ---- commands, to be posted
 
-    def cut_away(self, crops: Sequence[Crop]) -> None:
-        """Deletes what the crops cut away, and keeps it so."""
-        self._cuts.extend(crops)
+    def pin(self, app: AppState) -> None:
+        """Freezes the shown snapshot until it is released."""
+        target = frozen_target(self.freeze(app))
+        if target is not None:
+            target.pinned = True
 
-        def cut(training_run: TrainingRun) -> str:
-            gone = training_run.trainer.add_cut(crops)
-            return f"{gone:,} splats cut away from the training, and it stays so"
+    def cut_away(self, app: AppState) -> None:
+        """Takes out of the training what the crops in force cut away, for good."""
+        session = session_of(app)
+        target = frozen_target(session)
+        if session is None or target is None:
+            return
+        session.document.cancel_preview()
+        crops = [crop for crop in session.document.crops if crop.enabled]
+        if crops:
+            target.cut_away(crops)
 
-        self._answers.append(self._thread.post(cut, changes=True))
+    def stop_growth(self, app: AppState, index: int) -> None:
+        """From now on no splat is born in crop `index`, which becomes a rule."""
+        session = session_of(app)
+        if session is None or frozen_target(session) is None:
+            return
+        session.document.cancel_preview()
+        region = replace(session.document.crops[index], enabled=True)
+        self._thread.post(lambda run: run.trainer.add_region(region), changes=True)
+        if session.apply(RemoveCrop(index=index)):
+            session.news = f"Nothing grows in {region.name} any more"
 
-    @property
-    def waiting(self) -> bool:
-        """Whether the trainer has yet to answer."""
-        return any(not answer.done() for answer in self._answers)
+    def remove_rule(self, app: AppState, kind: Rule, number: int) -> None:
+        """Frees the training of the rule of this number."""
+        rule = getattr(self._thread.status.settings, kind)[number]
 
-    def answers(self, session: EditSession) -> None:
-        """Tells what the trainer has done; takes back what it could not do."""
-        for answer in [answer for answer in self._answers if answer.done()]:
-            self._answers.remove(answer)
-            if answer.exception() is None:
-                self.changed = True
-                session.news = answer.result()
-            else:  # the thread has noted why
-                self._told[:] = False
-                self._cuts.clear()
-                while session.document.counts.deleted and session.document.undo():
-                    pass
+        def remove(run: TrainingRun) -> None:
+            rules = list(getattr(run.trainer.settings, kind))
+            if rule in rules:
+                rules.remove(rule)
+                run.trainer.change(**{kind: tuple(rules)})
 
-    def left_of(self, crops: Sequence[Crop]) -> list[Crop]:
-        """Those that have not become rules."""
-        return [crop for crop in crops if crop not in self._cuts]
-
-
-def hold(app: AppState) -> EditSession | None:
-    """The desk of the shown snapshot, made if there is none; None where the window shows no training."""
-    training = app.training
-    if app.session is not None:
-        return app.session
-    if training is None or training.shown is None or not training.followed_by(app):
-        return None
-    try:
-        app.session = _session(app, training.thread, training.shown)
-    except InputError as error:
-        app.tell(f"{error}; it can be looked at")
-    return app.session
-
-
-def _session(app: AppState, thread: BackgroundTraining, snapshot: Snapshot) -> EditSession:
-    name = app.scene.name if app.scene else "scene"
-    document = Document(snapshot.gaussians, name=name, tools=RasterTools())
-    return EditSession(document=document, target=TrainingTarget(thread, snapshot))
-
-
-def waits(app: AppState) -> bool:
-    """Called every frame: whether the view is to stay with the snapshot that it shows."""
-    session = app.session
-    if session is None or session.target is None:
-        return False
-    target: TrainingTarget = session.target
-    target.answers(session)
-    if target.waiting or session.job is not None or session.stroke is not None:
-        return True
-    if target.changed:
-        return False
-    if engaged(session):
-        return True
-    let_go(app)
-    return False
+        self._thread.post(remove, changes=True)
 
 
-def engaged(session: EditSession) -> bool:
-    """Whether the user is at work on what the desk holds."""
-    counts, target = session.document.counts, session.target
+def frozen_target(session: EditSession | None) -> TrainingTarget | None:
+    """The target of a session on a frozen snapshot; None for any other session."""
+    target = session.target if session is not None else None
+    return target if isinstance(target, TrainingTarget) else None
+
+
+def in_use(session: EditSession) -> bool:
+    """Whether the user is editing in `session`, so that its snapshot stays frozen."""
+    counts, target = session.document.counts, frozen_target(session)
     return (
         (target is not None and target.pinned)
         or session.tool != "none"
@@ -168,91 +175,3 @@ def engaged(session: EditSession) -> bool:
         or bool(session.picked or session.document.crops or session.document.previewed)
         or counts.selected + counts.hidden + counts.locked + counts.deleted > 0
     )
-
-
-def let_go(app: AppState) -> None:
-    """Snapshots flow again; what was only selected or hidden is forgotten."""
-    session = app.session
-    if session is None or session.target is None or app.training is None:
-        return
-    session.close()
-    app.session = None
-    app.training.thread.show_now()
-
-
-def succeed(app: AppState, snapshot: Snapshot) -> None:
-    """The picture holds `snapshot` now: the desk of the one before makes way. The tool in hand, selection and
-    crops stay, where the splats are still there."""
-    old = app.session
-    app.session = None
-    if old is None:
-        return
-    old.close()
-    if old.target is None or app.training is None:
-        return
-    new = _session(app, app.training.thread, snapshot)
-    new.tool, new.depth, new.highlight = old.tool, old.depth, old.highlight
-    new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
-    new.news, new.problem = old.news, old.problem
-    document, marks = new.document, old.document.marks
-    _, here, there = np.intersect1d(
-        snapshot.ids, old.target.snapshot.ids, assume_unique=True, return_indices=True
-    )
-    for flag, operation in ((LOCKED, Lock()), (HIDDEN, Hide()), (SELECTED, None)):
-        mask = np.zeros(len(snapshot.ids), bool)
-        mask[here[(marks[there] & (flag | DELETED)) == flag]] = True
-        if mask.any():
-            document.apply(Select(by=IndexRuns.of(mask)))
-            if operation is not None:
-                document.apply(operation)
-    for crop in old.target.left_of(old.document.crops):
-        document.apply(AddCrop(crop=crop))
-    app.session = new
-
-
-# ---- what the user asks for
-
-
-def keep_waiting(app: AppState) -> None:
-    """The view waits until it is let go."""
-    session = hold(app)
-    if session is not None and session.target is not None:
-        session.target.pinned = True
-
-
-def cut_away(app: AppState) -> None:
-    """Takes out of the training what the crops in force cut away, for good."""
-    session = app.session
-    if session is None or session.target is None:
-        return
-    session.document.cancel_preview()
-    crops = [crop for crop in session.document.crops if crop.enabled]
-    if crops:
-        session.target.cut_away(crops)
-
-
-def stop_growth(app: AppState, index: int) -> None:
-    """From now on no splat is born in crop `index`, which is a crop no more."""
-    session, training = app.session, app.training
-    if session is None or session.target is None or training is None:
-        return
-    session.document.cancel_preview()
-    region = replace(session.document.crops[index], enabled=True)
-    training.thread.post(lambda training_run: training_run.trainer.add_region(region), changes=True)
-    if session.apply(RemoveCrop(index=index)):
-        session.news = f"Nothing grows in {region.name} any more"
-
-
-def remove_rule(app: AppState, kind: Rule, number: int) -> None:
-    """Training is free again of the rule of this number."""
-    if app.training is None:
-        return
-    rule = getattr(app.training.status.settings, kind)[number]
-
-    def remove(training_run: TrainingRun) -> None:
-        rules = list(getattr(training_run.trainer.settings, kind))
-        if rule in rules:
-            rules.remove(rule)
-            training_run.trainer.change(**{kind: tuple(rules)})
-
-    app.training.thread.post(remove, changes=True)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from splatview.edit.kernels.grid import components, within
 from splatview.edit.kernels.kdtree import nearest
-from splatview.edit.progress import Cancelled, Watch
+from splatview.scene.progress import Cancelled, Progress
 
 
 def points_of(seed: int, count: int, kind: str) -> np.ndarray:
@@ -99,9 +99,9 @@ def test_no_points():
 def test_work_tells_how_far_it_is_and_stops_when_told(work, rng):
     points = rng.uniform(size=(30_000, 3))
     shares: list[float] = []
-    work(points, Watch(progress=shares.append))
+    work(points, Progress(report=shares.append))
     assert shares == sorted(shares)
     assert shares[0] < 0.5
     assert shares[-1] == 1
     with pytest.raises(Cancelled):
-        work(points, Watch(cancelled=lambda: True))
+        work(points, Progress(cancelled=lambda: True))

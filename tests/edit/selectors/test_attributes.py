@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
+from splatview.edit.tools import NoTools
 from splatview.scene import look_at
 from splatview.scene.edits import bake, shown
 from splatview.scene.sh import SH_C0

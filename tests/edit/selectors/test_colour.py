@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from splatview.edit.kernels.attributes import LINEAR, oklab
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import SimilarColour
+from splatview.edit.tools import NoTools
 from splatview.scene.sh import rgb_to_sh
 
 

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import Cancelled, NoTools, Watch
 from splatview.edit.selectors import Flood, SimilarColour, picked
 from splatview.edit.selectors.attributes import base_colours
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means, shown
+from splatview.scene.progress import Cancelled, Progress
 
 
 def search(points: np.ndarray, candidates: np.ndarray, seed: int, reach: float) -> np.ndarray:
@@ -96,14 +97,17 @@ def test_a_seed_of_another_scene(edit_helpers, edited):
 def test_it_can_be_stopped(edit_helpers, edited):
     with pytest.raises(Cancelled):
         Flood(seed=0).mask(
-            edit_helpers.make_scene(500), edited.none(500), NoTools(), watch=Watch(cancelled=lambda: True)
+            edit_helpers.make_scene(500),
+            edited.none(500),
+            NoTools(),
+            progress=Progress(cancelled=lambda: True),
         )
 
 
 def test_picking_takes_what_the_picture_shows(edit_helpers, edited, reference_tools):
     scene, edits = edit_helpers.make_scene(60), edited.none(60)
     camera = look_at((0, 0, -3), (0, 0, 0), width=40, height=30)
-    picture = reference_tools.front(scene, camera, edits)
+    picture = reference_tools.dominant_splats(scene, camera, edits)
     assert picked(scene, edits, reference_tools, camera, 20.9, 15.2) == picture[15, 20] >= 0
     assert picked(scene, edits, reference_tools, camera, 40.0, 15) is None
     assert picked(scene, edits, reference_tools, camera, -0.1, 15) is None

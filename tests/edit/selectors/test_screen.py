@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, Lens, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means
 from splatview.scene.image_model import NEAR
@@ -81,7 +81,7 @@ def test_what_is_nearer_than_the_near_plane_or_nowhere_is_in_no_region(edit_help
 def test_the_front_is_what_the_picture_shows(edit_helpers, edited, reference_tools, region):
     scene, edits = edit_helpers.make_scene(120), edited.some(120)
     mask = region.mask(scene, edits, reference_tools)
-    picture = reference_tools.front(scene, CAMERA, edits)
+    picture = reference_tools.dominant_splats(scene, CAMERA, edits)
     x, y = np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5)
     if isinstance(region, Brush):
         inside = np.hypot(x - 30, y - np.clip(y, 20, 60)) <= 7.5

@@ -7,11 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from splatview.edit.progress import NoTools, Watch
-from splatview.edit.selectors import SELECTORS, IllSplats, IndexRuns, health_findings
+from splatview.edit.selectors import SELECTORS, IndexRuns, InvalidSplats, health_findings
 from splatview.edit.serialization import from_json, to_json
+from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.health import check
+from splatview.scene.progress import Progress
 
 CAMERA = look_at((0.4, -0.3, -3), (0, 0, 0), up=(0, -1, 0), width=32, height=24)
 TRIANGLE = ((3.0, 2.0), (28.5, 4.0), (16.0, 22.25))
@@ -50,7 +51,7 @@ def test_through_json_it_selects_the_same(edit_helpers, edited, reference_tools,
     text = json.dumps(to_json(selector), allow_nan=False)
     again = from_json(SELECTORS[kind], json.loads(text))
     assert json.dumps(to_json(again)) == text
-    assert (again.mask(scene, edits, reference_tools, watch=Watch()) == mask).all()
+    assert (again.mask(scene, edits, reference_tools, progress=Progress()) == mask).all()
     if kind != "health":
         assert mask.any()
 
@@ -131,6 +132,6 @@ def test_every_finding_can_be_selected(edit_helpers, edited, finding):
     scene.means[4] = np.nan
     scene.log_scales[5] = (-9, 2, -9)
     scene.opacity_logits[6] = -99
-    mask = IllSplats(finding=finding).mask(scene, edited.none(40), NoTools())
+    mask = InvalidSplats(finding=finding).mask(scene, edited.none(40), NoTools())
     expected = next(found for found in check(scene) if found.name == finding)
     assert np.flatnonzero(mask).tolist() == expected.indices.tolist()

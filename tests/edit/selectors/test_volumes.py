@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.progress import NoTools
 from splatview.edit.selectors import Box, Sphere
+from splatview.edit.tools import NoTools
 from splatview.scene.edits import Crop, adjusted_means
 
 place = st.floats(-1, 1)

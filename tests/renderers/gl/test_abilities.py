@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from splatview.renderers.types import refusal
-from splatview.scene import RenderSettings
+from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
+from splatview.renderers.request import FrameRequest
+from splatview.scene import RenderSettings, look_at
 from splatview.scene.formats import save_scene
 
 PROGRAM = "import sys; from splatview.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -24,17 +27,22 @@ LACKING = (
 )
 
 
+NEW, OLD = QuadsRenderer.capabilities, QuadsGL33Renderer.capabilities
+REQUEST = FrameRequest(None, look_at((0, 0, -3), (0, 0, 0), width=8, height=8))
+
+
 @pytest.mark.parametrize("chosen", LACKING, ids=str)
 def test_settings_that_need_compute_shaders(chosen) -> None:
-    settings = RenderSettings(**chosen)
-    assert refusal(430, settings) is None
-    assert "needs OpenGL 4.3" in (refusal(410, settings) or "")
-    assert refusal(330, RenderSettings()) is None
+    request = replace(REQUEST, settings=RenderSettings(**chosen))
+    assert NEW.unsupported(request) is None
+    assert "needs OpenGL 4.3" in (OLD.unsupported(request) or "")
+    assert OLD.unsupported(REQUEST) is None
 
 
 def test_stored_attributes_need_them_too() -> None:
-    assert refusal(430, attributes="float16") is None
-    assert "need OpenGL 4.3" in (refusal(330, attributes="float16") or "")
+    request = replace(REQUEST, attributes="float16")
+    assert NEW.unsupported(request) is None
+    assert "need OpenGL 4.3" in (OLD.unsupported(request) or "")
 
 
 def test_a_ladder_on_old_opengl_leaves_them_out(ctx, random_gaussians, tmp_path: Path) -> None:

@@ -199,11 +199,11 @@ def test_a_version_that_nobody_has():
 
 
 def test_the_renderer_suits_the_context(ctx):
-    renderer = make_renderer(ctx)
+    renderer = make_renderer("quads", ctx)
     assert type(renderer).__name__ == "QuadsRenderer"
-    renderer.release()
+    renderer.close()
 
 
 def test_a_context_older_than_3_3_is_refused():
     with pytest.raises(InputError, match=r"OpenGL 3\.1 is too old, 3\.3 is needed"):
-        make_renderer(fake_context("some GPU", 310))
+        make_renderer("quads", fake_context("some GPU", 310))

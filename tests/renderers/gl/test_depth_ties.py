@@ -7,6 +7,7 @@ import numpy as np
 from splatview import raster
 from splatview.measure.ambiguity import ambiguity_at, unexplained_pixels
 from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.projection import project
 from splatview.scene.reference import render as render_reference
@@ -56,9 +57,9 @@ def test_what_quads_draws_otherwise_is_explained_by_ties(ctx):
     truth = render_reference(scene, camera, SETTINGS)
     renderer = QuadsRenderer(ctx)
     try:
-        image = renderer.render(scene, camera, SETTINGS)
+        image = renderer.render(FrameRequest(scene, camera, SETTINGS))
     finally:
-        renderer.release()
+        renderer.close()
     unexplained, _ = unexplained_pixels(image, truth, scene, camera, SETTINGS, bound=1e-3)
     assert not unexplained
     footprints = project(scene, camera, SETTINGS)

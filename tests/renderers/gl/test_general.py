@@ -16,7 +16,7 @@ from splatview.renderers.gl.programs import Variant, Variants, switches
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
 from splatview.scene.lens import Lens
@@ -70,7 +70,7 @@ def made(session_context: moderngl.Context, request: pytest.FixtureRequest) -> I
     else:
         renderer = {"quads": QuadsRenderer, "tiles": TilesRenderer}[request.param](ctx, variants=variants)
     yield request.param, renderer, variants
-    renderer.release()
+    renderer.close()
 
 
 def edits_of(effects: tuple[str, ...]) -> SceneEdits:
@@ -108,10 +108,10 @@ def pictures(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> tuple[np
     shown["highlight"] = Highlight() if "selected" in effects else None
     camera = next((CAMERAS[effect] for effect in effects if effect in CAMERAS), CAMERA)
     renderer.load(scene)
-    special = renderer.render(scene, camera, settings, **shown)
+    special = renderer.render(FrameRequest(scene, camera, settings, **shown))
     renderer.load(scene)
     with variants.generally():
-        return special, renderer.render(scene, camera, settings, **shown)
+        return special, renderer.render(FrameRequest(scene, camera, settings, **shown))
 
 
 def compare(made: Made, scene: Gaussians, effects: tuple[str, ...]) -> None:

@@ -12,9 +12,10 @@ from splatview.renderers.gl import scene_buffers, scene_textures
 from splatview.renderers.gl.context import held_bytes
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
-from splatview.renderers.gl.renderer import Renderer
+from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.scene_buffers import DEGREE_BITS, own_words, places, sh_words, stored_harmonics
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, concatenate, look_at, reference
 from splatview.scene.attribute_formats import FORMATS
 from splatview.scene.effects import VISIBLE, settings_for
@@ -50,13 +51,13 @@ def alike(monkeypatch) -> None:
     monkeypatch.setattr("splatview.renderers.gl.scene_buffers.own_degrees", lambda sh: None)
 
 
-def picture(make: type[Renderer], ctx, scene: Gaussians, settings=EXACT, **loading):
+def picture(make: type[GLRenderer], ctx, scene: Gaussians, settings=EXACT, **loading):
     """The picture, and how many bytes the renderer held after it."""
     renderer = make(ctx)
     renderer.load(scene, **loading)
-    image = renderer.render(scene, CAMERA, settings)
+    image = renderer.render(FrameRequest(scene, CAMERA, settings))
     held = held_bytes(renderer)
-    renderer.release()
+    renderer.close()
     return image, held
 
 
@@ -152,18 +153,20 @@ def test_invisible_bands_come_when_they_are_asked_for(ctx, random_gaussians, mak
     scene = replace(scene, sh=sh)
     renderer = make(ctx)
     renderer.load(scene)
-    seen = renderer.render(scene, CAMERA, replace(EXACT, sh_degree=settings_for(scene).sh_degree))
+    seen = renderer.render(
+        FrameRequest(scene, CAMERA, replace(EXACT, sh_degree=settings_for(scene).sh_degree))
+    )
     held = held_bytes(renderer)
-    every = renderer.render(scene, CAMERA, EXACT)
+    every = renderer.render(FrameRequest(scene, CAMERA, EXACT))
     assert held_bytes(renderer) - held >= 600 * 7 * 12
     assert 0 < np.abs(every - seen).max() <= VISIBLE
     assert np.abs(every - reference.render(scene, CAMERA)).max() < 1e-4
     assert renderer.every_band  # and so from now on: a training shows one scene after the other
     again = replace(scene)
     renderer.load(again)
-    assert np.array_equal(renderer.render(again, CAMERA, EXACT), every)
-    assert renderer.stats.drawn == 3
-    renderer.release()
+    assert np.array_equal(renderer.render(FrameRequest(again, CAMERA, EXACT)), every)
+    assert renderer.stats().drawn == 3
+    renderer.close()
 
 
 def test_a_merged_scene_pays_for_the_bands_of_its_parts(ctx, random_gaussians):

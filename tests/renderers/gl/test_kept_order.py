@@ -8,6 +8,7 @@ import pytest
 from splatview import raster
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.tiles import TilesRenderer
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
 
@@ -25,11 +26,11 @@ def renderer(request, ctx, random_gaussians):
     made = request.param(ctx)
     made.load(random_gaussians(300, seed=6))
     yield made
-    made.release()
+    made.close()
 
 
 def drawn(renderer, camera: Camera, settings: RenderSettings, edits: SceneEdits | None = None) -> np.ndarray:
-    renderer.draw(camera, settings, edits=edits)
+    renderer.draw(FrameRequest(None, camera, settings, edits=edits))
     return renderer.read()
 
 
@@ -56,9 +57,9 @@ def test_a_view_at_rest_has_its_own_order_and_is_drawn_no_more(renderer):
     assert renderer.busy
     rested = drawn(renderer, at(20), settings)
     assert not renderer.busy
-    count = renderer.stats.drawn
+    count = renderer.stats().drawn
     drawn(renderer, at(20), settings)
-    assert renderer.stats.drawn == count
+    assert renderer.stats().drawn == count
     exact = drawn(renderer, at(20), ANEW)
     np.testing.assert_array_equal(rested, exact)
     assert np.abs(stale - exact).max() > 1e-2
@@ -73,10 +74,10 @@ def test_nothing_is_to_come_once_orders_are_kept_no_more(renderer):
         assert renderer.busy
         drawn(renderer, at(20), other)
         assert not renderer.busy
-    renderer.draw(at(0), settings)
-    renderer.draw(at(20), settings)
+    renderer.draw(FrameRequest(None, at(0), settings))
+    renderer.draw(FrameRequest(None, at(20), settings))
     assert renderer.busy
-    renderer.draw(at(20), settings, mode="points")
+    renderer.draw(FrameRequest(None, at(20), settings, mode="points"))
     assert not renderer.busy
 
 

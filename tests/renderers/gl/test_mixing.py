@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.renderers.moving_quality import FINE_STEP, Mixer, Shortcut, mixtures_of, squared_error
+from splatview.renderers.quality import FINE_STEP, Mixer, Shortcut, badness, mixtures_of, squared_error
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.lod import chances, levels_and_cells
 
@@ -73,11 +73,11 @@ def test_ill_splats_have_a_place_too(dense):
 
 def test_their_times_are_a_tenth_apart(mixer):
     finer, coarser = (
-        Shortcut(gaussians=scene, share=share, scale=1.0, ms=ms, error=error)
+        Shortcut(gaussians=scene, kept=share, scale=1.0, ms=ms, error=error)
         for scene, share, ms, error in ((mixer.finer, 1.0, 90.0, 0.0), (mixer.coarser, 0.5, 41.0, 1e-3))
     )
     between = mixtures_of(finer, coarser, mixer)
     times = np.array([90.0, *(one.ms for one in between), 41.0])
     assert (times[:-1] / times[1:] < FINE_STEP + 1e-9).all() and (np.diff(times) < 0).all()
-    assert all(0 < one.merged < 1 and 0 < one.error < 1e-3 and 0.5 < one.share < 1 for one in between)
+    assert all(0 < one.merged < 1 and 0 < badness(one) < 1e-3 and 0.5 < one.kept < 1 for one in between)
     assert mixtures_of(coarser, finer, mixer) == []

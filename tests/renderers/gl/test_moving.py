@@ -8,34 +8,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatview import raster
-from splatview.renderers import moving_quality as moving
-from splatview.renderers.moving_quality import (
+from splatview.renderers import quality as moving
+from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.quality import (
     MOVING_MS,
-    SLACK,
+    MOVING_SLACK,
+    Governor,
     Level,
-    Pace,
-    Plan,
+    MovingPlan,
     Shortcut,
+    badness,
     best_of,
     doubled,
     make_levels,
     price,
     squared_error,
 )
+from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, look_at
 
 SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
 CAMERA = look_at((0, 0.5, -3), (0, 0, 0), width=96, height=64)
+REQUEST = FrameRequest(None, CAMERA, SETTINGS)
 
 
 def shortcut(scene: Gaussians, ms: float, error: float, **options) -> Shortcut:
-    return Shortcut(gaussians=scene, ms=ms, error=error, **{"share": 0.5, "scale": 1.0, **options})
+    return Shortcut(gaussians=scene, ms=ms, error=error, **{"kept": 0.5, "scale": 1.0, **options})
 
 
-def plan_of(scene: Gaussians, *times: float) -> Plan:
+def plan_of(scene: Gaussians, *times: float) -> MovingPlan:
     """Shortcuts of `times` ms, ever worse."""
     shortcuts = [shortcut(scene, ms, 0.001 * i) for i, ms in enumerate(times)]
-    return Plan(gaussians=scene, levels=(Level(scene),), shortcuts=tuple(shortcuts), work=(100, 1000))
+    return MovingPlan(gaussians=scene, levels=(Level(scene),), shortcuts=tuple(shortcuts), work=(100, 1000))
 
 
 @pytest.fixture
@@ -59,30 +63,31 @@ def dense(random_gaussians) -> Gaussians:
 def test_errors_are_those_of_the_pictures(dense):
     levels = make_levels(dense, lambda: False)
     assert len(levels) > 1
-    plan = price(levels, CAMERA, SETTINGS, lambda: False, threads=1)
+    plan = price(levels, REQUEST, CpuRenderer(), lambda: False)
     assert plan is not None
     assert plan.levels is levels
     full = raster.render(dense, CAMERA, SETTINGS)[..., :3]
     for one in plan.shortcuts:
         assert one.ms > 0
-        if one.exact:
+        if one.is_exact:
             assert one.error == 0
             assert one.note == ""
         elif one.scale == 1:
+            assert one.gaussians is not None
             seen = raster.render(one.gaussians, CAMERA, SETTINGS)[..., :3]
             assert one.error == pytest.approx(squared_error(seen, full), rel=1e-3)
-            assert f"{one.share:.0%} of the splats" in one.note
+            assert f"{one.kept:.0%} of the splats" in one.note
             assert "dB" in one.note
 
 
 def test_every_shortcut_is_the_best_for_its_time(dense):
-    plan = price(make_levels(dense, lambda: False), CAMERA, SETTINGS, lambda: False, threads=1)
+    plan = price(make_levels(dense, lambda: False), REQUEST, CpuRenderer(), lambda: False)
     assert plan is not None
     times = [one.ms for one in plan.shortcuts]
-    errors = [one.error for one in plan.shortcuts]
+    errors = [badness(one) for one in plan.shortcuts]
     assert times == sorted(times, reverse=True)
     assert errors == sorted(errors)
-    assert any(one.exact for one in plan.shortcuts), "nothing is better than the full picture"
+    assert any(one.is_exact for one in plan.shortcuts), "nothing is better than the full picture"
 
 
 def test_what_is_slower_and_worse_is_left_out(scene):
@@ -91,7 +96,7 @@ def test_what_is_slower_and_worse_is_left_out(scene):
 
 
 def test_pricing_ends_when_it_is_told_to(dense):
-    assert price((Level(dense),), CAMERA, SETTINGS, lambda: True) is None
+    assert price((Level(dense),), REQUEST, CpuRenderer(), lambda: True) is None
     assert len(make_levels(dense, lambda: True)) == 2
 
 
@@ -102,37 +107,37 @@ def test_levels_that_cost_too_much_memory_are_not_kept(dense, monkeypatch):
 
 
 def test_the_finest_that_the_time_allows_is_chosen(scene):
-    pace = Pace()
-    pace.follow(plan_of(scene, 4 * MOVING_MS, 0.9 * MOVING_MS, 0.2 * MOVING_MS))
-    assert pace.shortcut is not None
-    assert pace.shortcut.ms == 0.9 * MOVING_MS
+    governor = Governor()
+    governor.follow(plan_of(scene, 4 * MOVING_MS, 0.9 * MOVING_MS, 0.2 * MOVING_MS).shortcuts)
+    assert governor.step is not None
+    assert governor.step.ms == 0.9 * MOVING_MS
 
 
 def test_where_nothing_is_quick_enough_the_quickest_is_taken(scene):
-    pace = Pace()
-    pace.follow(plan_of(scene, 9 * MOVING_MS, 3 * MOVING_MS))
-    assert pace.shortcut is not None
-    assert pace.shortcut.ms == 3 * MOVING_MS
+    governor = Governor()
+    governor.follow(plan_of(scene, 9 * MOVING_MS, 3 * MOVING_MS).shortcuts)
+    assert governor.step is not None
+    assert governor.step.ms == 3 * MOVING_MS
 
 
 def test_a_machine_that_got_slower_is_followed_and_one_that_trembles_is_not(scene):
-    pace = Pace()
-    pace.follow(plan_of(scene, 4 * MOVING_MS, 0.95 * MOVING_MS, 0.2 * MOVING_MS))
-    first = pace.shortcut
+    governor = Governor()
+    governor.follow(plan_of(scene, 4 * MOVING_MS, 0.95 * MOVING_MS, 0.2 * MOVING_MS).shortcuts)
+    first = governor.step
     assert first is not None
     for step in range(40):
-        pace.learn(first, first.ms * (1 + 0.15 * (-1) ** step))
-        assert pace.shortcut is first, "noise changes nothing"
+        governor.learn(first, first.ms * (1 + 0.15 * (-1) ** step))
+        assert governor.step is first, "noise changes nothing"
     for _ in range(20):
-        now = pace.shortcut
+        now = governor.step
         assert now is not None
-        pace.learn(now, 2 * SLACK * now.ms)
-    assert pace.shortcut is not first
+        governor.learn(now, 2 * MOVING_SLACK * now.ms)
+    assert governor.step is not first
     for _ in range(40):
-        now = pace.shortcut
+        now = governor.step
         assert now is not None
-        pace.learn(now, 0.7 * now.ms)
-    assert pace.shortcut is first, "and when it has become quick again, the finer one returns"
+        governor.learn(now, 0.7 * now.ms)
+    assert governor.step is first, "and when it has become quick again, the finer one returns"
 
 
 def test_prices_hold_for_views_of_about_the_same_work(scene):
@@ -155,11 +160,11 @@ def test_pictures_are_doubled_as_the_window_shows_them():
 @given(st.lists(st.tuples(st.integers(0, 2), st.floats(0, 1e6)), max_size=30))
 def test_whatever_is_measured_a_shortcut_of_the_plan_is_chosen(random_gaussians_once, measured):
     plan = plan_of(random_gaussians_once, 100.0, 10.0, 1.0)
-    pace = Pace()
-    pace.follow(plan)
+    governor = Governor()
+    governor.follow(plan.shortcuts)
     for which, ms in measured:
-        pace.learn(plan.shortcuts[which], ms)
-        assert pace.shortcut in plan.shortcuts
+        governor.learn(plan.shortcuts[which], ms)
+        assert governor.step in plan.shortcuts
 
 
 @pytest.fixture(scope="module")

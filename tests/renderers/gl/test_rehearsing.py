@@ -11,24 +11,25 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.raster.frame import kind_of
+from splatview.raster.frame import specialisation_key
 from splatview.renderers import make_renderer
-from splatview.renderers.cpu_async import CpuAhead
+from splatview.renderers.async_renderer import KernelPrecompiler
+from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.edit_snapshot import edit_snapshot
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key, title_of
 from splatview.renderers.precompile import MOST_REMEMBERED, ShaderPrecompiler, precompile_job
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, SELECTED, Adjustment, Crop, SceneEdits
-from splatview.viewer.picture import CpuPicture
+from splatview.viewer.picture import Picture
 
 COUNT = 200
 CAMERA = look_at((0.4, -0.6, -2.4), (0, 0, 0), width=48, height=40)
 SETTINGS = RenderSettings(blend="float32")
 PATIENCE = 20.0
-NOTHING: Any = SimpleNamespace(renderer="quads")
+NOTHING: Any = SimpleNamespace(backend="quads")
 
 
 def some_edits() -> SceneEdits:
@@ -92,12 +93,12 @@ def test_programs_do_not_wait_for_kernels():
     at_work, curtain = threading.Event(), threading.Event()
 
     def perform(job) -> None:
-        if job.renderer == "cpu":
+        if job.backend == "cpu":
             at_work.set()
             assert curtain.wait(PATIENCE)
 
     precompiler = ShaderPrecompiler(perform=perform)
-    precompiler.ask(["kernel"], "edits", lambda: SimpleNamespace(renderer="cpu"))  # pyright: ignore
+    precompiler.ask(["kernel"], "edits", lambda: SimpleNamespace(backend="cpu"))  # pyright: ignore
     precompiler.ask(["program"], "points", lambda: NOTHING)
     assert precompiler.wait(["program"])
     assert not precompiler.is_done(["kernel"])
@@ -137,8 +138,10 @@ def test_an_end_wakes_who_waits():
 
 def test_a_process_draws_and_says_why_it_cannot(random_gaussians):
     precompiler = ShaderPrecompiler()
-    job = precompile_job("quads", random_gaussians(9), CAMERA, SETTINGS, edits=None)
-    precompiler.ask(["wrong"], "nothing", lambda: replace(job, renderer="cpu", mode="splats", camera=None))  # pyright: ignore
+    job = precompile_job("quads", FrameRequest(random_gaussians(9), CAMERA, SETTINGS))
+    precompiler.ask(
+        ["wrong"], "nothing", lambda: replace(job, backend="cpu", request=replace(job.request, camera=None))
+    )  # pyright: ignore
     assert precompiler.wait(["wrong"])
     assert "AttributeError" in (precompiler.take_problem() or "")
     precompiler.ask(["right"], "quads", lambda: job)
@@ -153,28 +156,28 @@ def test_general_programs_stand_in_until_the_others_are_compiled(ctx, random_gau
         pytest.skip("needs OpenGL 4.3")
     stage = Stage()
     variants = FallbackShaders(ctx, stage.precompiler)
-    renderer = make_renderer(ctx, name, variants) if name != "legacy" else QuadsGL33Renderer(ctx, variants)
+    renderer = make_renderer(name, ctx, variants) if name != "legacy" else QuadsGL33Renderer(ctx, variants)
     variants.prepare(renderer)
     assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
     scene, edits, highlight = random_gaussians(COUNT, seed=4), some_edits(), Highlight()
-    meanwhile = renderer.render(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight)
-    variants.after_drawing(name, scene, CAMERA, SETTINGS, "splats", edits, highlight)
+    meanwhile = renderer.render(FrameRequest(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight))
+    variants.after_drawing(name, FrameRequest(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight))
     assert all(variant.general for variant in variants.made if "project" in variant.files[-1])
     turned = replace(CAMERA, fx=CAMERA.fx + 1)
-    renderer.render(scene, turned, SETTINGS, edits=edits, highlight=highlight)
+    renderer.render(FrameRequest(scene, turned, SETTINGS, edits=edits, highlight=highlight))
     asked = [variants._key(variant) for variant in variants.take_waiting()]
     assert asked
     stage.finish(*asked)
-    renderer.render(scene, turned, RenderSettings(), edits=edits, highlight=highlight)
+    renderer.render(FrameRequest(scene, turned, RenderSettings(), edits=edits, highlight=highlight))
     assert not variants.take_waiting()
-    specialised = renderer.render(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight)
+    specialised = renderer.render(FrameRequest(scene, CAMERA, SETTINGS, edits=edits, highlight=highlight))
     assert any(not variant.general for variant in variants.made if "project" in variant.files[-1])
     np.testing.assert_allclose(specialised, meanwhile, atol=2e-6)
     (job,) = stage.performed
     assert job.variants
     assert "hidden splats" in title_of(job.variants)
     stage.precompiler.release()
-    renderer.release()
+    renderer.close()
 
 
 @pytest.mark.parametrize("mode", ["splats", "points", "ellipsoids", "depth"])
@@ -184,71 +187,73 @@ def test_a_rehearsal_needs_the_programs_of_the_picture_it_stands_for(ctx, random
     settings = replace(SETTINGS, model=replace(SETTINGS.model, antialiased=True))
     shown = {"edits": some_edits(), "highlight": Highlight()} if edited else {}
     made = []
-    job = precompile_job("quads", scene, CAMERA, settings, mode=mode, **shown)
-    small = {"edits": job.edits, "highlight": job.highlight}
+    job = precompile_job("quads", FrameRequest(scene, CAMERA, settings, mode=mode, **shown))
+    small = {"edits": job.request.edits, "highlight": job.request.highlight}
     for gaussians, camera, options in (
         (scene, CAMERA, shown),
-        (job.gaussians, job.camera, small),
+        (job.request.gaussians, job.request.camera, small),
     ):
         variants = Variants(ctx)
-        renderer = make_renderer(ctx, "quads", variants)
-        image = renderer.render(gaussians, camera, settings, mode=mode, **options)
+        renderer = make_renderer("quads", ctx, variants)
+        image = renderer.render(FrameRequest(gaussians, camera, settings, mode=mode, **options))
         made.append(variants.made)
-        renderer.release()
+        renderer.close()
     assert image.std() > 0.01, "nothing was drawn"
     assert made[0] == made[1]
 
 
 def test_the_baked_scene_is_drawn_until_kernels_with_edits_are_there(random_gaussians):
     scene, stage = random_gaussians(COUNT, seed=6), Stage()
-    ahead = CpuAhead(stage.precompiler)
+    kernels = KernelPrecompiler(CpuRenderer(), stage.precompiler)
+    plain = FrameRequest(scene, CAMERA, SETTINGS)
     shown = edit_snapshot(some_edits(), Highlight(), None)
+    assert shown is not None
+    edited = replace(plain, edits=shown.kept, highlight=shown.highlight)
     raster.render(scene, CAMERA, SETTINGS)  # compiled, or in the cache
-    assert ahead.must_wait(scene, CAMERA, SETTINGS, None) is None
-    assert ahead.must_wait(scene, CAMERA, SETTINGS, shown) is None
-    baked, edits = ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)
-    assert edits is None
-    assert ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)[0] is baked, "baked once"
-    meanwhile = raster.render(baked, CAMERA, SETTINGS)
-    stage.finish(kind_of(scene, CAMERA, SETTINGS, edited=True))
-    same, edits = ahead.what_to_draw(scene, CAMERA, SETTINGS, shown)
-    assert same is scene
-    assert edits is not None
-    np.testing.assert_allclose(raster.render(scene, CAMERA, SETTINGS, edits=edits), meanwhile, atol=1e-4)
+    assert kernels.must_wait(plain) is None
+    assert kernels.must_wait(edited) is None
+    baked = kernels.what_to_draw(edited)
+    assert baked.edits is None
+    assert baked.gaussians is not None
+    assert kernels.what_to_draw(edited).gaussians is baked.gaussians, "baked once"
+    meanwhile = raster.render(baked.gaussians, CAMERA, SETTINGS)
+    stage.finish(specialisation_key(scene, CAMERA, SETTINGS, edited=True))
+    assert kernels.what_to_draw(edited) is edited
+    np.testing.assert_allclose(CpuRenderer().render(edited), meanwhile, atol=1e-4)
     (job,) = stage.performed
-    assert job.renderer == "cpu"
-    assert job.edits.in_force
+    assert job.backend == "cpu"
+    assert job.request.edits.in_force
     stage.precompiler.release()
 
 
 def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     scene, stage = random_gaussians(COUNT), Stage()
-    ahead = CpuAhead(stage.precompiler)
-    discs = replace(SETTINGS, model=replace(SETTINGS.model, footprint="disc"))
+    kernels = KernelPrecompiler(CpuRenderer(), stage.precompiler)
+    discs = FrameRequest(scene, CAMERA, replace(SETTINGS, model=replace(SETTINGS.model, footprint="disc")))
     raster.render(scene, CAMERA, SETTINGS)
-    kind = ahead.must_wait(scene, CAMERA, discs, None)
+    kind = kernels.must_wait(discs)
     assert kind is not None
-    assert kind == kind_of(scene, CAMERA, discs)
-    assert kind != kind_of(scene, CAMERA, SETTINGS)
+    assert kind == specialisation_key(scene, CAMERA, discs.settings)
+    assert kind != specialisation_key(scene, CAMERA, SETTINGS)
     stage.finish()
-    assert ahead.wait(kind)
-    assert ahead.must_wait(scene, CAMERA, discs, None) is None
+    assert kernels.wait(kind)
+    assert kernels.must_wait(discs) is None
     stage.precompiler.release()
 
 
 def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
     stage, ready = Stage(), threading.Event()
-    picture = CpuPicture(ctx, on_ready=ready.set, precompiler=stage.precompiler)
+    picture = Picture(ctx, "cpu", on_ready=ready.set, precompiler=stage.precompiler)
     for _ in picture.load_steps(random_gaussians(COUNT, seed=5)):
         pass
-    picture.draw(CAMERA, SETTINGS, "points")
+    picture.draw(FrameRequest(None, CAMERA, SETTINGS, mode="points"))
     assert picture.busy
     assert ready.wait(PATIENCE), "splats meanwhile"
     assert picture.status == "Compiling for this machine: points"
     stage.finish(mode_key(ctx, "points"))
-    picture.draw(CAMERA, SETTINGS, "points")
+    picture.draw(FrameRequest(None, CAMERA, SETTINGS, mode="points"))
     assert not picture.busy
     assert picture.texture.size == (CAMERA.width, CAMERA.height)
-    assert picture.read(CAMERA, SETTINGS, "points").std() > 0.01
+    assert picture.read(FrameRequest(None, CAMERA, SETTINGS, mode="points")).std() > 0.01
     stage.precompiler.release()
-    picture.release()
+    picture.close()

@@ -10,6 +10,7 @@ import pytest
 from splatview.renderers.gl import quads, scene_buffers
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, placement_of, upload_steps
+from splatview.renderers.request import FrameRequest
 from splatview.scene import InputError, RenderSettings, look_at
 from splatview.scene.effects import degree_in_use
 
@@ -26,19 +27,19 @@ def test_a_low_limit_makes_pages_of_whole_groups_and_the_same_picture(ctx, rando
     scene = random_gaussians(2000)
     whole, paged = QuadsRenderer(ctx), QuadsRenderer(ctx)
     settings = RenderSettings(blend="float32")
-    expected = whole.render(scene, CAMERA, settings)
+    expected = whole.render(FrameRequest(scene, CAMERA, settings))
     limit = 2000 * 16  # room for the records, and for a page of 166 splats of degree 3
     monkeypatch.setattr(scene_buffers, "storage_limit", lambda _: limit)
-    assert np.array_equal(paged.render(scene, CAMERA, settings), expected)
+    assert np.array_equal(paged.render(FrameRequest(scene, CAMERA, settings)), expected)
     buffers = upload(ctx, scene)
     assert [page.count for page in buffers.pages] == [GROUP_SIZE] * 7 + [208]
     assert [page.first for page in buffers.pages] == list(range(0, 2000, GROUP_SIZE))
-    paged.draw(CAMERA, settings, mode="ellipsoids")
-    whole.draw(CAMERA, settings, mode="ellipsoids")
+    paged.draw(FrameRequest(None, CAMERA, settings, mode="ellipsoids"))
+    whole.draw(FrameRequest(None, CAMERA, settings, mode="ellipsoids"))
     assert np.array_equal(paged.read(), whole.read())
     buffers.release()
-    whole.release()
-    paged.release()
+    whole.close()
+    paged.close()
 
 
 def test_more_splats_than_the_driver_allows_are_the_users_business(ctx, random_gaussians, monkeypatch):
@@ -47,9 +48,9 @@ def test_more_splats_than_the_driver_allows_are_the_users_business(ctx, random_g
     monkeypatch.setattr(quads, "storage_limit", lambda _: 16 * 99)
     with pytest.raises(InputError, match="100 splats"):
         renderer.load(random_gaussians(100))
-    renderer.draw(CAMERA, RenderSettings())
-    assert renderer.stats.splats == 10
-    renderer.release()
+    renderer.draw(FrameRequest(None, CAMERA, RenderSettings()))
+    assert renderer.stats().splats == 10
+    renderer.close()
 
 
 def test_only_bands_in_use_are_uploaded(ctx, random_gaussians):
@@ -88,11 +89,11 @@ def test_loading_in_steps_tells_progress_and_can_be_given_up(ctx, random_gaussia
     first = random_gaussians(300)
     shares = list(renderer.load_steps(first))
     assert shares == pytest.approx([1 / 3, 2 / 3, 1])
-    expected = renderer.render(first, CAMERA, RenderSettings())
+    expected = renderer.render(FrameRequest(first, CAMERA, RenderSettings()))
     steps = renderer.load_steps(random_gaussians(300, seed=9))
     next(steps)
     steps.close()
-    renderer.draw(CAMERA, RenderSettings())
+    renderer.draw(FrameRequest(None, CAMERA, RenderSettings()))
     assert np.array_equal(renderer.read(), expected)
-    assert renderer.stats.projected == 1
-    renderer.release()
+    assert renderer.stats().projected == 1
+    renderer.close()

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from splatview.renderers.gl.blend import MODE_FLAGS
 from splatview.renderers.gl.edit_textures import Editing
 from splatview.renderers.gl.programs import expand
 from splatview.renderers.gl.project import QUADS_PER_INSTANCE
 from splatview.renderers.gl.quads_gl33 import NO_ORDERS
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE
 from splatview.renderers.gl.tiles import BLOCK, HARDWARE, SOFTWARE
-from splatview.renderers.types import Highlight
+from splatview.renderers.modes import MODES, VisualMode, mode_flags
+from splatview.renderers.request import Highlight
 from splatview.scene.edits import IDENTITY, Crop
 
 Variant = tuple[str, dict[str, float | bool]]
@@ -26,6 +26,8 @@ RAYS: list[dict[str, float | bool]] = [
     {"LENS": a, "ORTHOGRAPHIC": b} for a, b in ((False, False), (True, False), (False, True))
 ]
 PINHOLE = RAYS[0]
+
+BLENDED: list[VisualMode] = [mode.name for mode in MODES.values() if not mode.surfaces]
 
 GEOMETRY: dict[str, float | bool] = {"QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "GROUP_SIZE": GROUP_SIZE}
 
@@ -65,15 +67,16 @@ def drawing(folder: str) -> Iterator[Variant]:
     orders = [NO_ORDERS]
     if folder == "quads":
         orders = [{"STOCHASTIC": a, "WEIGHTED": b} for a, b in ((False, False), (True, False), (False, True))]
-    for mode, highlight, order in itertools.product(MODE_FLAGS, (None, Highlight()), orders):
-        edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
-        flags = {**GEOMETRY, **MODE_FLAGS[mode], **edits, **order}
-        yield f"{folder}/draw.vert.glsl", flags
-        yield "quads/draw.frag.glsl", flags
-        behind: dict[str, float | bool] = {"GRADIENT": False, "PANORAMA": False, "BEHIND": False}
-        for kind in (None, *behind):
-            flags = {**behind, **({kind: True} if kind else {}), **MODE_FLAGS[mode]}
-            yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
+    for mode in BLENDED:
+        for highlight, order in itertools.product((None, Highlight()), orders):
+            edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
+            flags = {**GEOMETRY, **mode_flags(mode), **edits, **order}
+            yield f"{folder}/draw.vert.glsl", flags
+            yield "quads/draw.frag.glsl", flags
+            behind: dict[str, float | bool] = {"GRADIENT": False, "PANORAMA": False, "BEHIND": False}
+            for kind in (None, *behind):
+                flags = {**behind, **({kind: True} if kind else {}), **mode_flags(mode, resolved=True)}
+                yield "quads/resolve.frag.glsl", {**flags, "WEIGHTED": order.get("WEIGHTED", False)}
     for rays in RAYS:
         yield "quads/ellipsoids.frag.glsl", rays
     yield "quads/fullscreen.vert.glsl", {}

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import largest_error, psnr
-from splatview.renderers.cpu_async import CpuTexture
+from splatview.renderers.async_renderer import AsyncRenderer
+from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.edit_snapshot import edit_snapshot, tinted
 from splatview.renderers.gl.quads import QuadsRenderer
-from splatview.renderers.types import Highlight
+from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Gaussians, RenderSettings, look_at, reference
 from splatview.scene.edits import (
     DELETED,
@@ -59,8 +60,8 @@ def test_tints_as_adjustments_give_the_picture_of_the_shaders(ctx: moderngl.Cont
         pytest.skip("needs OpenGL 4.3")
     scene, edits, highlight = bright(random_gaussians(300)), some_edits(300), Highlight()
     renderer = QuadsRenderer(ctx)
-    lit = renderer.render(scene, CAMERA, FLOAT32, edits=edits, highlight=highlight)
-    renderer.release()
+    lit = renderer.render(FrameRequest(scene, CAMERA, FLOAT32, edits=edits, highlight=highlight))
+    renderer.close()
     truth = reference.render(bake(scene, tinted(edits, highlight)), CAMERA, FLOAT32)
     assert psnr(lit, truth) >= 80
     assert largest_error(lit, reference.render(bake(scene, edits), CAMERA, FLOAT32)) > 0.2
@@ -109,28 +110,32 @@ def test_what_shows_is_one_object_until_it_changes():
     assert edit_snapshot(edits, Highlight(selected=(1, 0, 0, 1)), first) is not first
 
 
-def test_the_cpu_s_pictures_show_edits(ctx: moderngl.Context, random_gaussians: Make):
+def test_the_cpu_s_pictures_show_edits(random_gaussians: Make):
     scene, edits, highlight = random_gaussians(300), some_edits(300), Highlight()
-    texture = CpuTexture(ctx)
+    renderer = AsyncRenderer(CpuRenderer())
     try:
-        texture.load(scene)
+        renderer.load(scene)
         for lit in (None, highlight):
             drawn = edits if lit is None else tinted(edits, lit)
             truth = reference.render(bake(scene, drawn), CAMERA, FLOAT32)
-            assert psnr(texture.read(CAMERA, FLOAT32, edits=edits, highlight=lit), truth) >= 80
+            request = FrameRequest(None, CAMERA, FLOAT32, edits=edits, highlight=lit)
+            assert psnr(renderer.render(request), truth) >= 80
             for _ in range(2):  # the second time, edits have changed before an eye at rest
                 edits.marks[:] = np.roll(edits.marks, 7)
                 edits = replace(edits, marks_version=edits.marks_version + 1)
-                texture.draw(CAMERA, FLOAT32, edits=edits, highlight=lit)
-                while texture.busy:
-                    texture.wait(1.0)
-                    texture.draw(CAMERA, FLOAT32, edits=edits, highlight=lit)
-                shown = np.frombuffer(texture.texture.read(), np.float32).reshape(truth.shape)
+                request = replace(request, edits=edits)
+                renderer.draw(request)
+                shown = truth
+                while renderer.busy:
+                    renderer.wait(1.0)
+                    new = renderer.take_picture()
+                    shown = shown if new is None else new
+                    renderer.draw(request)
                 drawn = edits if lit is None else tinted(edits, lit)
                 assert psnr(shown, reference.render(bake(scene, drawn), CAMERA, FLOAT32)) >= 80
-        drawings = texture.stats.drawn
-        texture.draw(CAMERA, FLOAT32, edits=replace(edits), highlight=Highlight())
-        assert not texture.busy
-        assert texture.stats.drawn == drawings
+        drawings = renderer.stats().drawn
+        renderer.draw(FrameRequest(None, CAMERA, FLOAT32, edits=replace(edits), highlight=Highlight()))
+        assert not renderer.busy
+        assert renderer.stats().drawn == drawings
     finally:
-        texture.release()
+        renderer.close()

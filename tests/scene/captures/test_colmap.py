@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from splatview.scene import InputError, Lens, look_at
-from splatview.scene.captures import LoadCancelled, load_capture
+from splatview.scene.captures import load_capture
+from splatview.scene.progress import Cancelled, Progress
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -188,12 +189,12 @@ def test_large_captures_are_read_again(tmp_path, colmap_capture, pixels_of, monk
 def test_progress_and_cancelling(tmp_path, colmap_capture):
     colmap_capture(tmp_path)
     shares: list[float] = []
-    load_capture(tmp_path, progress=shares.append)
+    load_capture(tmp_path, progress=Progress(report=shares.append))
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0, 1)
     calls = iter([False, False, True])
-    with pytest.raises(LoadCancelled):
-        load_capture(tmp_path, cancelled=lambda: next(calls))
+    with pytest.raises(Cancelled):
+        load_capture(tmp_path, progress=Progress(cancelled=lambda: next(calls)))
 
 
 def test_truncated_anywhere(tmp_path, colmap_capture):

@@ -8,6 +8,7 @@ import pytest
 from splatview.raster import render
 from splatview.scene import InputError
 from splatview.scene.captures.demo import OUTLIERS, demo_capture, demo_truth
+from splatview.scene.progress import Progress
 
 SPLATS = 20_000
 
@@ -54,5 +55,5 @@ def test_one_photo_is_refused():
 
 def test_progress():
     shares: list[float] = []
-    demo_capture(render, photos=4, width=16, height=12, splats=2000, progress=shares.append)
+    demo_capture(render, photos=4, width=16, height=12, splats=2000, progress=Progress(report=shares.append))
     assert shares == [0.25, 0.5, 0.75, 1.0]

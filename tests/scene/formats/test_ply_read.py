@@ -13,7 +13,8 @@ import pytest
 
 from splatview.scene import Gaussians, ImageModel, InputError
 from splatview.scene.effects import settings_for
-from splatview.scene.formats import LoadCancelled, load_scene, ply_body, save_scene
+from splatview.scene.formats import load_scene, ply_body, save_scene
+from splatview.scene.progress import Cancelled, Progress
 
 FORMS = ("binary_little_endian", "binary_big_endian", "ascii")
 
@@ -215,7 +216,7 @@ def large_file(tmp_path, random_gaussians, columns_of, make_ply):
 
 def test_progress_rises_to_one(large_file):
     shares: list[float] = []
-    load_scene(large_file, progress=shares.append)
+    load_scene(large_file, progress=Progress(report=shares.append))
     assert len(shares) > 5
     assert shares == sorted(shares) and shares[-1] == 1.0
 
@@ -229,7 +230,7 @@ def test_progress_never_falls_where_rows_are_walked(tmp_path, random_gaussians, 
     path = tmp_path / "scene.ply"
     path.write_bytes(head + b"property list uchar int tags\nend_header\n" + body)
     shares: list[float] = []
-    assert len(load_scene(path, progress=shares.append)) == 9000
+    assert len(load_scene(path, progress=Progress(report=shares.append))) == 9000
     assert len(shares) > 3 and shares == sorted(shares) and shares[-1] == 1.0
 
 
@@ -237,16 +238,16 @@ def test_cancel_is_heard_in_a_body_of_blank_lines(tmp_path, random_gaussians, co
     head = make_ply(columns_of(random_gaussians(1)), form="ascii").partition(b"end_header\n")[0]
     path = tmp_path / "scene.ply"
     path.write_bytes(head + b"end_header\n" + b"\n" * 20_000)
-    with pytest.raises(LoadCancelled):
-        load_scene(path, cancelled=lambda: True)
+    with pytest.raises(Cancelled):
+        load_scene(path, progress=Progress(cancelled=lambda: True))
     with pytest.raises(InputError, match="truncated"):
         load_scene(path)
 
 
 def test_cancel_stops_at_the_next_piece(large_file):
     shares: list[float] = []
-    with pytest.raises(LoadCancelled):
-        load_scene(large_file, progress=shares.append, cancelled=lambda: len(shares) >= 2)
+    with pytest.raises(Cancelled):
+        load_scene(large_file, progress=Progress(report=shares.append, cancelled=lambda: len(shares) >= 2))
     assert len(shares) == 2
 
 
@@ -258,8 +259,8 @@ def test_cancel_is_heard_while_skipping(tmp_path, random_gaussians, columns_of, 
     path = tmp_path / "scene.ply"
     path.write_bytes(make_ply(columns_of(random_gaussians(3)), form=form, before=(block, row * count)))
     asked = []
-    with pytest.raises(LoadCancelled):
-        load_scene(path, cancelled=lambda: asked.append(1) or len(asked) > 2)
+    with pytest.raises(Cancelled):
+        load_scene(path, progress=Progress(cancelled=lambda: asked.append(1) or len(asked) > 2))
     assert len(asked) == 3
 
 
@@ -268,7 +269,7 @@ def test_a_file_cut_while_it_is_read_is_an_input_error(large_file):
         os.truncate(large_file, 100_000)
 
     with pytest.raises(InputError, match=r"large\.ply.*cut while it was read"):
-        load_scene(large_file, progress=cut)
+        load_scene(large_file, progress=Progress(report=cut))
 
 
 def test_loads_in_two_threads_at_once(large_file, assert_same):

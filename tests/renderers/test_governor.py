@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from splatview.measure.governor import (
+from splatview.measure.knobs import Plan
+from splatview.measure.ladder import Measured, Rung
+from splatview.renderers.quality import (
     REST_FRAMES,
     SCALES,
     Governor,
@@ -19,8 +23,6 @@ from splatview.measure.governor import (
     priced,
     unpriced,
 )
-from splatview.measure.knobs import Plan
-from splatview.measure.ladder import Measured, Rung
 
 FULL_MS = 60.0
 
@@ -44,7 +46,7 @@ class Machine:
         return self._reports.popleft()
 
 
-def fly(watch: Watch[Shortcut], machine: Machine, frames: int) -> list[float]:
+def fly(watch: Watch, machine: Machine, frames: int) -> list[float]:
     """The times of the second half."""
     machine.times.clear()
     for _ in range(frames):
@@ -54,8 +56,8 @@ def fly(watch: Watch[Shortcut], machine: Machine, frames: int) -> list[float]:
     return machine.times[frames // 2 :]
 
 
-def watch_for(budget: float, steps: tuple[Shortcut, ...] | None = None) -> Watch[Shortcut]:
-    governor: Governor[Shortcut] = Governor(budget)
+def watch_for(budget: float, steps: tuple[Shortcut, ...] | None = None) -> Watch:
+    governor = Governor(budget)
     governor.follow(unpriced(FULL_MS) if steps is None else steps)
     return Watch(governor)
 
@@ -121,30 +123,19 @@ def test_one_stall_changes_little():
 
 
 def test_a_time_that_is_no_number_teaches_nothing():
-    governor: Governor[Shortcut] = Governor(20.0)
+    governor = Governor(20.0)
     governor.follow(unpriced(FULL_MS))
     assert governor.step is not None
     governor.learn(governor.step, math.nan)
     assert governor.slowness == 1
 
 
-class Nobody:
-    name = "quads"
-
-    def draw(self, camera, plan) -> np.ndarray:
-        return np.zeros((1, 1, 4))
-
-    def follow(self, camera, plan) -> np.ndarray:
-        return self.draw(camera, plan)
-
-    def prepare(self, camera, plan) -> None: ...
-    def memory(self, plan) -> int:
-        return 0
+NOBODY: Any = SimpleNamespace(name="quads")
 
 
 def rung(knob: str, value: str, ratio: float, psnr: float) -> Measured:
     plan = Plan(kept=int(value) / 100) if knob == "keep" else Plan()
-    made = Rung(knob=knob, value=value, artist=Nobody(), plan=plan, options=())
+    made = Rung(knob=knob, value=value, renderer=NOBODY, plan=plan, options=())
     return Measured(rung=made, psnr=psnr, times=[FULL_MS * ratio], ratios=[ratio])
 
 

@@ -1,4 +1,4 @@
-// Drops the splats of one slab that lie wholly within closed blocks. Flags: BLOCK, SLABS.
+// Culls the splats of one slab that lie wholly within opaque blocks. Flags: BLOCK, SLABS.
 #include "quads/culled.glsl"
 layout(local_size_x = 64) in;
 
@@ -6,15 +6,15 @@ layout(std430, binding = 0) readonly buffer Order { uint order[]; };
 layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
 layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
 layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
-layout(std430, binding = 4) readonly buffer Closed { uint closed[]; };
+layout(std430, binding = 4) readonly buffer OpaqueBlocks { uint opaque[]; };
 layout(std430, binding = 5) writeonly buffer Drawn { uint drawn[]; };  // order, or CULLED
 uniform uint u_slab;
 uniform int u_columns;
 uniform vec2 u_size;
 
-const int MOST_BLOCKS = 256;  // a splat over more is drawn: looking would cost more than it saves
+const int MOST_BLOCKS = 256;  // a splat over more is drawn: the test would cost more than it saves
 
-bool is_hidden(uint splat) {
+bool is_occluded(uint splat) {
     vec2 mean = shapes[splat].xy;
     vec4 bound = bounds[splat];
     vec2 major = bound.zw;
@@ -25,7 +25,7 @@ bool is_hidden(uint splat) {
     if ((last.x - first.x + 1) * (last.y - first.y + 1) > MOST_BLOCKS) return false;
     for (int y = first.y; y <= last.y; y++)
         for (int x = first.x; x <= last.x; x++)
-            if (closed[y * u_columns + x] == 0u) return false;
+            if (opaque[y * u_columns + x] == 0u) return false;
     return true;
 }
 
@@ -33,5 +33,5 @@ void main() {
     uint slot = slab_starts[u_slab] + gl_GlobalInvocationID.x;
     if (slot >= slab_starts[u_slab + 1u]) return;
     uint splat = order[slot];
-    drawn[slot] = is_hidden(splat) ? CULLED : splat;
+    drawn[slot] = is_occluded(splat) ? CULLED : splat;
 }

@@ -1,4 +1,4 @@
-"""The price of any step by pictures compared by hand, without the step being done."""
+"""The impact of any step by pictures compared by hand, without the step being done."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splatview.edit.document import Document
-from splatview.edit.impact import NO_LOSS, StepPrices, after, in_words, price_operations
+from splatview.edit.impact import NO_LOSS, StepImpacts, after, in_words, operation_impacts
 from splatview.edit.operations import (
     AddCrop,
     ColourGrade,
@@ -33,7 +33,7 @@ CAMERAS = [
 
 
 @pytest.fixture
-def ill(edit_helpers) -> Gaussians:
+def invalid(edit_helpers) -> Gaussians:
     """Needles, a colour far too bright, and quaternions of any length."""
     scene = edit_helpers.make_scene(60)
     scales, sh = scene.log_scales.copy(), scene.sh.copy()
@@ -55,35 +55,35 @@ OPERATIONS = {
 }
 
 
-def test_each_price_is_that_of_the_pictures_of_the_step_done(ill, reference_tools, edit_helpers):
-    document = Document(ill, tools=reference_tools)
+def test_each_impact_is_that_of_the_pictures_of_the_step_done(invalid, reference_tools, edit_helpers):
+    document = Document(invalid, tools=reference_tools)
     document.apply(SelectAll())
     before = edit_helpers.everything(document)
-    prices = price_operations(document, OPERATIONS, CAMERAS)
+    impacts = operation_impacts(document, OPERATIONS, CAMERAS)
     assert edit_helpers.everything(document) == before
-    first = [reference_tools.render(document.gaussians, camera, document.edits) for camera in CAMERAS]
+    first = [reference_tools.picture(document.gaussians, camera, document.edits) for camera in CAMERAS]
     for name, operation in OPERATIONS.items():
         document.apply(operation)
-        done = [reference_tools.render(document.gaussians, camera, document.edits) for camera in CAMERAS]
+        done = [reference_tools.picture(document.gaussians, camera, document.edits) for camera in CAMERAS]
         expected = [min(NO_LOSS, psnr(b, a)) for a, b in zip(first, done, strict=True)]
-        assert prices[name].mean == pytest.approx(np.mean(expected), abs=1e-4), name
-        assert prices[name].worst == pytest.approx(min(expected), abs=1e-4), name
-        assert prices[name].views == 2
+        assert impacts[name].mean == pytest.approx(np.mean(expected), abs=1e-4), name
+        assert impacts[name].worst == pytest.approx(min(expected), abs=1e-4), name
+        assert impacts[name].views == 2
         if document.history.position > 1:
             document.undo()
-    assert prices["needles"].mean < 90
-    assert prices["bright"].mean < 60
-    assert prices["none"].mean == NO_LOSS
-    assert prices["delete"].count == 60
-    assert prices["needles"].count == prices["copy"].count == 0
+    assert impacts["needles"].mean < 90
+    assert impacts["bright"].mean < 60
+    assert impacts["none"].mean == NO_LOSS
+    assert impacts["delete"].count == 60
+    assert impacts["needles"].count == impacts["copy"].count == 0
     # Unit quaternions turn nothing: what is left is rounding.
-    assert prices["unit"].mean > 90
+    assert impacts["unit"].mean > 90
 
 
-def test_prices_of_steps_are_of_each_by_itself(ill, reference_tools):
-    document = Document(ill, tools=reference_tools)
-    alone = price_operations(document, {"needles": OPERATIONS["needles"]}, CAMERAS)["needles"]
-    steps = StepPrices(document, CAMERAS)
+def test_impacts_of_steps_are_of_each_by_itself(invalid, reference_tools):
+    document = Document(invalid, tools=reference_tools)
+    alone = operation_impacts(document, {"needles": OPERATIONS["needles"]}, CAMERAS)["needles"]
+    steps = StepImpacts(document, CAMERAS)
     document.apply(OPERATIONS["needles"])
     assert steps.after_step() == alone
     assert steps.after_step().mean == NO_LOSS
@@ -91,28 +91,28 @@ def test_prices_of_steps_are_of_each_by_itself(ill, reference_tools):
     assert steps.after_step().mean < 60
 
 
-def test_no_file_is_written_for_a_price(ill, tmp_path: Path, reference_tools):
+def test_no_file_is_written_for_an_impact(invalid, tmp_path: Path, reference_tools):
     saved = []
     document = Document(
-        ill, tools=reference_tools, folder=tmp_path, save=lambda scene, path: saved.append(path)
+        invalid, tools=reference_tools, folder=tmp_path, save=lambda scene, path: saved.append(path)
     )
     document.apply(SelectAll())
     change = document.plan(Split(path="part.ply")).change
     _, edits = after(document, change)
     assert (edits.marks != document.marks).any()
     assert saved == []
-    price_operations(document, {"split": Split(path="part.ply")}, CAMERAS)
+    operation_impacts(document, {"split": Split(path="part.ply")}, CAMERAS)
     assert saved == []
 
 
-def test_without_a_renderer_it_says_so(ill):
+def test_without_a_renderer_it_says_so(invalid):
     with pytest.raises(InputError, match="renderer"):
-        price_operations(Document(ill), {"needles": OPERATIONS["needles"]}, CAMERAS)
+        operation_impacts(Document(invalid), {"needles": OPERATIONS["needles"]}, CAMERAS)
 
 
-def test_in_words(ill, reference_tools):
-    document = Document(ill, tools=reference_tools)
-    views = sample_cameras(ill, document.edits, 2, size=24)
-    prices = price_operations(document, {n: OPERATIONS[n] for n in ("needles", "none")}, views)
-    assert in_words(prices["none"]) == "no pixel of 2 views changes"
-    assert f"{prices['needles'].worst:.1f} dB at worst, over 2 views" in in_words(prices["needles"])
+def test_in_words(invalid, reference_tools):
+    document = Document(invalid, tools=reference_tools)
+    views = sample_cameras(invalid, document.edits, 2, size=24)
+    impacts = operation_impacts(document, {n: OPERATIONS[n] for n in ("needles", "none")}, views)
+    assert in_words(impacts["none"]) == "no pixel of 2 views changes"
+    assert f"{impacts['needles'].worst:.1f} dB at worst, over 2 views" in in_words(impacts["needles"])

@@ -1,4 +1,4 @@
-"""The price of an edit by pictures compared by hand; what decimating drops; the sample views."""
+"""The impact of an edit by pictures compared by hand, and the sample views."""
 
 from __future__ import annotations
 
@@ -7,22 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.edit.impact import (
-    NO_LOSS,
-    compare,
-    decimate,
-    price,
-    price_of,
-    price_views,
-    unchanging,
-    with_deleted,
-)
-from splatview.edit.progress import Cancelled, Watch
+from splatview.edit.impact import NO_LOSS, Impact, compare, frozen, measure_impact, with_deleted
 from splatview.edit.sample_views import sample_cameras
 from splatview.measure.metrics import psnr
 from splatview.scene import look_at
 from splatview.scene.edits import DELETED, HIDDEN, shown
 from splatview.scene.framing import robust_bounds
+from splatview.scene.progress import Cancelled, Progress
 
 CAMERAS = [
     look_at((0, 0, -3), (0, 0, 0), width=24, height=18),
@@ -31,14 +22,14 @@ CAMERAS = [
 ]
 
 
-def test_the_price_is_that_of_the_pictures(edit_helpers, edited, reference_tools):
+def test_the_impact_is_that_of_the_pictures(edit_helpers, edited, reference_tools):
     scene, before = edit_helpers.make_scene(80), edited.some(80)
     mask = np.arange(80) % 3 == 0
     after = with_deleted(before, mask)
-    found = price(scene, before, after, reference_tools, CAMERAS)
+    found = measure_impact(scene, before, after, reference_tools, CAMERAS)
     expected, worst = [], 0.0
     for camera in CAMERAS:
-        pictures = [reference_tools.render(scene, camera, edits) for edits in (before, after)]
+        pictures = [reference_tools.picture(scene, camera, edits) for edits in (before, after)]
         expected.append(min(NO_LOSS, psnr(pictures[1], pictures[0])))
         clipped = [np.clip(picture[..., :3], 0, 1) for picture in pictures]
         worst = max(worst, float(np.abs(clipped[0] - clipped[1]).max()))
@@ -53,43 +44,38 @@ def test_the_price_is_that_of_the_pictures(edit_helpers, edited, reference_tools
 
 def test_an_edit_of_nothing_costs_nothing(edit_helpers, edited, reference_tools):
     scene, edits = edit_helpers.make_scene(30), edited.some(30)
-    found = price(scene, edits, with_deleted(edits, np.zeros(30, bool)), reference_tools, CAMERAS)
+    found = measure_impact(scene, edits, with_deleted(edits, np.zeros(30, bool)), reference_tools, CAMERAS)
     assert (found.count, found.mean, found.worst, found.largest_error) == (0, NO_LOSS, NO_LOSS, 0.0)
-    assert price_of(0, []).mean == NO_LOSS
+    assert Impact.of((scene, edits), (scene, edits), []).mean == NO_LOSS
 
 
-def test_nan_is_not_taken_for_a_good_price():
+def test_nan_is_not_taken_for_no_impact(edit_helpers, edited):
+    scene = edit_helpers.make_scene(1), edited.none(1)
     picture = np.zeros((2, 2, 4), np.float32)
     broken = picture.copy()
     broken[0, 0, 0] = np.nan
-    found = price_of(1, [compare(CAMERAS[0], picture, picture), compare(CAMERAS[0], picture, broken)])
+    views = [compare(CAMERAS[0], picture, other) for other in (picture, broken)]
+    found = Impact.of(scene, scene, views)
     assert np.isnan([found.mean, found.worst, found.largest_error]).all()
 
 
-def test_it_comes_view_by_view_and_can_be_stopped(edit_helpers, edited, reference_tools):
+def test_it_tells_how_far_it_is_and_can_be_stopped(edit_helpers, edited, reference_tools):
     scene, before = edit_helpers.make_scene(30), edited.none(30)
     after = with_deleted(before, np.arange(30) < 10)
-    drawn = []
-
-    class Counting:
-        def render(self, *arguments):
-            drawn.append(1)
-            return reference_tools.render(*arguments)
-
     shares: list[float] = []
-    views = price_views(scene, before, after, Counting(), CAMERAS, watch=Watch(progress=shares.append))  # type: ignore[arg-type]
-    next(views)
-    assert len(drawn) == 2
-    assert len(list(views)) == 2
+    measure_impact(scene, before, after, reference_tools, CAMERAS, progress=Progress(report=shares.append))
+    assert len(shares) > len(CAMERAS)
     assert shares == sorted(shares)
     assert shares[-1] == 1
     with pytest.raises(Cancelled):
-        price(scene, before, after, reference_tools, CAMERAS, watch=Watch(cancelled=lambda: True))
+        measure_impact(
+            scene, before, after, reference_tools, CAMERAS, progress=Progress(cancelled=lambda: True)
+        )
 
 
 def test_trial_edits_share_nothing_that_changes(edited):
     edits = edited.some(20)
-    trial, copy = with_deleted(edits, np.arange(20) < 5), unchanging(edits)
+    trial, copy = with_deleted(edits, np.arange(20) < 5), frozen(edits)
     marks = edits.marks.copy()
     assert ((trial.marks & DELETED) != 0)[:5].all()
     assert trial.flags & DELETED
@@ -98,45 +84,6 @@ def test_trial_edits_share_nothing_that_changes(edited):
     edits.marks[:] = 0
     assert (copy.marks == marks).all()
     assert (trial.marks[5:] == marks[5:]).all()
-
-
-def test_decimating_keeps_what_contributes_most(edit_helpers, edited, reference_tools):
-    scene, edits = edit_helpers.make_scene(60), edited.some(60)
-    worth = reference_tools.contributions(scene, CAMERAS, edits)
-    there = shown(scene, edits)
-    target = int(there.sum()) // 2
-    dropped = decimate(scene, edits, reference_tools, CAMERAS, target)
-    kept = there & ~dropped
-    assert kept.sum() == target
-    assert not (dropped & ~there).any()
-    assert worth[dropped].max() <= worth[kept].min()
-    # Cheaper than dropping as many of the best.
-    best = np.zeros(60, bool)
-    best[np.flatnonzero(there)[np.argsort(-worth[there])[: dropped.sum()]]] = True
-    prices = [
-        price(scene, edits, with_deleted(edits, mask), reference_tools, CAMERAS[:2]).mean
-        for mask in (dropped, best)
-    ]
-    assert prices[0] > prices[1] + 3
-
-
-def test_decimating_to_more_than_there_are_drops_nothing(edit_helpers, edited, reference_tools):
-    scene, edits = edit_helpers.make_scene(10), edited.none(10)
-    assert not decimate(scene, edits, reference_tools, CAMERAS, 10).any()
-    assert decimate(scene, edits, reference_tools, CAMERAS, 0).all()
-
-
-def test_of_equals_the_later_goes(edit_helpers, edited, reference_tools):
-    scene = edit_helpers.make_scene(10)
-    unseen = replace(scene, means=scene.means * 0 + np.array((0, 0, 900), np.float32))
-    dropped = decimate(unseen, edited.none(10), reference_tools, CAMERAS[2:], 4)
-    assert np.flatnonzero(dropped).tolist() == [4, 5, 6, 7, 8, 9]
-
-
-@pytest.mark.parametrize(("target", "cameras", "message"), [(-1, CAMERAS, "target"), (1, [], "camera")])
-def test_bad_targets(edit_helpers, edited, reference_tools, target, cameras, message):
-    with pytest.raises(ValueError, match=message):
-        decimate(edit_helpers.make_scene(3), edited.none(3), reference_tools, cameras, target)
 
 
 def test_sample_views_look_at_what_is_shown_from_all_around(edit_helpers, edited):

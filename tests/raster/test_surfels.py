@@ -13,8 +13,7 @@ from splatview import raster
 from splatview.measure.hard_cases.case import about_axis, camera, splats
 from splatview.raster import Workspace, draw_frame, parameters_of
 from splatview.raster.contributions import count_work
-from splatview.scene import Gaussians, ImageModel, InputError, Lens, RenderSettings, reference
-from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
+from splatview.scene import Gaussians, ImageModel, RenderSettings, reference
 
 DISCS = RenderSettings(model=ImageModel().with_footprint("disc"), background=(0.1, 0.3, 0.2))
 CAMERA = camera(45, 37, focal=33.0)
@@ -78,21 +77,6 @@ def test_without_a_cut_every_disc_reaches_every_pixel():
         np.testing.assert_allclose(raster.render(of_all_kinds(3), view, chosen), truth, atol=2e-4)
 
 
-def test_edits_are_seen_as_they_are_baked():
-    scene = of_all_kinds(4)
-    palette = (
-        IDENTITY,
-        Adjustment(rotation=(0.8, 0.36, -0.48, 0.0), scale=1.3, translation=(0.2, 0.0, 0.1)),
-        Adjustment(size=0.6, opacity=(1.5, -0.1, 0.05, 0.9)),
-    )
-    marks = (np.arange(len(scene)) % 3).astype(np.uint32) << PALETTE_SHIFT
-    marks[::7] |= HIDDEN
-    edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
-    drawn = raster.render(scene, CAMERA, DISCS, edits=edits)
-    np.testing.assert_allclose(drawn, reference.render(bake(scene, edits), CAMERA, DISCS), atol=2e-4)
-    assert np.abs(drawn - raster.render(scene, CAMERA, DISCS)).max() > 0.1
-
-
 def test_in_per_pixel_order_planes_cross():
     """Two opaque planes through each other: by means one hides the other, by pixels each hides a half."""
     quats = [about_axis((0, 1, 0), 45), about_axis((0, 1, 0), -45)]
@@ -108,22 +92,22 @@ def test_in_per_pixel_order_planes_cross():
         assert (both[13:20, 2] > both[13:20, 0]).all() and (both[25:32, 0] > both[25:32, 2]).all()
 
 
-def test_weights_front_and_counts_know_discs():
+def test_contributions_ids_and_counts_of_discs():
     scene = of_all_kinds(6)
     model = replace(DISCS.model, alpha_cut=1 / 255)
     chosen = RenderSettings(model=model, background=(0.0, 0.0, 0.0))
     total = raster.contributions(scene, [CAMERA], chosen)
     picture = reference.render(scene, CAMERA, chosen)
     assert total.sum() == pytest.approx(picture[..., 3].sum(), rel=1e-4)
-    # Weights times colours are the picture's sums.
+    # Contributions times colours are the picture's sums.
     rgb = np.maximum(0.5 + 0.28209479177387814 * scene.sh[:, 0].astype(np.float64), 0)
     np.testing.assert_allclose(total @ rgb, picture[..., :3].sum(axis=(0, 1)), rtol=1e-4)
-    front = raster.front(scene, CAMERA, chosen)
-    assert (front >= 0).any() and not np.array_equal(front, raster.front(scene, CAMERA))
+    ids = raster.dominant_splats(scene, CAMERA, chosen)
+    assert (ids >= 0).any() and not np.array_equal(ids, raster.dominant_splats(scene, CAMERA))
     counted = count_work(parameters_of(scene), CAMERA, chosen, Workspace())
     ellipsoids = count_work(parameters_of(scene), CAMERA, RenderSettings(), Workspace())
-    seen = counted.evaluations > 0
-    assert np.array_equal(seen, picture[..., 3] > 0)
+    evaluated = counted.evaluations > 0
+    assert np.array_equal(evaluated, picture[..., 3] > 0)
     assert not np.array_equal(counted.evaluations, ellipsoids.evaluations)
 
 
@@ -139,13 +123,7 @@ def test_ellipsoids_have_no_rows_of_discs():
     scene, workspace = of_all_kinds(2), Workspace()
     frame = draw_frame(parameters_of(scene), CAMERA, RenderSettings(), workspace)
     before = workspace.nbytes
-    assert frame.discs is None
+    assert frame.surfels is None
     frame = draw_frame(parameters_of(scene), CAMERA, DISCS, workspace)
-    assert frame.discs is not None and frame.discs.rows.nbytes == 32 * len(scene)
-    assert workspace.nbytes >= before + frame.discs.rows.nbytes
-
-
-def test_a_lens_is_refused():
-    bent = replace(CAMERA, lens=Lens(model="SIMPLE_RADIAL", parameters=(0.1,)))
-    with pytest.raises(InputError, match="has a lens"):
-        raster.render(of_all_kinds(1), bent, DISCS)
+    assert frame.surfels is not None and frame.surfels.rows.nbytes == 32 * len(scene)
+    assert workspace.nbytes >= before + frame.surfels.rows.nbytes

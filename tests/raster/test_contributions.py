@@ -1,4 +1,4 @@
-"""Weights of splats in pictures, and the front of each pixel, against plain numpy."""
+"""Contributions of splats to pictures, and the dominant splat of each pixel, against plain numpy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from splatview.scene.projection import project
 NEAR_CUT = 1e-6
 
 
-def all_weights(scene, camera, chosen=None) -> tuple[np.ndarray, np.ndarray]:
+def all_contributions(scene, camera, chosen=None) -> tuple[np.ndarray, np.ndarray]:
     """alpha·T of every splat at every pixel, (N, H, W) float64; pixels (H, W) where rounding to float32 may
     decide whether a splat shows."""
     chosen = chosen or RenderSettings()
@@ -27,25 +27,23 @@ def all_weights(scene, camera, chosen=None) -> tuple[np.ndarray, np.ndarray]:
         axis.ravel() for axis in np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     )
     alphas = reference.alphas(footprints, visible, x, y, chosen)
-    light = np.cumprod(np.vstack([np.ones(len(x)), 1 - alphas]), axis=0)[:-1]
-    weights = np.zeros((len(scene), camera.height, camera.width))
-    weights[footprints.indices] = (alphas * light).reshape(-1, camera.height, camera.width)
+    transmittance = np.cumprod(np.vstack([np.ones(len(x)), 1 - alphas]), axis=0)[:-1]
+    shares = np.zeros((len(scene), camera.height, camera.width))
+    shares[footprints.indices] = (alphas * transmittance).reshape(-1, camera.height, camera.width)
     uncut = replace(chosen, model=replace(chosen.model, alpha_cut=0.0))
     near = np.abs(reference.alphas(footprints, visible, x, y, uncut) - chosen.model.alpha_cut) <= NEAR_CUT
-    return weights, near.any(axis=0).reshape(camera.height, camera.width)
+    return shares, near.any(axis=0).reshape(camera.height, camera.width)
 
 
-def assert_weights(scene, cameras, chosen=None, **options) -> None:
-    found = raster.weigh(scene, cameras, chosen, **options)
-    expected = [all_weights(scene, camera, chosen) for camera in cameras]
-    total = sum(weights.sum(axis=(1, 2)) for weights, _ in expected)
-    largest = np.max([weights.max(axis=(1, 2)) for weights, _ in expected], axis=0)
-    # In a pixel beside the cut a splat may be missing: what it hides then shows by that much more.
+def assert_contributions(scene, cameras, chosen=None, **options) -> None:
+    found = raster.contributions(scene, cameras, chosen, **options)
+    expected = [all_contributions(scene, camera, chosen) for camera in cameras]
+    total = sum(shares.sum(axis=(1, 2)) for shares, _ in expected)
+    # In a pixel beside the cut a splat may be missing: those behind it then show by that much more.
     slack = sum(near.sum() for _, near in expected) / 255
-    assert found.total.dtype == np.float64
-    assert found.total.shape == found.largest.shape == (len(scene),)
-    assert (np.abs(found.total - total) <= 1e-5 * total + 1e-4 + slack).all()
-    assert (np.abs(found.largest - largest) <= 1e-5 + (slack > 0) / 255).all()
+    assert found.dtype == np.float64
+    assert found.shape == (len(scene),)
+    assert (np.abs(found - total) <= 1e-5 * total + 1e-4 + slack).all()
 
 
 CAMERAS = [
@@ -55,10 +53,10 @@ CAMERAS = [
 
 def test_every_splat_of_several_pictures(random_gaussians):
     scene = random_gaussians(300, sh_degree=1, seed=1)
-    assert_weights(scene, CAMERAS)
-    assert_weights(scene, CAMERAS[:1], RenderSettings(model=ImageModel(antialiased=True, blur=0.1)))
+    assert_contributions(scene, CAMERAS)
+    assert_contributions(scene, CAMERAS[:1], RenderSettings(model=ImageModel(antialiased=True, blur=0.1)))
     total = raster.contributions(scene, iter(CAMERAS))
-    assert np.array_equal(total, raster.weigh(scene, CAMERAS).total)
+    assert np.array_equal(total, raster.contributions(scene, CAMERAS))
     alphas = [raster.render(scene, camera)[..., 3].sum() for camera in CAMERAS]
     assert total.sum() == pytest.approx(sum(alphas), rel=1e-5)
 
@@ -80,40 +78,40 @@ def test_generated_scenes(random_gaussians, seed, count, logit, width, height):
     scene = random_gaussians(count, sh_degree=0, seed=seed)
     scene = replace(scene, opacity_logits=scene.opacity_logits + np.float32(logit))
     camera = look_at((0.2, -0.1, -2.2), (0, 0, 0), width=width, height=height)
-    assert_weights(scene, [camera])
-    assert_front(scene, camera)
+    assert_contributions(scene, [camera])
+    assert_dominant(scene, camera)
 
 
-def assert_front(scene, camera, chosen=None) -> None:
-    found = raster.front(scene, camera, chosen)
+def assert_dominant(scene, camera, chosen=None) -> None:
+    found = raster.dominant_splats(scene, camera, chosen)
     assert found.dtype == np.int32
     assert found.shape == (camera.height, camera.width)
-    weights, near = all_weights(scene, camera, chosen)
-    coverage = weights.sum(axis=0)
+    shares, near = all_contributions(scene, camera, chosen)
+    coverage = shares.sum(axis=0)
     clear = ~near & (np.abs(coverage - 0.5) > 1e-5)
     if not len(scene):
         assert (found == -1).all()
         return
-    best = np.where(coverage >= 0.5, weights.argmax(axis=0), -1)
+    best = np.where(coverage >= 0.5, shares.argmax(axis=0), -1)
     if len(scene) > 1:
-        second, first = np.sort(weights, axis=0)[-2:]
+        second, first = np.sort(shares, axis=0)[-2:]
         clear &= (first - second > 1e-5) | (coverage < 0.5)
     assert np.array_equal(found[clear], best[clear])
     assert clear.mean() > 0.9
 
 
-def test_front(random_gaussians):
+def test_dominant_splats(random_gaussians):
     scene = random_gaussians(400, sh_degree=0, seed=2)
     for camera in CAMERAS:
-        assert_front(scene, camera)
-    some = raster.front(scene, CAMERAS[0])
+        assert_dominant(scene, camera)
+    some = raster.dominant_splats(scene, CAMERAS[0])
     assert (some == -1).any()
     assert len(np.unique(some)) > 20
-    all_of_it = raster.front(scene, CAMERAS[0], least_coverage=0.0)
+    all_of_it = raster.dominant_splats(scene, CAMERAS[0], least_coverage=0.0)
     shown = raster.render(scene, CAMERAS[0])[..., 3] > 0
     assert np.array_equal(all_of_it >= 0, shown)
     with pytest.raises(ValueError, match="least_coverage"):
-        raster.front(scene, CAMERAS[0], least_coverage=float("nan"))
+        raster.dominant_splats(scene, CAMERAS[0], least_coverage=float("nan"))
 
 
 def test_nearer_of_equals_is_in_front(random_gaussians):
@@ -125,38 +123,37 @@ def test_nearer_of_equals_is_in_front(random_gaussians):
         opacity_logits=np.full(3, 3.0, np.float32),
     )
     camera = look_at((0, 0, -3), (0, 0, 0), width=9, height=9)
-    assert (raster.front(scene, camera) == 1).all()
+    assert (raster.dominant_splats(scene, camera) == 1).all()
 
 
 def test_edits_and_threads(random_gaussians):
-    """What is hidden weighs nothing, what is moved weighs where it went; threads do not show."""
+    """Hidden splats contribute nothing, moved ones where they went; threads do not show."""
     scene = random_gaussians(3000, sh_degree=0, seed=3)
     marks = np.full(3000, 1 << PALETTE_SHIFT, np.uint32)
     marks[::3] |= HIDDEN
     palette = (IDENTITY, Adjustment(translation=(0.2, 0, 0), size=1.5))
     edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
     camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=60, height=50)
-    found = raster.weigh(scene, [camera], edits=edits)
-    assert (found.total[::3] == 0).all()
+    found = raster.contributions(scene, [camera], edits=edits)
+    assert (found[::3] == 0).all()
     kept = np.flatnonzero(marks & HIDDEN == 0)
-    baked = raster.weigh(bake(scene, edits), [camera])
-    assert np.allclose(found.total[kept], baked.total, rtol=1e-4, atol=1e-2)
-    assert np.allclose(found.largest[kept], baked.largest, atol=5e-3)
-    fronts = raster.front(scene, camera, edits=edits)
-    assert not np.isin(fronts, np.arange(0, 3000, 3)).any()
+    baked = raster.contributions(bake(scene, edits), [camera])
+    assert np.allclose(found[kept], baked, rtol=1e-4, atol=1e-2)
+    ids = raster.dominant_splats(scene, camera, edits=edits)
+    assert not np.isin(ids, np.arange(0, 3000, 3)).any()
     for threads in (1, 3):
-        again = raster.weigh(scene, [camera], edits=edits, threads=threads)
-        assert np.array_equal(again.total, found.total)
-        assert np.array_equal(raster.front(scene, camera, edits=edits, threads=threads), fronts)
+        again = raster.contributions(scene, [camera], edits=edits, threads=threads)
+        assert np.array_equal(again, found)
+        assert np.array_equal(raster.dominant_splats(scene, camera, edits=edits, threads=threads), ids)
 
 
 def test_bands_do_not_show(random_gaussians, monkeypatch):
     scene = random_gaussians(1500, sh_degree=0, seed=4)
     camera = look_at((0, 0, -2.5), (0, 0, 0), width=90, height=75)
-    whole, fronts = raster.contributions(scene, [camera]), raster.front(scene, camera)
+    whole, ids = raster.contributions(scene, [camera]), raster.dominant_splats(scene, camera)
     monkeypatch.setattr("splatview.raster.frame.MAX_LISTED_PAIRS", 700)
     assert np.allclose(raster.contributions(scene, [camera]), whole, rtol=1e-12)
-    assert np.array_equal(raster.front(scene, camera), fronts)
+    assert np.array_equal(raster.dominant_splats(scene, camera), ids)
 
 
 def test_nobody_sees_what_is_behind(random_gaussians):
@@ -164,4 +161,4 @@ def test_nobody_sees_what_is_behind(random_gaussians):
     away = look_at((0, 0, -3), (0, 0, -9), width=20, height=20)
     assert (raster.contributions(scene, [away]) == 0).all()
     assert (raster.contributions(scene, []) == 0).all()
-    assert (raster.front(scene, away) == -1).all()
+    assert (raster.dominant_splats(scene, away) == -1).all()

@@ -49,27 +49,27 @@ def test_a_lens_that_does_not_show_is_left_out(tmp_path, colmap_capture):
         same = [
             np.array_equal(a.image(), b.image()) for a, b in zip(capture.photos, plain.photos, strict=True)
         ]
-        evidence = capture.evidence
-        assert evidence.displacement == pytest.approx(moved)
+        statistics = capture.statistics
+        assert statistics.displacement == pytest.approx(moved)
         left_out = moved <= LEAST_DISPLACEMENT
         assert left_out == (name == "weak")
-        assert (evidence.lenses_left_out, evidence.lenses) == ((9, 0) if left_out else (0, 9))
+        assert (statistics.lenses_left_out, statistics.lenses) == ((9, 0) if left_out else (0, 9))
         assert all(same) if left_out else not any(same)
 
 
 def test_photos_become_smaller_and_so_does_what_lenses_do(tmp_path, colmap_capture):
     colmap_capture(tmp_path, model=RADIAL, distortion=(1e-2, 0.0))
-    full, small = (load_capture(tmp_path, downscale=k).evidence.displacement for k in (1, 2))
+    full, small = (load_capture(tmp_path, downscale=k).statistics.displacement for k in (1, 2))
     assert small == pytest.approx(full / 2)
 
 
 def test_masks_are_counted(tmp_path, colmap_capture, png):
     colmap_capture(tmp_path)
-    assert load_capture(tmp_path).evidence.masks == 0
+    assert load_capture(tmp_path).statistics.masks == 0
     shape = load_capture(tmp_path).photos[0].image().shape
     mask = np.full(shape[:2], 255, np.uint8)
     mask[: shape[0] // 2] = 0
     png(tmp_path / "masks" / "p01.png", mask)
-    evidence = load_capture(tmp_path).evidence
-    assert evidence.masks == 1
-    assert evidence.hidden == pytest.approx(0.5 / 9, abs=0.01)
+    statistics = load_capture(tmp_path).statistics
+    assert statistics.masks == 1
+    assert statistics.hidden == pytest.approx(0.5 / 9, abs=0.01)

@@ -1,4 +1,4 @@
-"""The whole receipt: every effect, on or off, in a fixed order."""
+"""The effects report: every effect of a scene and a view, on or off, in a fixed order."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from splatview.scene.camera import Camera
 from splatview.scene.edits import (
-    DELETED,
-    HIDDEN,
     IDENTITY_COLOUR,
+    IDENTITY_OPACITY,
+    NOT_SHOWN,
     PALETTE_SHIFT,
     SELECTED,
     SceneEdits,
@@ -35,9 +35,6 @@ from splatview.scene.gaussians import Gaussians
 from splatview.scene.health import FAR_SPACING, Finding, check
 from splatview.scene.image_model import RenderSettings
 from splatview.scene.projection import FLOAT32_MAX
-
-# ---- What depends on how a scene is looked at: the lens, the order, and whether anything has changed.
-
 
 GRID = 17
 """Pixels along each side of a picture where it is looked how far a lens moves them."""
@@ -102,9 +99,6 @@ def largest_displacement(camera: Camera) -> float:
     return float(moved[np.isfinite(moved)].max(initial=0.0))
 
 
-# ---- Where the splats are: whether float32 can hold it.
-
-
 def centred_effect(gaussians: Gaussians) -> Effect:
     """Whether positions are kept relative to a centre in float64, or may be single numbers of float32.
 
@@ -140,9 +134,6 @@ def centred_effect(gaussians: Gaussians) -> Effect:
     )
 
 
-# ---- Edits in force: what is left out, moved or recoloured, and what is only lit up.
-
-
 MARK_BYTES = 4
 """A splat, for its state and its adjustment."""
 
@@ -157,61 +148,64 @@ CROP_OPERATIONS = 21
 
 
 def edit_effects(gaussians: Gaussians, edits: SceneEdits | None) -> list[Effect]:
-    """Of the edits in force; all off where there are none."""
+    """Effects of the edits in force; all off where there are none."""
+    n = len(gaussians)
     if edits is None:
-        edits = SceneEdits(marks=np.zeros(len(gaussians), np.uint32))
+        edits = SceneEdits(marks=np.zeros(n, np.uint32))
+    moved = [entry.moves or entry.size != 1 or entry.opacity != IDENTITY_OPACITY for entry in edits.palette]
+    graded = [entry.colour != IDENTITY_COLOUR for entry in edits.palette]
+
+    def counted(name: str, count: int, what: str, none: str, saving: Saving) -> Effect:
+        """An effect that is needed where it concerns a splat."""
+        why = f"{count:,} of {n:,} splats {what}" if count else none
+        return Effect(name=name, on=count > 0, why=why, saving=saving, bound=math.inf if count else 0.0)
+
     return [
-        _selection(gaussians, edits),
-        _hidden(gaussians, edits),
+        counted(
+            "selection",
+            _flagged(edits, SELECTED),
+            "are selected and lit up",
+            "nothing is selected",
+            Saving(what="looking up a tint, at every splat"),
+        ),
+        counted(
+            "hidden splats",
+            _flagged(edits, NOT_SHOWN),
+            "are hidden or deleted",
+            "no splat is hidden or deleted",
+            Saving(bytes=n * MARK_BYTES),
+        ),
         _crop(gaussians, edits),
-        _moves(gaussians, edits),
-        _grade(gaussians, edits),
+        counted(
+            "adjusted splats",
+            _adjusted(edits, moved),
+            "are moved, resized or more or less opaque than in the file",
+            "no splat is moved, resized or faded",
+            Saving(operations=n * MOVE_OPERATIONS, bytes=n * MARK_BYTES),
+        ),
+        counted(
+            "colour grade",
+            _adjusted(edits, graded),
+            "have another colour than in the file",
+            "no colour is changed",
+            Saving(operations=n * GRADE_OPERATIONS, bytes=n * MARK_BYTES),
+        ),
     ]
 
 
-def _counted(name: str, count: int, of: int, what: str, none: str, saving: Saving) -> Effect:
-    """An effect that is needed where it concerns a splat."""
-    return Effect(
-        name=name,
-        on=count > 0,
-        why=f"{count:,} of {of:,} splats {what}" if count else none,
-        saving=saving,
-        bound=math.inf if count else 0.0,
-    )
-
-
-def _marked(edits: SceneEdits, flags: int) -> int:
+def _flagged(edits: SceneEdits, flags: int) -> int:
     return int(np.count_nonzero(edits.marks & flags)) if edits.flags & flags else 0
 
 
-def _selection(gaussians: Gaussians, edits: SceneEdits) -> Effect:
-    n = len(gaussians)
-    return _counted(
-        "selection",
-        _marked(edits, SELECTED),
-        n,
-        "are selected and lit up",
-        "nothing is selected",
-        Saving(what="looking up a tint, at every splat"),
-    )
-
-
-def _hidden(gaussians: Gaussians, edits: SceneEdits) -> Effect:
-    n = len(gaussians)
-    return _counted(
-        "hidden splats",
-        _marked(edits, HIDDEN | DELETED),
-        n,
-        "are hidden or deleted",
-        "no splat is hidden or deleted",
-        Saving(bytes=n * MARK_BYTES),
-    )
+def _adjusted(edits: SceneEdits, entries: list[bool]) -> int:
+    """Splats whose adjustment is one of these entries of the palette."""
+    return int(np.array(entries)[edits.marks >> PALETTE_SHIFT].sum()) if any(entries) else 0
 
 
 def _crop(gaussians: Gaussians, edits: SceneEdits) -> Effect:
     n, crops = len(gaussians), edits.crops_in_force
     if not crops:
-        return _counted("crop", 0, n, "", "there is no crop", Saving())
+        return Effect(name="crop", on=False, why="there is no crop")
     outside = n - int(cropped_in(crops, adjusted_means(gaussians, edits)).sum())
     # One that cuts nothing off is computed all the same: what lies outside it is known only then.
     return Effect(
@@ -223,41 +217,7 @@ def _crop(gaussians: Gaussians, edits: SceneEdits) -> Effect:
     )
 
 
-def _entries(edits: SceneEdits, wanted: list[bool]) -> int:
-    """Splats whose adjustment is one that is wanted, by its place in the palette."""
-    if not any(wanted):
-        return 0
-    return int(np.array(wanted)[edits.marks >> PALETTE_SHIFT].sum())
-
-
-def _moves(gaussians: Gaussians, edits: SceneEdits) -> Effect:
-    n = len(gaussians)
-    wanted = [
-        entry.moves or entry.size != 1 or entry.opacity != (1.0, 0.0, 0.0, 1.0) for entry in edits.palette
-    ]
-    return _counted(
-        "adjusted splats",
-        _entries(edits, wanted),
-        n,
-        "are moved, resized or more or less opaque than in the file",
-        "no splat is moved, resized or faded",
-        Saving(operations=n * MOVE_OPERATIONS, bytes=n * MARK_BYTES),
-    )
-
-
-def _grade(gaussians: Gaussians, edits: SceneEdits) -> Effect:
-    n = len(gaussians)
-    return _counted(
-        "colour grade",
-        _entries(edits, [entry.colour != IDENTITY_COLOUR for entry in edits.palette]),
-        n,
-        "have another colour than in the file",
-        "no colour is changed",
-        Saving(operations=n * GRADE_OPERATIONS, bytes=n * MARK_BYTES),
-    )
-
-
-def census(
+def effects_report(
     gaussians: Gaussians,
     *,
     findings: list[Finding] | None = None,
@@ -270,7 +230,7 @@ def census(
     """All effects, in a fixed order; SH bands only as far as the file has them.
 
     `findings`: what `health.check` said of the scene, where that is known already. `overrides`: what the user
-    has forced on or off, by name; it is told, and changes nothing of what the census says. The rest is how
+    has forced on or off, by name; it is told, and changes nothing of what the analysis says. The rest is how
     the scene is looked at, as far as that is known: by which `camera` after which `previous` one, with which
     `edits` in force and which `settings`.
     """

@@ -1,6 +1,6 @@
 """Times every stage of the rasteriser beside what the machine's multipliers can do at best.
 
-    python tools/bench_kernels.py [--full] [--threads N] [--json FILE]
+    python tools/bench/bench_kernels.py [--full] [--threads N] [--json FILE]
 
 The peak is measured in the same run: a loop of independent fused multiply-adds.
 """
@@ -31,7 +31,7 @@ from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 
 FLOPS_PER_PIXEL_SPLAT = 31
 """Floating-point operations of `forward.blend_chunk`'s inner loop a pixel, a fused multiply-add being two:
-4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, light and three colours."""
+4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, transmittance and three colours."""
 
 STAGES = ("project", "sort", "bin", "forward", "backward", "gather", "project_backward")
 COUNTS = (1_000, 20_000, 100_000, 500_000, 2_000_000)
@@ -119,9 +119,10 @@ def forward_rate(frame: Frame) -> float:
         0,
         frame.lists,
         frame.records,
+        frame.surfels,
         frame.view,
         frame.background,
-        frame.retirement,
+        frame.termination,
         image,
         np.empty_like(frame.transmittance),
         np.empty_like(frame.n_contrib),
@@ -196,7 +197,7 @@ def summary(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python tools/bench_kernels.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tools/bench/bench_kernels.py", description=__doc__)
     parser.add_argument("--full", action="store_true", help="all counts at all sizes: some minutes")
     parser.add_argument("--threads", type=int, default=available_threads())
     parser.add_argument("--json", help="write the results to this file")
