@@ -123,8 +123,10 @@ def choices(command: str) -> tuple[str, ...]:
 
 
 def on_this_gl(name: str, ctx: moderngl.Context) -> Backend:
-    """The backend called `name`, or its twin for an older OpenGL."""
-    return BACKENDS["quads-gl33" if name == "quads" and ctx.version_code < COMPUTE else name]
+    """The backend called `name`, or its twin for an OpenGL without all that it needs."""
+    from splatview.renderers.gl.context import has_compute
+
+    return BACKENDS["quads-gl33" if name == "quads" and not has_compute(ctx) else name]
 
 
 def make_renderer(

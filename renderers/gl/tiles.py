@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import moderngl
 
 from splatview.renderers.gl.blend import BlendPass
-from splatview.renderers.gl.context import describe, reserve
+from splatview.renderers.gl.context import describe, has_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute
 from splatview.renderers.gl.project import Projector, VisibleCount
@@ -375,8 +375,10 @@ class TilesRenderer(QuadsRenderer):
         tuning: TileTuning | None = None,
         variants: Variants | None = None,
     ) -> None:
-        if not ctx.version_code >= COMPUTE_VERSION:
+        if not has_compute(ctx):
             version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
+            if ctx.version_code >= COMPUTE_VERSION:
+                version += " with too few storage blocks"
             raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
         variants = variants or Variants(ctx)
         self._tiles = TilesBlendPass(ctx, variants, tuning)
