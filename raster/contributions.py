@@ -29,13 +29,14 @@ from splatview.raster.forward import (
     STRIPS,
     TILE_PIXELS,
     block_in_image,
+    gather,
     gathered_columns,
-    load_chunk,
     make_termination,
     start_pixels,
     surfel_columns,
     surfel_exponent_at,
     terminate_pixels,
+    touched_blocks,
 )
 from splatview.raster.frame import StageClock, arrange, draw, tile_ranges
 from splatview.raster.parameters import TILE, Parameters, make_view, parameters_of, used_degree
@@ -233,8 +234,13 @@ def contribution_tiles(
         first, end = offsets[tile] - base, offsets[tile + 1] - base
         position, some = first, True
         while position < end and some:
+            count = min(end - position, CHUNK)
+            stop_at = min(position + 2 * CHUNK, end)
             drop = termination.max_log2_drop
-            count = load_chunk(lists, position, end, records, left, top, drop, view, gathered, surfels, rows)
+            count = gather(
+                lists, position, count, position + count, stop_at, records, left, top, drop, gathered, surfels
+            )
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             contribution_chunk(
                 gathered,
                 count,

@@ -170,18 +170,6 @@ def touched_blocks(gathered, count, log2_cut, log2_share, rows):
             store_int(rows, (2 * strip + 1) * CHUNK + j, maximum(last, zero) * per_row)
 
 
-@inline
-def load_chunk(lists, position, end, records, left, top, max_log2_drop, view, gathered, surfels, rows):
-    """Gathers the chunk of lists[position:end] and finds its touched blocks; returns its number of splats."""
-    count = min(end - position, CHUNK)
-    stop = min(position + 2 * CHUNK, end)
-    count = gather(
-        lists, position, count, position + count, stop, records, left, top, max_log2_drop, gathered, surfels
-    )
-    touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
-    return count
-
-
 class Termination(NamedTuple):
     """When pixels are terminated."""
 
@@ -384,8 +372,13 @@ def draw_tiles(
         first, end = offsets[tile] - base, offsets[tile + 1] - base
         position, some = first, True
         while position < end and some:
+            count = min(end - position, CHUNK)
+            stop_at = min(position + 2 * CHUNK, end)
             drop = termination.max_log2_drop
-            count = load_chunk(lists, position, end, records, left, top, drop, view, gathered, surfels, rows)
+            count = gather(
+                lists, position, count, position + count, stop_at, records, left, top, drop, gathered, surfels
+            )
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             blocks += blend_chunk(
                 gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, surfels
             )

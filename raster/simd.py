@@ -270,28 +270,31 @@ def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 @inline
 def load(array, index):
     """LANES floats of a flat, C-contiguous array from `index` on. 0 <= index <= size - LANES."""
-    _check_bounds(array, index)
+    if BOUNDSCHECK:
+        _check_bounds(array, index)
     return _load(array, index)
 
 
 @inline
 def store(array, index, value):
     """Writes a vector to a flat array of its element type from `index` on."""
-    _check_bounds(array, index)
+    if BOUNDSCHECK:
+        _check_bounds(array, index)
     _store(array, index, value)
 
 
 @inline
 def store_int(array, index, value):
     """Writes a vector, rounded towards zero, to a flat int32 array. The values must fit."""
-    _check_bounds(array, index)
+    if BOUNDSCHECK:
+        _check_bounds(array, index)
     _store_int(array, index, value)
 
 
 @inline
 def _check_bounds(array, index):
-    """Bounds checking as numba's own, if that is on, which vectors escape as they are loaded by address."""
-    if BOUNDSCHECK and (index < 0 or index + LANES > array.size):
+    """Bounds checking as numba's own, which vectors escape as they are loaded by address."""
+    if index < 0 or index + LANES > array.size:
         raise IndexError("a vector reaches beyond its array")
 
 
