@@ -22,6 +22,7 @@ from typing import Any
 
 import numba
 from numba.core import config as _numba_config
+from numba.core.caching import FunctionCache
 
 config: Any = _numba_config
 
@@ -48,7 +49,7 @@ def _cache_root() -> Path:
 
 
 @cache
-def _cache_folder(package: Path) -> Path | None:
+def cache_folder(package: Path) -> Path | None:
     """Where kernels of exactly these sources lie; None where the disk may not be written."""
     stamp = hashlib.sha256(str((numba.__version__, BOUNDSCHECK)).encode())
     files = [file for folder in dict.fromkeys((_HERE, package)) for file in sorted(folder.glob("*.py"))]
@@ -78,7 +79,7 @@ def _remove_old_caches(root: Path) -> None:
             folder.rmdir()
 
 
-_CACHE = _cache_folder(_HERE)
+_CACHE = cache_folder(_HERE)
 if _CACHE is not None:
     with contextlib.suppress(OSError):  # another process tidies up at the same time, or owns them
         _remove_old_caches(_CACHE.parent)
@@ -86,19 +87,59 @@ if _CACHE is not None:
 _kernels: list[Any] = []
 
 
+class DamageTolerantCache(FunctionCache):
+    """numba's cache of one kernel, which a damaged file or a full disk only makes slower: what cannot be read
+    is compiled anew, what cannot be written is compiled again next time. One line says so."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # pickles of damaged files raise nearly anything
+            tell_once("read", error)
+            with contextlib.suppress(OSError):
+                self.flush()  # an empty index: the damaged files are not looked at again
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:
+            tell_once("written", error)
+
+
+_told: set[str] = set()
+
+
+def tell_once(what: str, error: Exception) -> None:
+    if what not in _told:
+        _told.add(what)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        print(
+            f"splatview: the cache of compiled kernels cannot be {what} ({reason}); going on without",
+            file=sys.stderr,
+        )
+
+
+def compiled_into(folder: Path | None, function: Callable[..., Any], **options: Any) -> Any:
+    """`function` by numba.njit with `options`, its machine code kept in `folder`; None: not kept."""
+    dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    if folder is not None:
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(folder)
+        try:
+            dispatcher._cache = DamageTolerantCache(function)  # as enable_caching() does with its own
+        finally:
+            config.CACHE_DIR = before
+    return dispatcher
+
+
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles an entry point: called from Python, releases the GIL, cached on disk.
 
     Sums may be contracted to fused multiply-adds; nothing else is taken lightly, NaN least of all.
     """
-    folder, before = _cache_folder(Path(function.__code__.co_filename).parent), config.CACHE_DIR
-    config.CACHE_DIR = str(folder or "")
-    try:
-        compiled = numba.njit(
-            nogil=True, cache=folder is not None, error_model="numpy", fastmath={"contract"}
-        )(function)
-    finally:
-        config.CACHE_DIR = before
+    folder = cache_folder(Path(function.__code__.co_filename).parent)
+    compiled = compiled_into(folder, function, fastmath={"contract"})
     _kernels.append(compiled)
     return compiled
 

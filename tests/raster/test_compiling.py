@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from splatview.raster import compiling
 
 HERE = Path(compiling.__file__).parent
@@ -50,7 +52,7 @@ def test_compiles_once_and_says_so_once(tmp_path):
 def test_nothing_is_cached_where_nothing_can_be_written(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    assert compiling._cache_folder.__wrapped__(HERE) is None
+    assert compiling.cache_folder.__wrapped__(HERE) is None
 
     @compiling.kernel
     def one_more(number):
@@ -65,12 +67,12 @@ def test_sources_of_both_packages_decide_the_folder(tmp_path, monkeypatch):
     package.mkdir()
     source = package / "kernels.py"
     source.write_text("one = 1\n")
-    first = compiling._cache_folder.__wrapped__(package)
+    first = compiling.cache_folder.__wrapped__(package)
     assert first is not None
     assert first.is_dir()
-    assert compiling._cache_folder.__wrapped__(package) == first
+    assert compiling.cache_folder.__wrapped__(package) == first
     source.write_text("one = 2\n")
-    assert compiling._cache_folder.__wrapped__(package) != first
+    assert compiling.cache_folder.__wrapped__(package) != first
 
 
 def test_only_old_compiled_files_are_removed(tmp_path):
@@ -88,3 +90,44 @@ def test_only_old_compiled_files_are_removed(tmp_path):
         "old",
         "sub",
     ]
+
+
+@pytest.mark.parametrize("damage", ["index", "data", "unwritable"])
+def test_a_damaged_or_full_cache_of_kernels_costs_time_only(tmp_path, damage):
+    """What failed: a traceback at every start until the user deleted the cache by hand."""
+    source = tmp_path / "package" / "kernels.py"
+    source.parent.mkdir()
+    source.write_text(
+        "from splatview.raster.compiling import kernel\n\n@kernel\ndef add(a, b):\n    return a + b\n"
+    )
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import kernels; print(kernels.add(2.0, 3.0))"
+
+    def run() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", code, str(source.parent)],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=200,
+        )
+
+    first = run()
+    assert (first.returncode, first.stdout.strip(), first.stderr) == (0, "5.0", "")
+    files = [*tmp_path.glob("cache/**/*.nbi" if damage == "index" else "cache/**/*.nbc")]
+    assert files
+    for file in files:
+        if damage == "unwritable":
+            file.unlink()
+            file.mkdir()
+        else:
+            file.write_bytes(b"\x80\x04garbage")
+    again = run()
+    assert (again.returncode, again.stdout.strip()) == (0, "5.0"), again.stderr
+    assert all(
+        line.startswith("splatview: the cache of compiled kernels") for line in again.stderr.splitlines()
+    )
+    assert len(again.stderr.splitlines()) <= 2
+    if damage != "unwritable":
+        healed = run()
+        assert (healed.returncode, healed.stdout.strip(), healed.stderr) == (0, "5.0", "")
