@@ -40,7 +40,7 @@ AT_LOAD, IN_FUNCTION, FOR_TYPES = "when loaded", "in a function", "for type chec
 
 WHERE_ALLOWED = {
     "torch": r"trainer/",
-    "moderngl": r"renderers/gl/|viewer/",
+    "moderngl": r"renderers/|viewer/",
     "glcontext": r"renderers/gl/|viewer/",
     "OpenGL": r"renderers/gl/|viewer/",
     "imgui_bundle": r"viewer/|renderers/precompile\.py",  # which opens a window's context, unseen

@@ -80,9 +80,9 @@ class Backend:
         highlight: Highlight | None = None,
     ) -> np.ndarray:
         """The picture (H, W, 4) float32."""
-        return self.renderer.render(
-            FrameRequest(gaussians, camera, settings, mode=mode, edits=edits, highlight=highlight)
-        )
+        request = FrameRequest(gaussians, camera, settings, mode=mode, edits=edits, highlight=highlight)
+        # The reference draws in float64.
+        return self.renderer.render(request).astype(np.float32, copy=False)
 
     def __str__(self) -> str:
         return self.name

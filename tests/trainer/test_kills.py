@@ -17,9 +17,9 @@ from splatview.trainer.warm_up import warm_up
 
 OFTEN = """
 import sys
-from splatview.trainer import session
+from splatview.trainer import run
 from splatview.cli.main import main
-session.CHECKPOINT_SECONDS = 0.02
+run.CHECKPOINT_SECONDS = 0.02
 sys.exit(main(sys.argv[1:]))
 """
 """The command, writing a checkpoint after every other step or so: most kills hit a write."""

@@ -18,7 +18,7 @@ from splatview.raster import Parameters
 from splatview.scene import Camera, Gaussians, look_at
 from splatview.scene.edits import Crop
 from splatview.trainer.checkpoint import FORMAT
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.settings import TrainSettings, recorded
 from splatview.trainer.trainer import Counters
 from splatview.viewer.camera import camera_text
 from splatview.viewer.preferences import Preferences
@@ -357,7 +357,7 @@ def checkpoints() -> list[bytes]:
     seeds = []
     for crops in ((), (Crop(),)):
         run = {
-            "settings": asdict(TrainSettings(cut=(crops,) if crops else (), no_growth=crops)),
+            "settings": recorded(TrainSettings(cut=(crops,) if crops else (), no_growth=crops)),
             "counters": asdict(Counters()),
             "extent": 1.0,
             "next_id": 4,

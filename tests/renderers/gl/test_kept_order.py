@@ -38,13 +38,14 @@ def drawn(renderer, camera: Camera, settings: RenderSettings, edits: SceneEdits 
 def test_frames_of_a_path_are_those_that_the_cpu_draws(renderer, random_gaussians, order):
     settings = RenderSettings(resort_frames=3, order=order, blend="float32")
     splats, workspace = raster.parameters_of(random_gaussians(300, seed=6)), raster.Workspace()
+    depth_order = raster.ReusableOrder()
     picture, own = np.zeros(0), None
     for number in range(5):
         camera = at(10 * number)
         picture = drawn(renderer, camera, settings)
         assert renderer.busy == (number % 3 != 0)
         own = drawn(renderer, camera, RenderSettings(order=order, blend="float32")) if number == 4 else None
-        cpu = raster.draw_frame(splats, camera, settings, workspace).image
+        cpu = raster.draw_frame(splats, camera, settings, workspace, depth_order=depth_order).image
         # The two round 16-bit keys differently, and cut alphas to the last digit.
         assert np.mean(np.abs(picture - cpu).max(axis=2) > 2e-3) < (0.01 if order == "32-bit" else 0.1)
     assert own is not None and np.abs(picture - own).max() > 1e-2, "another order is another picture"
