@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -288,6 +289,8 @@ def run(arguments: list[str]) -> int:
     check_camera_options(args)
     if args.plot is not None:
         check_output(args.plot, PLOTS)
+        if find_spec("matplotlib") is None:
+            raise InputError("--plot needs matplotlib: pip install 'splatview[plot]'")
     lengths = {
         "--thorough": args.thorough,
         "--seconds": args.seconds is not None,

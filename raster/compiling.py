@@ -122,7 +122,7 @@ def tell_once(what: str, error: Exception) -> None:
 
 def compiled_into(folder: Path | None, function: Callable[..., Any], **options: Any) -> Any:
     """`function` by numba.njit with `options`, its machine code kept in `folder`; None: not kept."""
-    dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     if folder is not None:
         before = config.CACHE_DIR
         config.CACHE_DIR = str(folder)

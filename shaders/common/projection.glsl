@@ -59,7 +59,8 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     float largest = max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w)));
     if (!(t.z >= u_near)) return false;  // guard: near plane
     if (!(largest >= MIN_QUAT_COMPONENT)) return false;  // guard: zero quaternions
-    if (!(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;  // guard: opacity
+    // By bits too: compilers with fast maths may turn !(x >= a) into x < a, which NaN passes.
+    if (!is_finite(opacity) || !(opacity >= u_alpha_cut) || !(opacity > 0.0)) return false;  // guard: opacity
     // guard: finite footprints
     if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
 

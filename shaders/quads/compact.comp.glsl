@@ -23,7 +23,7 @@ void main() {
     uint me = gl_LocalInvocationID.x, splat = gl_GlobalInvocationID.x;
     uint word = me / 32u, bit = me % 32u;
     if (me < WORDS) visible_bits[me] = 0u;
-    barrier();
+    memoryBarrierShared(); barrier();
     uint key = CULLED;
     if (splat < u_splats) {
 #if HAS_KEPT
@@ -32,7 +32,7 @@ void main() {
         key = depth_keys[splat];
     }
     if (key != CULLED) atomicOr(visible_bits[word], 1u << bit);
-    barrier();
+    memoryBarrierShared(); barrier();
     if (key == CULLED) return;
     uint slot = group_starts[gl_WorkGroupID.x];
     for (uint below = 0u; below < word; below++) slot += uint(bitCount(visible_bits[below]));

@@ -11,9 +11,9 @@ shared uint visible;
 
 void main() {
     if (gl_LocalInvocationID.x == 0u) visible = 0u;
-    barrier();
+    memoryBarrierShared(); barrier();
     uint place = gl_GlobalInvocationID.x;
     if (place < u_splats && depth_keys[reused[place]] != CULLED) atomicAdd(visible, 1u);
-    barrier();
+    memoryBarrierShared(); barrier();
     if (gl_LocalInvocationID.x == 0u) group_counts[gl_WorkGroupID.x] = visible;
 }

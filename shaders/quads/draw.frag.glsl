@@ -50,8 +50,10 @@ void main() {
 #if HAS_DISCS
         if (DISCS) power = surfel_power(v_rows, v_plane, d);
 #endif
-        // guard: cap of alpha := alpha = min(v_colour.a * exp2(-power), 1.0);
-        alpha = min(v_colour.a * exp2(-power), u_max_alpha);
+        // Before min, which drivers may let turn NaN into its other argument: an opaque pixel.
+        alpha = v_colour.a * exp2(-power);
+        if (!(alpha >= v_c_cut.y)) discard;
+        alpha = min(alpha, u_max_alpha);  // guard: cap of alpha
         if (!(alpha >= v_c_cut.y)) discard;
     }
     colour = OVERDRAW ? vec4(1.0, 0.0, 0.0, 0.0) : vec4(v_colour.rgb * alpha, alpha);

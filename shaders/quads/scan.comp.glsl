@@ -19,12 +19,12 @@ void main() {
     uint sum = 0u;
     for (uint group = first; group < last; group++) sum += group_counts[group];
     sums[me] = sum;
-    barrier();
+    memoryBarrierShared(); barrier();
     for (uint stride = 1u; stride < uint(SCAN_SIZE); stride <<= 1u) {
         uint below = me >= stride ? sums[me - stride] : 0u;
-        barrier();
+        memoryBarrierShared(); barrier();
         sums[me] += below;
-        barrier();
+        memoryBarrierShared(); barrier();
     }
     uint start = sums[me] - sum;
     for (uint group = first; group < last; group++) {

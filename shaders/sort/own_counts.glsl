@@ -23,5 +23,5 @@ void count_own_keys() {
     uvec2 run = own_run();
     for (uint i = run.x; i < run.y; ++i)
         own_counts[counter(keys[i])]++;
-    barrier();
+    memoryBarrierShared(); barrier();
 }

@@ -26,7 +26,7 @@ void ranks_from_counts() {
         own_counts[i] = rank;
         rank += here;
     }
-    barrier();
+    memoryBarrierShared(); barrier();
 }
 
 void find_offsets() {
@@ -40,7 +40,7 @@ void find_offsets() {
         offsets[d] = smaller + table[d * plan.blocks + gl_WorkGroupID.x] - own_counts[d * uint(WORKGROUP)];
         smaller += totals[d];
     }
-    barrier();
+    memoryBarrierShared(); barrier();
 }
 
 void main() {

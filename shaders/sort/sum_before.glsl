@@ -6,14 +6,14 @@ shared uint sums[WORKGROUP];
 uint sum_before(uint value) {
     uint me = gl_LocalInvocationID.x;
     sums[me] = value;
-    barrier();
+    memoryBarrierShared(); barrier();
     for (uint stride = 1u; stride < uint(WORKGROUP); stride <<= 1u) {
         uint below = me >= stride ? sums[me - stride] : 0u;
-        barrier();
+        memoryBarrierShared(); barrier();
         sums[me] += below;
-        barrier();
+        memoryBarrierShared(); barrier();
     }
     uint before = sums[me] - value;
-    barrier();  // before another call writes
+    memoryBarrierShared(); barrier();  // before another call writes
     return before;
 }

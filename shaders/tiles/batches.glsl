@@ -80,10 +80,10 @@ bool touches(uint splat, ivec2 tile) {
 uint fill_batch(uint first, uint count, ivec2 tile) {
     uint me = gl_LocalInvocationID.x;
     for (uint word = me; word < WORDS; word += uint(WORKGROUP)) hits[word] = 0u;
-    barrier();
+    memoryBarrierShared(); barrier();
     for (uint i = me; i < count; i += uint(WORKGROUP))
         if (touches(splats[first + i], tile)) atomicOr(hits[i / 32u], 1u << (i % 32u));
-    barrier();
+    memoryBarrierShared(); barrier();
     for (uint i = me; i < count; i += uint(WORKGROUP)) {
         uint word = i / 32u, bit = 1u << (i % 32u);
         if ((hits[word] & bit) == 0u) continue;
@@ -108,7 +108,7 @@ uvec2 range_of(uint number) {
     uvec2 range = uvec2(plan.rest_first, plan.rest_end);
 #else
     for (uint i = gl_LocalInvocationID.x; i < 2u; i += uint(WORKGROUP)) borders[i] = first_pair(number + i);
-    barrier();
+    memoryBarrierShared(); barrier();
     uvec2 range = uvec2(borders[0], borders[1]);
 #endif
     if (range.y - range.x <= u_first) return uvec2(0u);

@@ -23,12 +23,12 @@ void main() {
     }
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
         if (me == 0u) open_pixels = 0u;
-        barrier();
+        memoryBarrierShared(); barrier();
         bool open = false;
         for (int i = 0; i < PIXELS; i++) open = open || sums[i].a >= u_early_stop;
         if (open) atomicOr(open_pixels, 1u);
         uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
-        barrier();
+        memoryBarrierShared(); barrier();
         if (open_pixels == 0u) break;
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
@@ -44,13 +44,14 @@ void main() {
 #if HAS_DISCS
                 if (DISCS) power = surfel_power(rows, plane, d);
 #endif
-                float alpha = min(colour.a * exp2(-power), u_max_alpha);
-                alpha = alpha >= cut ? alpha : 0.0;  // NaN too
+                float alpha = colour.a * exp2(-power);
+                // The cut before min, which drivers may let turn NaN into its other argument.
+                alpha = alpha >= cut && u_max_alpha >= cut ? min(alpha, u_max_alpha) : 0.0;
                 sums[i].rgb += sums[i].a * alpha * colour.rgb;
                 sums[i].a *= 1.0 - alpha;
             }
         }
-        barrier();
+        memoryBarrierShared(); barrier();
     }
     for (int i = 0; i < PIXELS; i++) {
         ivec2 pixel = own + step_to(i);

@@ -26,17 +26,19 @@ void main() {
     }
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
         if (me == 0) open_pixels = 0u;
-        barrier();
+        memoryBarrierShared(); barrier();
         if (sum.a >= u_early_stop) atomicOr(open_pixels, 1u);
         uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
-        barrier();
+        memoryBarrierShared(); barrier();
         if (open_pixels == 0u) break;
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k], depth = batch_depths[k];
             vec2 d = vec2(pixel) + 0.5 - shape.xy;
             vec2 whitened = vec2(shape.z * d.x + shape.w * d.y, batch_cs[k] * d.y);
-            float alpha = min(colour.a * exp2(-dot(whitened, whitened)), u_max_alpha);
-            if (!(alpha >= max(u_alpha_cut, u_least_share * colour.a)) || !(sum.a >= u_early_stop)) continue;
+            float alpha = colour.a * exp2(-dot(whitened, whitened));
+            float cut = max(u_alpha_cut, u_least_share * colour.a);
+            if (!(alpha >= cut) || !(u_max_alpha >= cut) || !(sum.a >= u_early_stop)) continue;
+            alpha = min(alpha, u_max_alpha);
             // Inserted from behind, after those of equal depth; the splat that drops out in front is blended.
             float z = depth.z + dot(depth.xy, d);
             vec4 carried = vec4(colour.rgb, alpha);
@@ -52,7 +54,7 @@ void main() {
             sum.rgb += sum.a * carried.a * carried.rgb;
             sum.a *= 1.0 - carried.a;
         }
-        barrier();
+        memoryBarrierShared(); barrier();
     }
     for (int i = 0; i < NEAREST; i++) {
         sum.rgb += sum.a * held[i].a * held[i].rgb;

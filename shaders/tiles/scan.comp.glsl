@@ -16,12 +16,12 @@ void main() {
     uint sum = 0u;
     for (uint block = first; block < last; block++) sum = saturating_sum(sum, blocks[block]);
     sums[me] = sum;
-    barrier();
+    memoryBarrierShared(); barrier();
     for (uint stride = 1u; stride < uint(WORKGROUP); stride <<= 1u) {
         uint below = me >= stride ? sums[me - stride] : 0u;
-        barrier();
+        memoryBarrierShared(); barrier();
         sums[me] = saturating_sum(sums[me], below);
-        barrier();
+        memoryBarrierShared(); barrier();
     }
     uint start = me > 0u ? sums[me - 1u] : 0u;
     for (uint block = first; block < last; block++) {

@@ -88,3 +88,13 @@ def test_a_mistyped_bill_is_one_line(scene, tmp_path, monkeypatch, capsys, optio
     assert main(["bill", str(scene), *options]) == 2
     out, err = capsys.readouterr()
     assert out == "" and len(err.splitlines()) == 1 and complaint in err
+
+
+def test_a_plot_without_matplotlib_is_told_before_anything_is_measured(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("splatview.cli.ladder.find_spec", lambda name: None)
+    monkeypatch.setattr("splatview.cli.ladder.load_scene", None)  # nothing is even read
+    code = main(["ladder", str(tmp_path / "scene.ply"), "--plot", str(tmp_path / "p.png")])
+    assert (code, capsys.readouterr().err) == (
+        2,
+        "splatview: --plot needs matplotlib: pip install 'splatview[plot]'\n",
+    )
