@@ -54,13 +54,15 @@ def handles(
 
 
 def grabbed() -> bool:
-    """Whether the mouse is on the handles of this frame or the last, or drags them. To be asked only where
-    some were drawn: without any ImGuizmo's answer is that of a handle nowhere, which may be yes."""
-    return guizmo.is_over() or guizmo.is_using()
+    """Whether the left button is the handles' in this frame, rather than the picture's: the mouse drags them,
+    or is on them with nothing else in hand. To be asked once a frame before the picture's item, only where
+    handles are drawn."""
+    guizmo.begin_frame()  # forgets where the mouse was; without, ImGuizmo takes but the first handle it met
+    return dragging() or (guizmo.is_over() and not imgui.is_any_item_active())
 
 
 def dragging() -> bool:
-    return guizmo.is_using()
+    return guizmo.is_using_any()
 
 
 def placed(centre: ArrayLike, R: np.ndarray, sizes: ArrayLike = (1.0, 1.0, 1.0)) -> np.ndarray:

@@ -239,10 +239,16 @@ def pivot(session: EditSession) -> Place:
     return session.pivot[1]
 
 
+def has_handles(session: EditSession) -> bool:
+    return session.forms.move.gizmo and (
+        session.forms.scope != "selection" or session.document.counts.selected > 0
+    )
+
+
 def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """Over the picture; what they do is the same as typing the numbers."""
     form = session.forms.move
-    if not form.gizmo or (session.forms.scope == "selection" and not session.document.counts.selected):
+    if not has_handles(session):
         return
     centre = np.array(pivot(session))
     turned = Adjustment(rotation=quat_of(form.rotation)) if form.turning else IDENTITY
