@@ -12,6 +12,7 @@ from pyrr import matrix44, quaternion
 from splatview.scene import Camera
 from splatview.scene.edits import Four
 from splatview.scene.image_model import NEAR
+from splatview.viewer.editing.tool_state import Euler
 
 guizmo = imguizmo.im_guizmo
 
@@ -84,10 +85,6 @@ def projection(camera: Camera) -> np.ndarray:
 
 def _columns(matrix: np.ndarray) -> imguizmo.im_guizmo.Matrix16:
     return guizmo.Matrix16(matrix.T.astype(np.float32).ravel().tolist())
-
-
-Euler = tuple[float, float, float]
-"""Degrees about the axes x, y, z, turned in this order about axes that stay."""
 
 
 def quat_of(angles: Euler) -> Four:

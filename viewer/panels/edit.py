@@ -20,13 +20,7 @@ from splatview.viewer import theme
 from splatview.viewer.camera import bounds
 from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import (
-    EditSession,
-    at_rest,
-    can_edit,
-    post_edit,
-    session_of,
-)
+from splatview.viewer.editing.session import EditSession, at_rest, can_edit, post_edit, session_of
 from splatview.viewer.editing.tool_state import LookForm, MoveForm, Place, ToolName
 from splatview.viewer.panels import clean, crops, recipe, select, widgets
 from splatview.viewer.training.live import LiveTraining
