@@ -89,11 +89,7 @@ BACKENDS: dict[str, Backend] = {
     backend.name: backend
     for backend in (
         Backend(
-            name="quads",
-            label="quads (OpenGL 4.3)",
-            make=_quads,
-            gl_version=COMPUTE,
-            commands=EVERYWHERE,
+            name="quads", label="quads (OpenGL 4.3)", make=_quads, gl_version=COMPUTE, commands=EVERYWHERE
         ),
         Backend(
             name="quads-gl33",
@@ -103,11 +99,7 @@ BACKENDS: dict[str, Backend] = {
             commands=frozenset({"stability"}),
         ),
         Backend(
-            name="tiles",
-            label="tiles (OpenGL 4.3)",
-            make=_tiles,
-            gl_version=COMPUTE,
-            commands=EVERYWHERE,
+            name="tiles", label="tiles (OpenGL 4.3)", make=_tiles, gl_version=COMPUTE, commands=EVERYWHERE
         ),
         Backend(name="cpu", label="cpu", make=_cpu, commands=EVERYWHERE),
         Backend(

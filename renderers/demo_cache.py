@@ -56,9 +56,6 @@ def cached_demo(*, progress: Progress = NO_PROGRESS) -> Gaussians:
     return gaussians
 
 
-# ---- The photos of `splatview train --demo`: pictures by the program, made once in the user's cache folder.
-
-
 PREFIX = "demo-photos-"
 
 PHOTOS, WIDTH, HEIGHT = 40, 400, 300

@@ -11,9 +11,6 @@ from splatview.raster.compiling import kernel
 from splatview.renderers.request import TINT_COUNT, Highlight, Tint
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, SceneEdits
 
-# ---- Tints as colour maps of further adjustments: for renderers that know adjustments and no overlay.
-
-
 SHIFT, FLAG_SETS = PALETTE_SHIFT, TINT_COUNT
 """As constants that the compiler sees."""
 

@@ -374,9 +374,6 @@ def in_a_process(
         raise RuntimeError(lines[-1] if lines else f"exit code {process.returncode}")
 
 
-# ---- Whether this driver keeps the programs of one process for another: tried with some never seen before.
-
-
 WORTH_WHILE = 0.5
 """Of the time that a new program takes: more, and nothing was kept. It is a tenth with Mesa."""
 

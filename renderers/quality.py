@@ -48,9 +48,6 @@ LEAST_ERROR = 1e-14
 """Mean squared error in place of 0 in logarithms: rounding alone makes more."""
 
 
-# ---- Candidates
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shortcut:
     """One way to draw in less time."""
@@ -114,9 +111,6 @@ def badness(step: Shortcut) -> float:
 def squared(psnr: float) -> float:
     """Mean squared error of so many dB."""
     return 10 ** (-psnr / 10)
-
-
-# ---- The governor
 
 
 REMEMBERED = 9
@@ -216,9 +210,6 @@ class Watch:
             self.governor.learn(self._drawn, milliseconds)
 
 
-# ---- Candidates of a GPU: rungs of the ladder, alone and with fewer pixels, each at its price.
-
-
 WHOLE = ("renderer", "resolution")
 """Rungs that are no knob of their own here."""
 
@@ -286,9 +277,6 @@ def unpriced(milliseconds: float) -> tuple[Shortcut, ...]:
         )
         for scale in SCALES
     )
-
-
-# ---- Candidates of the CPU: the scene merged into ever fewer splats (`scene.lod`), each level drawn once.
 
 
 MOST_BYTES = 256 << 20

@@ -37,14 +37,7 @@ from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
-FEATURES: tuple[type[Feature], ...] = (
-    DepthOfField,
-    WindowBackground,
-    Editing,
-    Restoring,
-    Accuracy,
-    Effects,
-)
+FEATURES: tuple[type[Feature], ...] = (DepthOfField, WindowBackground, Editing, Restoring, Accuracy, Effects)
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
 
@@ -128,8 +121,6 @@ class Window:
         self._last_view: object = None
         if complaint:
             self.app.tell(complaint)
-
-    # ---- hello_imgui's callbacks, in the order in which they are called
 
     def start(self) -> None:
         """The GL context is there: make the picture and begin to load."""

@@ -235,9 +235,7 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
 
 def choose_cameras(app: AppState) -> None:
     app.choose_files(
-        "Load cameras",
-        lambda paths: [app.post(open_camera_list, path) for path in paths],
-        kind="cameras",
+        "Load cameras", lambda paths: [app.post(open_camera_list, path) for path in paths], kind="cameras"
     )
 
 

@@ -69,13 +69,7 @@ class LoadedScene:
 
 
 EMPTY_SCENE = LoadedScene(
-    gaussians=EMPTY,
-    paths=(),
-    name="",
-    centre=np.zeros(3),
-    radius=1.0,
-    settings=RenderSettings(),
-    seconds=0.0,
+    gaussians=EMPTY, paths=(), name="", centre=np.zeros(3), radius=1.0, settings=RenderSettings(), seconds=0.0
 )
 """The scene of a window in which nothing is open."""
 

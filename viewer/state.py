@@ -157,8 +157,6 @@ class AppState:
     _memory_due: float = 0.0
     _posted: deque[tuple[Callable[..., object], tuple[Any, ...]]] = field(default_factory=deque)
 
-    # ---- commands
-
     def post(self, command: Callable[..., object], *args: Any) -> None:
         """Runs `command(app, *args)` before the next frame. May be called from any thread."""
         self._posted.append((command, args))
@@ -195,8 +193,6 @@ class AppState:
             traceback.print_exception(error)
             self.complain(text)
 
-    # ---- messages
-
     def tell(self, text: str) -> None:
         """One line into the messages panel and the status bar."""
         self.messages.append(Message(text=text, error=False, at=time.time()))
@@ -205,8 +201,6 @@ class AppState:
         """One line that the user must not miss: a dialog, and the messages panel."""
         self.messages.append(Message(text=text, error=True, at=time.time()))
         self.problem = text
-
-    # ---- the view
 
     def go_to(self, view: View, *, smooth: bool = True) -> None:
         """Changes the view, as a short motion where the user likes that."""
@@ -254,8 +248,6 @@ class AppState:
             or any(feature.busy(self) for feature in self.features.values())
         )
 
-    # ---- features
-
     def add(self, feature: Feature) -> None:
         self.features[type(feature)] = feature
 
@@ -281,8 +273,6 @@ class AppState:
         found = (feature.highlight for feature in self.features.values())
         return next((highlight for highlight in found if highlight is not None), None)
 
-    # ---- statistics
-
     def note_statistics(self) -> None:
         """Remembers what the latest drawn frame cost, and once a second the process's memory."""
         if self.picture is None:
@@ -296,8 +286,6 @@ class AppState:
         if self.now() >= self._memory_due:
             self._memory_due = self.now() + 1.0
             self.process_mib = process_memory()
-
-    # ---- settings
 
     def prefer(self, **changes: Any) -> None:
         """Changes preferences; those that decide the picture take effect in `settings` too."""

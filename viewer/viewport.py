@@ -50,10 +50,15 @@ def show(app: AppState) -> None:
         | imgui.ButtonFlags_.mouse_button_right
         | imgui.ButtonFlags_.mouse_button_middle
     )
-    imgui.set_next_item_allow_overlap()
-    imgui.invisible_button("picture", ImVec2(width, height), buttons)
-    tool_has_it = click_focus(app, corner, scale)
-    tool_has_it = tool_has_it or use_tool(app, corner, width, height) or on_handles(app)
+    tool_has_it = on_handles(app, app.view.camera(width, height))
+    if tool_has_it and not (imgui.is_mouse_clicked(_RIGHT) or imgui.is_mouse_clicked(_MIDDLE)):
+        # ImGuizmo refuses a press while any item of ImGui's is hovered; one without an id does not count.
+        imgui.dummy(ImVec2(width, height))
+    else:
+        if not tool_has_it:  # what may be overlapped takes no press in its first frame
+            imgui.set_next_item_allow_overlap()
+        imgui.invisible_button("picture", ImVec2(width, height), buttons)
+    tool_has_it = tool_has_it or click_focus(app, corner, scale) or use_tool(app, corner, width, height)
     tool_has_it = drag_line(app, corner, width) or tool_has_it
     steer_by_mouse(app, corner, width, height, scale, left_is_free=not tool_has_it)
     steer_by_keys(app)

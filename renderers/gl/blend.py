@@ -24,9 +24,6 @@ from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 from splatview.renderers.modes import MODES, VisualMode, mode_flags
 
-# ---- Early stop for blended quads: splats behind opaque blocks of the picture are not drawn.
-
-
 BLOCK = 8
 """Pixels a block is wide and high."""
 
@@ -199,8 +196,7 @@ class BlendPass:
         self._ctx.depth_func = "<"
         for page in scene.pages:
             _bind(
-                *(page.positions, page.quats, page.scales_opacity),
-                *(projector.colours, projector.depth_keys),
+                *(page.positions, page.quats, page.scales_opacity), *(projector.colours, projector.depth_keys)
             )
             place = {
                 "u_page_first": page.first,

@@ -103,9 +103,6 @@ class KeptOrder:
             self._count_kept.release()
 
 
-# ---- The count of visible splats, read back without waiting for it.
-
-
 FRAMES_IN_FLIGHT = 3
 """A count is read this many frames after it was written: by then the GPU is done with it."""
 

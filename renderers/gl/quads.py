@@ -44,11 +44,7 @@ class QuadsRenderer(GLRenderer):
     )
 
     def __init__(
-        self,
-        ctx: moderngl.Context,
-        *,
-        gathering: BlendPass | None = None,
-        variants: Variants | None = None,
+        self, ctx: moderngl.Context, *, gathering: BlendPass | None = None, variants: Variants | None = None
     ) -> None:
         super().__init__(ctx, variants)
         self._projector = Projector(ctx, self._variants)

@@ -26,20 +26,11 @@ from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, SceneTextures, TexelArray, upload_steps
 from splatview.renderers.gl.sort_thread import DepthOrder, SortWorker, ViewLine
 from splatview.renderers.gl.targets import ColourTarget
-from splatview.renderers.gl.uniforms import (
-    Uniform,
-    disc_flags,
-    ray_flags,
-    set_uniforms,
-    view_uniforms,
-)
+from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms, view_uniforms
 from splatview.renderers.modes import MODES, VisualMode
 from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
-
-# ---- Projection without compute shaders: a pass of fragments, one a splat, into float textures.
-
 
 PLACES_UNIT, RESTS_UNIT = 4, 5
 """The texture unit after those of the attributes."""
@@ -184,9 +175,6 @@ class ProjectionPass:
         self._release_sized()
 
 
-# ---- What `gathering` does, for OpenGL 3.3: draws the ordered splats, in each visual mode, from textures.
-
-
 NO_ORDERS = {"HAS_STOCHASTIC": 0, "HAS_WEIGHTED": 0}
 """Flags: splats are always sorted."""
 
@@ -302,8 +290,6 @@ class QuadsGL33Renderer(GLRenderer):
         self._wanted: tuple[FrameRequest, Editing, ViewLine] | None = None
         """The latest request, its edits, and what the order of its splats depends on."""
 
-    # ---- loading
-
     def load_steps(
         self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
@@ -330,8 +316,6 @@ class QuadsGL33Renderer(GLRenderer):
         self._edits.load(scene.placement, source.means)
         self._sorter = SortWorker(source.means)
         self._scene, self._source = scene, source
-
-    # ---- drawing
 
     def forget_order(self) -> None:
         """It keeps none: the worker sorts every view."""
@@ -425,16 +409,8 @@ class QuadsGL33Renderer(GLRenderer):
             exact = self._order.view == line
             ordered = self._order.before_eye if exact else len(self._order.order)
         self._gathering.draw_splats(
-            mode,
-            target,
-            self._projection,
-            uniforms,
-            self._edits,
-            self._order_texels.texture,
-            ordered,
+            mode, target, self._projection, uniforms, self._edits, self._order_texels.texture, ordered
         )
-
-    # ---- results
 
     @property
     def busy(self) -> bool:

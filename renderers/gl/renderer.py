@@ -19,9 +19,6 @@ from splatview.renderers.gl.uniforms import check_rays
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 
-# ---- GPU time of named stages, read back when it is ready and never waited for while drawing.
-
-
 FRAMES_IN_FLIGHT = 4
 """Results are read this many uses of a stage later: no driver queues more frames ahead by default."""
 

@@ -13,9 +13,6 @@ from splatview.renderers.modes import VisualMode, mode_flags
 from splatview.scene import Camera, InputError
 from splatview.scene.background import Background, Gradient, Panorama, axes_of, background_colours, pixel_rays
 
-# ---- Backgrounds as the shaders take them: uniforms, and a texture only where one is a picture.
-
-
 UNIT = 2
 """The texture unit of `u_behind`."""
 
@@ -126,11 +123,7 @@ class Resolving:
         """
         weights = gathered.weights if weighted else None
         background_flags, background_values = self._background.use(background, camera)
-        flags = {
-            **background_flags,
-            **mode_flags(mode, resolved=True),
-            "WEIGHTED": weights is not None,
-        }
+        flags = {**background_flags, **mode_flags(mode, resolved=True), "WEIGHTED": weights is not None}
         program, array = self._variants.drawing(
             "quads/fullscreen.vert.glsl", "quads/resolve.frag.glsl", flags
         )
@@ -179,9 +172,6 @@ def float16_blending_truncates(ctx: moderngl.Context) -> bool:
     program.release()
     target.release()
     return not value > np.float32(0.5)
-
-
-# ---- The mean of pictures as they come, in one texture.
 
 
 class PictureMean:

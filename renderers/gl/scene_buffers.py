@@ -103,9 +103,6 @@ def own_words(sh: np.ndarray, degrees: np.ndarray, attributes: Attributes) -> np
     return words[np.arange(words.shape[1]) < words_by_degree(attributes)[degrees][:, None]]
 
 
-# ---- Where a scene lies: what its positions are kept relative to, and how far it reaches.
-
-
 FAR_FROM_ORIGIN = 4.0
 """Positions are stored relative to a centre once it lies this many scene radii from the origin; nearer
 scenes keep their float32 values to the bit."""
@@ -331,12 +328,7 @@ def _fill(
 
 
 def _fill_harmonics(
-    page: Page,
-    gaussians: Gaussians,
-    part: slice,
-    harmonics: StoredHarmonics,
-    attributes: Attributes,
-    at: int,
+    page: Page, gaussians: Gaussians, part: slice, harmonics: StoredHarmonics, attributes: Attributes, at: int
 ) -> int:
     """Writes those of some splats from byte `at` of the page on; returns where the next ones begin."""
     sh = gaussians.sh[part, : SH_COEFFICIENTS[harmonics.sh_degree]]

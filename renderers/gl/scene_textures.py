@@ -20,9 +20,6 @@ from splatview.scene import Gaussians, InputError
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.projection import sigmoid
 
-# ---- Linear arrays in textures: what shaders read by index without storage buffers.
-
-
 TEXTURE_WIDTH = 2048
 """Texels a row: every driver of the last fifteen years has wider textures, and 16384 rows hold 33 million."""
 
@@ -143,10 +140,7 @@ class SceneTextures:
         return {"OWN_DEGREES": self.places is not None, "WIDE": self.rests is not None}
 
     def release(self) -> None:
-        for texture in (
-            *(self.positions, self.quats, self.scales, self.sh),
-            *(self.places, self.rests),
-        ):
+        for texture in (*(self.positions, self.quats, self.scales, self.sh), *(self.places, self.rests)):
             if texture is not None:
                 texture.release()
 

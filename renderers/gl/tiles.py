@@ -211,9 +211,6 @@ def bind(*buffers: moderngl.Buffer) -> None:
         buffer.bind_to_storage_buffer(slot)
 
 
-# ---- Draws the sorted splats tile by tile, with sums in registers, into the target that gathers.
-
-
 NEAREST = 16
 """Splats that a pixel holds back in its own order, as in `raster.per_pixel`, which this package's pictures
 are compared with."""
@@ -238,11 +235,7 @@ HARDWARE = TileTuning(tile=16, workgroup=256, batch=256)
 """GPUs: a pixel an invocation; a batch takes 9 KiB of local memory."""
 
 SOFTWARE = TileTuning(
-    tile=16,
-    workgroup=8,
-    batch=64,
-    most_walked=1 << 15,
-    pairs=PairTuning(workgroup=8, most_tiles=60_000),
+    tile=16, workgroup=8, batch=64, most_walked=1 << 15, pairs=PairTuning(workgroup=8, most_tiles=60_000)
 )
 """llvmpipe runs 8 invocations as one vector, and switches coroutines at barriers for more. Draw of 95,000
 splats at 640x360 relative to this: 16 invocations 1.2, 64 2.3, 256 6.9; tiles of 8 px 1.0, batches of 32 or
@@ -369,11 +362,7 @@ class TilesRenderer(QuadsRenderer):
     capabilities = Capabilities(backend="tiles", orders=("32-bit", "16-bit", "per-pixel"))
 
     def __init__(
-        self,
-        ctx: moderngl.Context,
-        *,
-        tuning: TileTuning | None = None,
-        variants: Variants | None = None,
+        self, ctx: moderngl.Context, *, tuning: TileTuning | None = None, variants: Variants | None = None
     ) -> None:
         if not has_compute(ctx):
             version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"

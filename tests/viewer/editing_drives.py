@@ -8,12 +8,13 @@ from typing import Any
 
 import drives
 import numpy as np
-from drives import Hand
-from imgui_bundle import imgui
+from drives import Hand, pose
+from imgui_bundle import ImVec2, imgui
 
 from splatview.scene.edits import SELECTED
 from splatview.viewer.editing import files
 from splatview.viewer.editing.files import Restoring
+from splatview.viewer.editing.gizmos import guizmo
 from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.state import AppState
 
@@ -238,6 +239,72 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.ctx.item_click("**/rods")
     settle(hand)
     found["selected"] = counts(app)["selected"]
+
+
+def find_handle(hand: Hand, kind: str) -> None:
+    """Points at the handle that ImGuizmo calls `kind`, which lies somewhere about the picture's middle."""
+    view = hand.ctx.window_info("//View").rect_full
+    middle = (view.min + view.max) / 2
+    for direction in np.linspace(0, 2 * np.pi, 16, endpoint=False):
+        for radius in range(32, 120, 8):
+            offset = ImVec2(radius * float(np.cos(direction)), radius * float(np.sin(direction)))
+            hand.ctx.mouse_teleport_to_pos(middle + offset)
+            hand.frames(2)
+            if guizmo.is_over() and guizmo.get_hovered_handle_type().name == kind:
+                return
+    raise AssertionError(f"no handle {kind} about the middle")
+
+
+def drag_handle(hand: Hand, kind: str) -> None:
+    find_handle(hand, kind)
+    hand.frames(3)
+    hand.ctx.mouse_drag_with_delta(ImVec2(35, -25), 0)
+    settle(hand)
+
+
+def by_handles(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Moves and turns by the handles on the picture, then moves a crop; what else the mouse does stays."""
+    settle(hand)
+    app.prefer(smooth=False)
+    session = session_of(app)
+    assert session is not None
+    hand.press("Ctrl+A")
+    settle(hand)
+    found["camera"] = [pose(app)]
+    open_section(hand, "Move")
+    hand.ctx.item_check("Move/##Handles")
+    drag_handle(hand, "mt_move_x")
+    found["moved"] = session.forms.move.translation
+    hand.shoot(options.get("panel"))
+    hand.ctx.item_click("Move/Apply##move")
+    settle(hand)
+    hand.ctx.item_check("Move/##Turn by them")
+    drag_handle(hand, "mt_rotate_y")
+    found["turned"] = session.forms.move.rotation
+    hand.ctx.item_click("Move/Apply##move")
+    settle(hand)
+    hand.ctx.item_uncheck("Move/##Handles")
+
+    open_section(hand, "Crop")
+    hand.ctx.item_click("Crop/Add a box")
+    settle(hand)
+    start = session.document.crops[0].centre
+    drag_handle(hand, "mt_move_x")
+    found["crop_moved"] = np.subtract(session.document.crops[0].centre, start).tolist()
+    found["camera"].append(pose(app))
+    found["history"] = [step.title for step in session.document.history.done]
+
+    find_handle(hand, "mt_move_x")
+    hand.ctx.mouse_drag_with_delta(ImVec2(-35, 25), 1)
+    hand.frames(3)
+    found["camera"].append(pose(app))
+    find_handle(hand, "mt_move_x")
+    hand.ctx.mouse_wheel_y(1)
+    hand.frames(3)
+    found["camera"].append(pose(app))
+    hand.drag(300, 0, over=(0.2, 0.5))
+    found["camera"].append(pose(app))
+    found["steps"] = session.document.history.position
 
 
 if __name__ == "__main__":

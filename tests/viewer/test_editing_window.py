@@ -126,3 +126,20 @@ def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path)
     np.testing.assert_allclose(found["turned"], (np.cos(half), 0, np.sin(half), 0), atol=1e-5)
     assert [title.split()[0] for title in found["history"]] == ["Select", "Grade", "Transform"]
     assert found["back"] == 0
+
+
+def test_handles_on_the_picture_are_dragged(drive, scene, tmp_path):
+    path = tmp_path / "scene.ply"
+    save_scene(scene, path)
+    found = drive("by_handles", path, script="editing_drives.py", size=(1000, 700))
+    titles = [title.split()[0] for title in found["history"]]
+    assert titles == ["Select", "Transform", "Transform", "Add", "Change"]
+    assert np.abs(found["moved"]).max() > 0.05 and np.count_nonzero(np.round(found["moved"], 3)) == 1
+    assert np.abs(found["turned"]).max() > 1
+    assert abs(found["crop_moved"][0]) > 0.05
+    start, dragged, panned, zoomed, orbited = found["camera"]
+    assert dragged == start, "the left button is the handles'"
+    assert panned["target"] != start["target"], "the right button is not"
+    assert zoomed["distance"] < panned["distance"]
+    assert orbited["forward"] != zoomed["forward"], "a drag that begins beside the handles is not theirs"
+    assert found["steps"] == len(titles)

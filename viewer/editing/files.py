@@ -195,9 +195,6 @@ def _stem(app: AppState) -> str:
     return app.scene_path.stem if app.scene_path else "scene"
 
 
-# ---- after a crash
-
-
 def look_for_abandoned(app: AppState) -> None:
     """At the start: offers unsaved edits of windows that did not end well, or were closed with them."""
     restoring = app.feature(Restoring)

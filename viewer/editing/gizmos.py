@@ -12,6 +12,7 @@ from pyrr import matrix44, quaternion
 from splatview.scene import Camera
 from splatview.scene.edits import Four
 from splatview.scene.image_model import NEAR
+from splatview.viewer.editing.tool_state import Euler
 
 guizmo = imguizmo.im_guizmo
 
@@ -54,13 +55,15 @@ def handles(
 
 
 def grabbed() -> bool:
-    """Whether the mouse is on the handles of this frame or the last, or drags them. To be asked only where
-    some were drawn: without any ImGuizmo's answer is that of a handle nowhere, which may be yes."""
-    return guizmo.is_over() or guizmo.is_using()
+    """Whether the left button is the handles' in this frame, rather than the picture's: the mouse drags them,
+    or is on them with nothing else in hand. To be asked once a frame before the picture's item, only where
+    handles are drawn."""
+    guizmo.begin_frame()  # forgets where the mouse was; without, ImGuizmo takes but the first handle it met
+    return dragging() or (guizmo.is_over() and not imgui.is_any_item_active())
 
 
 def dragging() -> bool:
-    return guizmo.is_using()
+    return guizmo.is_using_any()
 
 
 def placed(centre: ArrayLike, R: np.ndarray, sizes: ArrayLike = (1.0, 1.0, 1.0)) -> np.ndarray:
@@ -82,10 +85,6 @@ def projection(camera: Camera) -> np.ndarray:
 
 def _columns(matrix: np.ndarray) -> imguizmo.im_guizmo.Matrix16:
     return guizmo.Matrix16(matrix.T.astype(np.float32).ravel().tolist())
-
-
-Euler = tuple[float, float, float]
-"""Degrees about the axes x, y, z, turned in this order about axes that stay."""
 
 
 def quat_of(angles: Euler) -> Four:

@@ -119,7 +119,7 @@ class Measured:
 
 
 Euler = tuple[float, float, float]
-"""Degrees about x, y, z."""
+"""Degrees about the axes x, y, z, turned in this order about axes that stay."""
 
 
 @dataclass(kw_only=True)

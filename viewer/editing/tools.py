@@ -143,10 +143,11 @@ def _click(
         app.complain(str(error))
 
 
-def on_handles(app: AppState) -> bool:
-    """Whether the mouse is on handles on the picture: navigation leaves the left button alone then."""
+def on_handles(app: AppState, camera: Camera) -> bool:
+    """Whether the left button is that of handles on the picture. To be asked before the picture's item."""
     session = session_of(app)
-    return session is not None and (session.forms.move.gizmo or session.forms.crop >= 0) and grabbed()
+    shown = session is not None and (move.has_handles(session) or crops.has_handles(session))
+    return shown and camera.lens is None and grabbed()
 
 
 def drag(

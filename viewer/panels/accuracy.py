@@ -142,11 +142,7 @@ def row(app: AppState, accuracy: Accuracy, ladder: Ladder, one: Measured) -> Non
     choice(app, accuracy, name, value, f"{name} {value}: {price_of(one, ladder)}.{best}")
     known = is_clear(one)
     saved = ladder.baseline.ms * (1 - one.ratio)
-    cells = (
-        f"{-saved:+.1f} ms" if known else "same",
-        f"{one.psnr:.1f}",
-        f"{one.max_error:.1g}",
-    )
+    cells = (f"{-saved:+.1f} ms" if known else "same", f"{one.psnr:.1f}", f"{one.max_error:.1g}")
     for cell in cells:
         imgui.table_next_column()
         if cell == "same":

@@ -73,9 +73,7 @@ def show_lens(app: AppState) -> None:
     )
     widgets.beside("On turning point")
     widgets.button(
-        "On turning point",
-        "Keeps sharp what the view turns about.",
-        lambda: setattr(lens, "focus", None),
+        "On turning point", "Keeps sharp what the view turns about.", lambda: setattr(lens, "focus", None)
     )
     if lens.picking:
         widgets.note("Click what shall be sharp.")

@@ -111,7 +111,5 @@ def decimation(app: AppState, session: EditSession) -> None:
         )
         widgets.beside(f"Keep {form.keep:,} of {counts.kept:,}")
     widgets.button(
-        f"Keep {form.keep:,} of {counts.kept:,}",
-        Decimate.summary + ".",
-        partial(app.post, cleanup.keep_best),
+        f"Keep {form.keep:,} of {counts.kept:,}", Decimate.summary + ".", partial(app.post, cleanup.keep_best)
     )

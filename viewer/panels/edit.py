@@ -20,13 +20,7 @@ from splatview.viewer import theme
 from splatview.viewer.camera import bounds
 from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import (
-    EditSession,
-    at_rest,
-    can_edit,
-    post_edit,
-    session_of,
-)
+from splatview.viewer.editing.session import EditSession, at_rest, can_edit, post_edit, session_of
 from splatview.viewer.editing.tool_state import LookForm, MoveForm, Place, ToolName
 from splatview.viewer.panels import clean, crops, recipe, select, widgets
 from splatview.viewer.training.live import LiveTraining
@@ -239,10 +233,16 @@ def pivot(session: EditSession) -> Place:
     return session.pivot[1]
 
 
+def has_handles(session: EditSession) -> bool:
+    return session.forms.move.gizmo and (
+        session.forms.scope != "selection" or session.document.counts.selected > 0
+    )
+
+
 def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """Over the picture; what they do is the same as typing the numbers."""
     form = session.forms.move
-    if not form.gizmo or (session.forms.scope == "selection" and not session.document.counts.selected):
+    if not has_handles(session):
         return
     centre = np.array(pivot(session))
     turned = Adjustment(rotation=quat_of(form.rotation)) if form.turning else IDENTITY

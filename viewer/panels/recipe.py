@@ -116,9 +116,7 @@ def set_position_rate(app: AppState, factor: float) -> None:
     """Both ends of the curve of the positions' rate, times what is usual."""
     app.post(
         lambda app: actions.change_settings(
-            app,
-            means_rate=factor * DEFAULTS.means_rate,
-            means_rate_end=factor * DEFAULTS.means_rate_end,
+            app, means_rate=factor * DEFAULTS.means_rate, means_rate_end=factor * DEFAULTS.means_rate_end
         )
     )
 

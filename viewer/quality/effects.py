@@ -78,8 +78,6 @@ class Effects(Feature):
         """Whether any effect is not as the census has it."""
         return any(effect.forced is not None for effect in self.receipt(app))
 
-    # ---- commands
-
     def switch(self, app: AppState, name: str, on: bool) -> None:
         """The user's word on an effect counts more than the census."""
         if app.is_open:
@@ -104,8 +102,6 @@ class Effects(Feature):
     def cancel_measuring(self) -> None:
         if self.pricing is not None:
             self.pricing.cancel()
-
-    # ---- between two frames
 
     def busy(self, app: AppState) -> bool:
         return self.pricing is not None

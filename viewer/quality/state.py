@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatview.measure.knobs import Plan, apply_choices
 from splatview.measure.ladder import Ladder, Measured, is_clear
-from splatview.renderers.quality import (
-    Governor,
-    Watch,
-    is_ranked,
-    priced,
-    rank,
-    unpriced,
-    with_rest_hidden,
-)
+from splatview.renderers.quality import Governor, Watch, is_ranked, priced, rank, unpriced, with_rest_hidden
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes, stored
@@ -32,9 +24,6 @@ from splatview.viewer.tasks import Task
 if TYPE_CHECKING:
     from splatview.measure.work import Bill
     from splatview.viewer.state import AppState
-
-
-# ---- The open scene loaded anew as a shortcut stores it, while the window goes on. No ImGui in here.
 
 
 UPLOAD_SECONDS = 0.004
@@ -111,8 +100,6 @@ class Accuracy(Feature):
     _frames_seen: int = 0
     _full_ms: float = 0.0
 
-    # ---- commands
-
     def measure(self, app: AppState) -> None:
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
@@ -148,8 +135,6 @@ class Accuracy(Feature):
                 self.progress.governor.follow(unpriced(self._full_ms))
         if app.picture is not None:
             app.picture.budget_ms = budget_ms
-
-    # ---- what is drawn
 
     def plan(self, app: AppState) -> Plan:
         """The settings with the shortcuts taken."""
@@ -212,8 +197,6 @@ class Accuracy(Feature):
         loading = self.measurement is not None or self.storing is not None
         ranking = self._ranking is not None and not self._ranking.done
         return loading or governed or ranking or self.comparing.busy
-
-    # ---- between two frames
 
     def before_frame(self, app: AppState) -> None:
         """Takes over what was measured, and learns from the latest frame."""

@@ -186,8 +186,6 @@ class LiveTraining(Feature):
         # The picture holds something else, so even an unchanged scene is to be handed over.
         self.thread.show_now(again=True)
 
-    # ---- parts of a frame
-
     def _report(self, app: AppState) -> None:
         """Says once what the thread's new state means."""
         status = self.status

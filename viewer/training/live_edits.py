@@ -116,8 +116,6 @@ class TrainingEdits:
         document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=CpuRenderer())
         return EditSession(document=document, target=TrainingTarget(self._thread, snapshot))
 
-    # ---- commands, to be posted
-
     def pin(self, app: AppState) -> None:
         """Freezes the shown snapshot until it is released."""
         target = frozen_target(self.freeze(app))
