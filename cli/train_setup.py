@@ -17,7 +17,7 @@ from splatview.cli.run_lock import lock_run
 from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
 from splatview.scene.progress import Progress
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
