@@ -142,7 +142,7 @@ class _ByNearness(Operation):
 
     def _plan(self, grown: Callable[..., np.ndarray], state: State, mode: str, progress: Progress) -> Change:
         mask = (state.marks & SELECTED) != 0
-        options = {"distance": self.distance, "neighbours": self.neighbours, "watch": progress}
+        options = {"distance": self.distance, "neighbours": self.neighbours, "progress": progress}
         hits = grown(mask, state.gaussians, state.edits, **options)
         by = f"{self.neighbours} neighbours" if self.distance is None else f"{self.distance:g}"
         return selection(state, hits, MODES[mode], f"{self.op.capitalize()} by {by}")

@@ -46,6 +46,8 @@ FIVE_MILLION = """
 import resource
 import numpy as np
 from splatview import raster
+from splatview.raster.gradients import differentiate
+from splatview.raster.parameters import check_parameters
 from splatview.scene import RenderSettings, look_at
 count = 5_000_000
 rng = np.random.default_rng(0)
