@@ -12,8 +12,7 @@ from pathlib import Path
 
 from splatview.cli.arguments import Parser
 from splatview.edit.changes import Change
-from splatview.edit.document import Document
-from splatview.edit.export import exported
+from splatview.edit.document import Document, exported
 from splatview.edit.impact import StepImpacts, in_words
 from splatview.edit.operations import OPERATIONS, Operation
 from splatview.edit.operations.merge_split import Split

@@ -19,7 +19,10 @@ from splatview.measure.knobs import Plan
 from splatview.renderers import choices
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError
-from splatview.scene.effects import Effect, scene_effects, settings_for, used_sh_degree, view_effects
+from splatview.scene.effects.effect import Effect
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.report import scene_effects, view_effects
+from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import check

@@ -49,7 +49,8 @@ from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.captures import Capture, load_capture
-from splatview.scene.effects import settings_for, used_sh_degree
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (

@@ -37,7 +37,7 @@ from splatview.renderers.headless import make_headless
 from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.io import atomic_write
 

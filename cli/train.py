@@ -24,7 +24,7 @@ from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, 
 from splatview.cli.window import no_window
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.distributed import (
     Alone,

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from rich.console import Console
 
-from splatview.cli.run_lock import lock_run
 from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
+from splatview.scene.formats.io import take_lock
 from splatview.scene.progress import Progress
+from splatview.scene.user_dirs import cache_folder
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
 from splatview.trainer.effects import capture_effects, model_for, with_exposure
@@ -43,6 +45,9 @@ COMPILED_SECONDS = 10.0
 
 BYTES_A_SPLAT = 250 + 2 * 710
 """In the scene's file and in two checkpoints: the old one stays until the new one is whole."""
+
+_held: dict[Path, IO[bytes]] = {}
+"""What `lock_run` claimed; claims last as long as the process, which may make one again."""
 
 OF_THE_CHECKPOINT = [
     "seed",
@@ -298,4 +303,36 @@ def _check_equal(run: Run, group: Processes) -> None:
             "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
             "checkpoint": digest(trainer.counters.iteration),
         },
+    )
+
+
+def lock_run(path: Path) -> None:
+    """Keeps `path` for this process to write: two runs must not write the same scene and checkpoint in turns.
+
+    Marks lie in the cache's folder, not beside the file; where none can be made nothing is claimed, which is
+    no reason not to work.
+
+    Raises:
+        InputError: another process of this user's has it.
+    """
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    mark = cache_folder() / "claims" / f"{name}.lock"
+    if mark in _held:
+        return
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        file = open(mark, "a+b")  # noqa: SIM115, for as long as the process
+        if take_lock(file):
+            file.truncate(0)
+            file.write(str(os.getpid()).encode())
+            file.flush()
+            _held[mark] = file
+            return
+        file.seek(0)
+        who = file.read(20).decode(errors="replace")
+        file.close()
+    except OSError:
+        return
+    raise InputError(
+        f"{path}: another splatview (process {who}) trains into it; wait for it, or name another file with -o"
     )

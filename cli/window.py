@@ -11,7 +11,7 @@ from splatview.cli.render import check_output, write_picture
 from splatview.renderers import FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
 from splatview.scene import Camera, Gaussians, InputError, concatenate
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera
 

@@ -13,7 +13,7 @@ from splatview.cli.arguments import Parser, add_camera_options, check_camera_opt
 from splatview.cli.render import check_output, write_picture
 from splatview.measure.metrics import heat
 from splatview.measure.work import as_json, bill_of, rows, sums
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,8 @@ from splatview.edit.changes import Change
 from splatview.edit.operations.base import Operation
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError
+from splatview.scene.edits import bake
+from splatview.scene.formats import save_scene
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 
@@ -241,3 +244,30 @@ class Document(State):
     def _tell(self, event: Event, step: Step) -> None:
         for listener in tuple(self.listeners):
             listener(event, step)
+
+
+def exported(document: Document) -> Gaussians:
+    """The edited scene: deleted and cropped splats left out, hidden ones kept, adjustments applied to the
+    values, comments and extras as they were. A preview is cancelled.
+
+    Raises:
+        InputError: no splats would be left.
+    """
+    document.cancel_preview()
+    scene = bake(document.gaussians, document.edits, hidden=True)
+    if not len(scene):
+        raise InputError("everything is deleted or cropped away; there is nothing to export")
+    return scene
+
+
+def export(document: Document, path: Path) -> int:
+    """Writes the edited scene to `path`, wholly or not at all, in the format of the suffix; it may be the
+    very file that the scene came from. Returns the number of splats.
+
+    Raises:
+        InputError: no splats would be left, or the file cannot be written; an older file is still whole.
+    """
+    scene = exported(document)
+    save_scene(scene, path)
+    document.history.mark_saved()
+    return len(scene)

@@ -19,7 +19,7 @@ from splatview.measure.ladder import (
     timed_draw,
 )
 from splatview.scene import Camera, Gaussians
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import in_force, switched
 
 EDITS = "edits in force"

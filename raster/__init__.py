@@ -10,16 +10,13 @@ import numpy as np
 
 from splatview.raster.camera_models import make_optics
 from splatview.raster.compiling import available_threads, will_compile
-from splatview.raster.contributions import contributions, dominant_splats
 from splatview.raster.edits import edit_arrays
 from splatview.raster.forward import EARLY_STOP
 from splatview.raster.forward_per_pixel import depth_slopes
 from splatview.raster.frame import Frame, draw
-from splatview.raster.gradients import Gradients, differentiate
 from splatview.raster.parameters import (
     NonzeroBands,
     Parameters,
-    check_parameters,
     make_view,
     nonzero_bands,
     parameters_of,
@@ -31,27 +28,6 @@ from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.background import composite_over
 from splatview.scene.edits import SceneEdits
 from splatview.scene.order_reuse import keeps_order
-
-__all__ = [
-    "EARLY_STOP",
-    "Frame",
-    "Gradients",
-    "NonzeroBands",
-    "Parameters",
-    "ReusableOrder",
-    "Workspace",
-    "available_threads",
-    "check_parameters",
-    "contributions",
-    "differentiate",
-    "dominant_splats",
-    "draw_frame",
-    "forget_order",
-    "nonzero_bands",
-    "parameters_of",
-    "render",
-    "will_compile",
-]
 
 ORDERS = ("32-bit", "16-bit", "per-pixel")
 

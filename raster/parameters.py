@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.effects import degree_in_use, own_degrees
+from splatview.scene.effects.sh_bands import degree_in_use, own_degrees
 from splatview.scene.gaussians import SH_COEFFICIENTS
 
 MAX_SPLATS = 2**31 - 1

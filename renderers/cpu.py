@@ -9,12 +9,13 @@ from collections.abc import Generator, Sequence
 import numpy as np
 
 from splatview import raster
+from splatview.raster.contributions import contributions, dominant_splats
 from splatview.renderers.edit_snapshot import tinted
 from splatview.renderers.request import Capabilities, FrameRequest, FrameStats, Highlight, Renderer
 from splatview.scene import Camera, Gaussians, InputError, reference
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits, bake
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.projection import project
 
 FOOTPRINT_BYTES = 8 * 16
@@ -129,10 +130,10 @@ class CpuRenderer(Renderer):
     # ---- edit.tools.Tools
 
     def dominant_splats(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        return raster.dominant_splats(gaussians, camera, settings_for(gaussians), edits=edits)
+        return dominant_splats(gaussians, camera, settings_for(gaussians), edits=edits)
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
-        return raster.contributions(gaussians, cameras, settings_for(gaussians), edits=edits)
+        return contributions(gaussians, cameras, settings_for(gaussians), edits=edits)
 
     def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         return self.render(FrameRequest(gaussians, camera, settings_for(gaussians), edits=edits))

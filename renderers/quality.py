@@ -23,7 +23,7 @@ from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Gaussians
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import HIDDEN, SceneEdits
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.gaussians import concatenate
 from splatview.scene.lod import chances, levels_and_cells
 
@@ -546,9 +546,9 @@ def ranked_by_contribution(gaussians: Gaussians) -> np.ndarray:
     if not len(gaussians):
         return np.zeros(0, np.intp)
     # Imported when needed: they compile.
-    from splatview import raster
     from splatview.edit.sample_views import sample_cameras
+    from splatview.raster.contributions import contributions
 
     cameras = sample_cameras(gaussians, SceneEdits(marks=np.zeros(len(gaussians), np.uint32)))
-    worth = raster.contributions(gaussians, cameras, settings_for(gaussians))
+    worth = contributions(gaussians, cameras, settings_for(gaussians))
     return np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")

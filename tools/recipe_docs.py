@@ -21,7 +21,8 @@ from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations import OPERATIONS
 from splatview.edit.operations.appearance import Grade
 from splatview.edit.operations.cleanup import REPAIRS
-from splatview.edit.selectors import ATTRIBUTES, SELECTORS
+from splatview.edit.selectors import SELECTORS
+from splatview.edit.selectors.attributes import ATTRIBUTES
 from splatview.edit.selectors.region_growing import REACH
 from splatview.edit.serialization import to_json
 from splatview.scene import Camera

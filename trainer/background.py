@@ -23,7 +23,7 @@ import numpy as np
 
 from splatview.raster import available_threads
 from splatview.scene import Gaussians, InputError
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
 from splatview.scene.formats import save_scene
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.evaluate import Evaluation

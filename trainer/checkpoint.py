@@ -13,7 +13,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from splatview.raster import Parameters, check_parameters
+from splatview.raster import Parameters
+from splatview.raster.parameters import check_parameters
 from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded

@@ -20,8 +20,8 @@ import numpy as np
 from splatview.scene import Camera, ImageModel
 from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
-from splatview.scene.effects import Effect, Saving
 from splatview.scene.effects.appearance import MIP_BLUR
+from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_AT, LEAST_SPREAD, Exposures
 from splatview.trainer.settings import TrainSettings
 

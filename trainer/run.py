@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from splatview.scene import Gaussians, InputError
-from splatview.scene.effects import Effect
+from splatview.scene.effects.effect import Effect
 from splatview.scene.formats import check_format, save_scene
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint

@@ -16,8 +16,9 @@ from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam import Rates
 from splatview.trainer.loss import SSIM_WEIGHT
-from splatview.trainer.strategies import PAPER_ITERATIONS, STRATEGIES, StrategySettings
+from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
+from splatview.trainer.strategies.ops import PAPER_ITERATIONS
 
 PIXELS_PER_SPLAT = 30
 """With more splats, few photos are learnt by heart: on `banana` at a quarter of its size, 12,000 splats

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatview.raster import Frame, Parameters, Workspace, check_parameters, differentiate, draw_frame
+from splatview.raster import Frame, Parameters, Workspace, draw_frame
+from splatview.raster.gradients import differentiate
+from splatview.raster.parameters import check_parameters
 from splatview.raster.project import RX, RY
 from splatview.scene import Camera, RenderSettings
 from splatview.trainer.loss import SSIM_WEIGHT

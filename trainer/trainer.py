@@ -13,14 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splatview.raster import (
-    Parameters,
-    Workspace,
-    available_threads,
-    differentiate,
-    draw_frame,
-)
+from splatview.raster import Parameters, Workspace, available_threads, draw_frame
 from splatview.raster.frame import StageClock
+from splatview.raster.gradients import differentiate
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in
 from splatview.trainer.adam import adam_step

@@ -10,7 +10,7 @@ import numpy as np
 
 from splatview.measure.metrics import SSIM_WINDOW
 from splatview.scene import Camera, InputError
-from splatview.scene.captures import Photo
+from splatview.scene.captures.capture import Photo
 from splatview.scene.captures.photos import area_averaged, wholly_valid
 
 

@@ -12,7 +12,9 @@ import numpy as np
 
 from splatview.renderers.demo_cache import cached_demo
 from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
-from splatview.scene.effects import Effect, scene_effects, settings_for
+from splatview.scene.effects.effect import Effect
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.report import scene_effects
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check

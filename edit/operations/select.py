@@ -13,8 +13,8 @@ from splatview.edit import selectors as selecting
 from splatview.edit.changes import Change, splats_in_words, toggling
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.operations.base import Operation
-from splatview.edit.selectors import grow, shrink
 from splatview.edit.selectors.base import above_zero
+from splatview.edit.selectors.region_growing import grow, shrink
 from splatview.edit.serialization import from_json, quoted, to_json
 from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError

@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
-from splatview.edit.selectors.attributes import (
-    ATTRIBUTES,
-    Attribute,
-    AttributeRange,
-    Histogram,
-    SimilarColour,
-    attribute_values,
-    histogram,
-    usual_span,
-)
-from splatview.edit.selectors.base import Selector
-from splatview.edit.selectors.region_growing import Flood, grow, picked, shrink, typical_spacing
+from splatview.edit.selectors.attributes import AttributeRange, SimilarColour
+from splatview.edit.selectors.region_growing import Flood
 from splatview.edit.selectors.screen import Brush, Lasso, Polygon, Rectangle
-from splatview.edit.selectors.volumes import (
-    Box,
-    Everything,
-    IndexRuns,
-    InvalidSplats,
-    Sphere,
-    health_findings,
-)
+from splatview.edit.selectors.volumes import Box, Everything, IndexRuns, InvalidSplats, Sphere
 
 SELECTORS: dict[str, type] = {
     "rectangle": Rectangle,
@@ -39,31 +22,3 @@ SELECTORS: dict[str, type] = {
     "all": Everything,
 }
 """Selectors by their names in recipes; each class is a `Selector`."""
-
-__all__ = [
-    "ATTRIBUTES",
-    "SELECTORS",
-    "Attribute",
-    "AttributeRange",
-    "Box",
-    "Brush",
-    "Everything",
-    "Flood",
-    "Histogram",
-    "IndexRuns",
-    "InvalidSplats",
-    "Lasso",
-    "Polygon",
-    "Rectangle",
-    "Selector",
-    "SimilarColour",
-    "Sphere",
-    "attribute_values",
-    "grow",
-    "health_findings",
-    "histogram",
-    "picked",
-    "shrink",
-    "typical_spacing",
-    "usual_span",
-]

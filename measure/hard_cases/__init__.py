@@ -18,10 +18,8 @@ from splatview.measure.hard_cases import (
     shapes,
     surfels,
 )
-from splatview.measure.hard_cases.case import HardCase, Same
+from splatview.measure.hard_cases.case import HardCase
 from splatview.scene import InputError
-
-__all__ = ["CASES", "HardCase", "Same", "find_case"]
 
 CASES: tuple[HardCase, ...] = (
     *rotations.CASES,

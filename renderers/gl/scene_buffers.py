@@ -12,7 +12,7 @@ import numpy as np
 from splatview.renderers.gl.context import reserve
 from splatview.scene import Gaussians
 from splatview.scene.attribute_formats import FORMATS, Attributes, half, sh_levels, stored_quats
-from splatview.scene.effects import degree_in_use, own_degrees, used_sh_degree
+from splatview.scene.effects.sh_bands import degree_in_use, own_degrees, used_sh_degree
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.projection import sigmoid
 

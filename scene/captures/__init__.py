@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
-from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, Photo, Pixels, PosedPhotos
+from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, PosedPhotos
 from splatview.scene.captures.colmap import find_colmap, read_colmap
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
-
-__all__ = ["DEFAULT_LENS_USE", "Capture", "LensUse", "Photo", "Pixels", "load_capture"]
 
 
 def load_capture(

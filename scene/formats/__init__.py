@@ -16,18 +16,6 @@ from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import NO_PROGRESS, Progress
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "check_format",
-    "check_saving",
-    "load_cameras",
-    "load_scene",
-    "name_patterns",
-    "save_camera",
-    "save_scene",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Format:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from splatview.cli.main import main
-from splatview.edit.document import Document
-from splatview.edit.export import export
+from splatview.edit.document import Document, export
 from splatview.edit.operations import operation_from_json
 from splatview.edit.recipe import recipe_of, save_recipe
 from splatview.renderers.cpu import CpuRenderer

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.edit.document import Document
-from splatview.edit.export import exported
+from splatview.edit.document import Document, exported
 from splatview.edit.operations import operation_from_json
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import SELECTED

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatview.edit.document import Document
-from splatview.edit.export import export
+from splatview.edit.document import Document, export
 from splatview.edit.operations import operation_from_json
 from splatview.scene import InputError
 from splatview.scene.formats import load_scene
@@ -94,7 +93,7 @@ FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
 from splatview.edit.document import Document
-from splatview.edit.export import export
+from splatview.edit.document import export
 from splatview.edit.operations import operation_from_json
 from splatview.scene import InputError
 from splatview.scene.formats import load_scene
@@ -127,7 +126,7 @@ EXPORTING = """
 import os, sys
 from pathlib import Path
 from splatview.edit.document import Document
-from splatview.edit.export import export
+from splatview.edit.document import export
 from splatview.edit.operations import operation_from_json
 from splatview.scene.formats import load_scene
 

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.document import Document
-from splatview.edit.export import export
+from splatview.edit.document import Document, export
 from splatview.edit.operations import Transform, operation_from_json
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
 from splatview.scene import InputError

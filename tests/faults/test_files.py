@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatview.cli import run_lock
+from splatview.cli import train_setup
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
@@ -200,7 +200,7 @@ def test_edits_of_a_scene_that_was_replaced_are_not_restored_onto_it(
 CLAIMING = """
 import sys, time
 from pathlib import Path
-from splatview.cli.run_lock import lock_run
+from splatview.cli.train_setup import lock_run
 lock_run(Path(sys.argv[1]))
 print("mine", flush=True)
 time.sleep(60)
@@ -210,20 +210,20 @@ time.sleep(60)
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_two_runs_do_not_write_the_same_checkpoint(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(run_lock, "_held", {})
+    monkeypatch.setattr(train_setup, "_held", {})
     ours = tmp_path / "toy.checkpoint.safetensors"
     other = subprocess.Popen([sys.executable, "-c", CLAIMING, str(ours)], stdout=subprocess.PIPE, text=True)
     assert other.stdout is not None and other.stdout.readline() == "mine\n"
     with pytest.raises(InputError, match=rf"process {other.pid}\) trains into it; wait for it, or name"):
-        run_lock.lock_run(ours)
-    run_lock.lock_run(tmp_path / "another.safetensors")
+        train_setup.lock_run(ours)
+    train_setup.lock_run(tmp_path / "another.safetensors")
     other.kill()
     other.communicate()
-    run_lock.lock_run(ours)
-    run_lock.lock_run(ours)
+    train_setup.lock_run(ours)
+    train_setup.lock_run(ours)
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", "/proc/nowhere")
-    run_lock.lock_run(tmp_path / "third.safetensors")
-    for file in run_lock._held.values():
+    train_setup.lock_run(tmp_path / "third.safetensors")
+    for file in train_setup._held.values():
         file.close()
 
 

@@ -12,7 +12,8 @@ from splatview.measure.effect_costs import EDITS, EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.scene import Camera, reference
 from splatview.scene.camera import look_at
-from splatview.scene.effects import scene_effects, settings_for
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.report import scene_effects
 
 
 class Clocked:

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
+from splatview.raster.contributions import contributions, dominant_splats
 from splatview.scene import ImageModel, RenderSettings, look_at, reference
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.projection import project
@@ -36,7 +37,7 @@ def all_contributions(scene, camera, chosen=None) -> tuple[np.ndarray, np.ndarra
 
 
 def assert_contributions(scene, cameras, chosen=None, **options) -> None:
-    found = raster.contributions(scene, cameras, chosen, **options)
+    found = contributions(scene, cameras, chosen, **options)
     expected = [all_contributions(scene, camera, chosen) for camera in cameras]
     total = sum(shares.sum(axis=(1, 2)) for shares, _ in expected)
     # In a pixel beside the cut a splat may be missing: those behind it then show by that much more.
@@ -55,8 +56,8 @@ def test_every_splat_of_several_pictures(random_gaussians):
     scene = random_gaussians(300, sh_degree=1, seed=1)
     assert_contributions(scene, CAMERAS)
     assert_contributions(scene, CAMERAS[:1], RenderSettings(model=ImageModel(antialiased=True, blur=0.1)))
-    total = raster.contributions(scene, iter(CAMERAS))
-    assert np.array_equal(total, raster.contributions(scene, CAMERAS))
+    total = contributions(scene, iter(CAMERAS))
+    assert np.array_equal(total, contributions(scene, CAMERAS))
     alphas = [raster.render(scene, camera)[..., 3].sum() for camera in CAMERAS]
     assert total.sum() == pytest.approx(sum(alphas), rel=1e-5)
 
@@ -83,7 +84,7 @@ def test_generated_scenes(random_gaussians, seed, count, logit, width, height):
 
 
 def assert_dominant(scene, camera, chosen=None) -> None:
-    found = raster.dominant_splats(scene, camera, chosen)
+    found = dominant_splats(scene, camera, chosen)
     assert found.dtype == np.int32
     assert found.shape == (camera.height, camera.width)
     shares, near = all_contributions(scene, camera, chosen)
@@ -104,14 +105,14 @@ def test_dominant_splats(random_gaussians):
     scene = random_gaussians(400, sh_degree=0, seed=2)
     for camera in CAMERAS:
         assert_dominant(scene, camera)
-    some = raster.dominant_splats(scene, CAMERAS[0])
+    some = dominant_splats(scene, CAMERAS[0])
     assert (some == -1).any()
     assert len(np.unique(some)) > 20
-    all_of_it = raster.dominant_splats(scene, CAMERAS[0], least_coverage=0.0)
+    all_of_it = dominant_splats(scene, CAMERAS[0], least_coverage=0.0)
     shown = raster.render(scene, CAMERAS[0])[..., 3] > 0
     assert np.array_equal(all_of_it >= 0, shown)
     with pytest.raises(ValueError, match="least_coverage"):
-        raster.dominant_splats(scene, CAMERAS[0], least_coverage=float("nan"))
+        dominant_splats(scene, CAMERAS[0], least_coverage=float("nan"))
 
 
 def test_nearer_of_equals_is_in_front(random_gaussians):
@@ -123,7 +124,7 @@ def test_nearer_of_equals_is_in_front(random_gaussians):
         opacity_logits=np.full(3, 3.0, np.float32),
     )
     camera = look_at((0, 0, -3), (0, 0, 0), width=9, height=9)
-    assert (raster.dominant_splats(scene, camera) == 1).all()
+    assert (dominant_splats(scene, camera) == 1).all()
 
 
 def test_edits_and_threads(random_gaussians):
@@ -134,31 +135,31 @@ def test_edits_and_threads(random_gaussians):
     palette = (IDENTITY, Adjustment(translation=(0.2, 0, 0), size=1.5))
     edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
     camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=60, height=50)
-    found = raster.contributions(scene, [camera], edits=edits)
+    found = contributions(scene, [camera], edits=edits)
     assert (found[::3] == 0).all()
     kept = np.flatnonzero(marks & HIDDEN == 0)
-    baked = raster.contributions(bake(scene, edits), [camera])
+    baked = contributions(bake(scene, edits), [camera])
     assert np.allclose(found[kept], baked, rtol=1e-4, atol=1e-2)
-    ids = raster.dominant_splats(scene, camera, edits=edits)
+    ids = dominant_splats(scene, camera, edits=edits)
     assert not np.isin(ids, np.arange(0, 3000, 3)).any()
     for threads in (1, 3):
-        again = raster.contributions(scene, [camera], edits=edits, threads=threads)
+        again = contributions(scene, [camera], edits=edits, threads=threads)
         assert np.array_equal(again, found)
-        assert np.array_equal(raster.dominant_splats(scene, camera, edits=edits, threads=threads), ids)
+        assert np.array_equal(dominant_splats(scene, camera, edits=edits, threads=threads), ids)
 
 
 def test_bands_do_not_show(random_gaussians, monkeypatch):
     scene = random_gaussians(1500, sh_degree=0, seed=4)
     camera = look_at((0, 0, -2.5), (0, 0, 0), width=90, height=75)
-    whole, ids = raster.contributions(scene, [camera]), raster.dominant_splats(scene, camera)
+    whole, ids = contributions(scene, [camera]), dominant_splats(scene, camera)
     monkeypatch.setattr("splatview.raster.frame.MAX_LISTED_PAIRS", 700)
-    assert np.allclose(raster.contributions(scene, [camera]), whole, rtol=1e-12)
-    assert np.array_equal(raster.dominant_splats(scene, camera), ids)
+    assert np.allclose(contributions(scene, [camera]), whole, rtol=1e-12)
+    assert np.array_equal(dominant_splats(scene, camera), ids)
 
 
 def test_nobody_sees_what_is_behind(random_gaussians):
     scene = random_gaussians(50)
     away = look_at((0, 0, -3), (0, 0, -9), width=20, height=20)
-    assert (raster.contributions(scene, [away]) == 0).all()
-    assert (raster.contributions(scene, []) == 0).all()
-    assert (raster.dominant_splats(scene, away) == -1).all()
+    assert (contributions(scene, [away]) == 0).all()
+    assert (contributions(scene, []) == 0).all()
+    assert (dominant_splats(scene, away) == -1).all()

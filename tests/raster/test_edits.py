@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
+from splatview.raster.gradients import differentiate
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.edits import (
     DELETED,
@@ -207,4 +208,4 @@ def test_edited_picture_has_no_gradients(random_gaussians):
     frame = raster.draw_frame(splats, CAMERA, RenderSettings(), raster.Workspace(), edits=edits)
     assert frame.image.max() == 0
     with pytest.raises(ValueError, match="edits"):
-        raster.differentiate(splats, frame, np.ones_like(frame.image))
+        differentiate(splats, frame, np.ones_like(frame.image))

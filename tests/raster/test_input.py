@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from splatview import raster
+from splatview.raster.gradients import differentiate
+from splatview.raster.parameters import check_parameters
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=33, height=17)
@@ -43,14 +45,14 @@ def test_wrong_array_is_named(random_gaussians, name, wrong):
     parameters[name] = WRONG[wrong](parameters[name])
     # A missing row of means shows in the others, which no longer fit.
     with pytest.raises(ValueError, match="must" if wrong == "a row less" else f"^{name} must"):
-        raster.check_parameters(**parameters)
+        check_parameters(**parameters)
 
 
 def test_mixed_precision_is_refused(random_gaussians):
     parameters = arrays_of(random_gaussians(10))
     parameters["sh"] = parameters["sh"].astype(np.float64)
     with pytest.raises(ValueError, match=r"^sh must be float32"):
-        raster.check_parameters(**parameters)
+        check_parameters(**parameters)
 
 
 @pytest.mark.parametrize("count", [2, 5, 15, 17])
@@ -58,7 +60,7 @@ def test_wrong_number_of_coefficients(random_gaussians, count):
     parameters = arrays_of(random_gaussians(10))
     parameters["sh"] = np.zeros((10, count, 3), np.float32)
     with pytest.raises(ValueError, match=r"^sh must"):
-        raster.check_parameters(**parameters)
+        check_parameters(**parameters)
 
 
 def test_not_contiguous_is_copied(random_gaussians):
@@ -128,22 +130,22 @@ def test_wrong_gradient_is_named(random_gaussians, d_image):
     scene = raster.parameters_of(random_gaussians(3))
     frame = raster.draw_frame(scene, CAMERA, RenderSettings(), raster.Workspace())
     with pytest.raises(ValueError, match="d_image"):
-        raster.differentiate(scene, frame, d_image)
+        differentiate(scene, frame, d_image)
 
 
 def test_arrays_of_earlier_gradients_are_overwritten_where_they_fit(random_gaussians):
     splats = raster.parameters_of(random_gaussians(30))
     frame = raster.draw_frame(splats, CAMERA, RenderSettings(), raster.Workspace())
     weights = np.ones_like(frame.image)
-    expected = raster.differentiate(splats, frame, weights)
-    other = raster.differentiate(splats, frame, -2 * weights)
-    again = raster.differentiate(splats, frame, weights, reuse=other)
+    expected = differentiate(splats, frame, weights)
+    other = differentiate(splats, frame, -2 * weights)
+    again = differentiate(splats, frame, weights, reuse=other)
     assert again.parameters.sh is other.parameters.sh
     for ours, theirs in zip(again.parameters, expected.parameters, strict=True):
         assert np.array_equal(ours, theirs)
     fewer = raster.parameters_of(random_gaussians(29))
     frame = raster.draw_frame(fewer, CAMERA, RenderSettings(), raster.Workspace())
-    assert len(raster.differentiate(fewer, frame, weights, reuse=again).parameters.sh) == 29
+    assert len(differentiate(fewer, frame, weights, reuse=again).parameters.sh) == 29
 
 
 def anything(*shape: int):
@@ -154,10 +156,10 @@ def anything(*shape: int):
 @settings(max_examples=60, deadline=None)
 def test_any_bits_make_a_finite_picture_and_finite_gradients(means, quats, log_scales, logits, sh):
     # Colours beyond 10³⁰ could add up to infinity; that would be the picture they ask for.
-    scene = raster.check_parameters(means, quats, log_scales, logits, np.where(np.abs(sh) > 1e30, np.nan, sh))
+    scene = check_parameters(means, quats, log_scales, logits, np.where(np.abs(sh) > 1e30, np.nan, sh))
     frame = raster.draw_frame(scene, CAMERA, RenderSettings(), raster.Workspace(), threads=1)
     assert np.isfinite(frame.image).all()
-    gradients = raster.differentiate(scene, frame, np.ones_like(frame.image))
+    gradients = differentiate(scene, frame, np.ones_like(frame.image))
     for name, gradient in gradients.parameters._asdict().items():
         assert np.isfinite(gradient).all(), name
 
@@ -165,12 +167,14 @@ def test_any_bits_make_a_finite_picture_and_finite_gradients(means, quats, log_s
 BOUNDS_CHECKED = """
 import numpy as np
 from splatview import raster
+from splatview.raster.gradients import differentiate
+from splatview.raster.parameters import check_parameters
 from splatview.raster.compiling import BOUNDSCHECK
 from splatview.scene import ImageModel, RenderSettings, look_at
 assert BOUNDSCHECK
 rng = np.random.default_rng(1)
 for count, width, height in ((0, 5, 5), (1, 1, 1), (300, 33, 17), (2500, 70, 100)):
-    scene = raster.check_parameters(
+    scene = check_parameters(
         rng.normal(size=(count, 3)).astype(np.float32),
         rng.normal(size=(count, 4)).astype(np.float32),
         rng.normal(-2, 1.5, size=(count, 3)).astype(np.float32),
@@ -182,7 +186,7 @@ for count, width, height in ((0, 5, 5), (1, 1, 1), (300, 33, 17), (2500, 70, 100
         for threads in (1, 2):
             workspace = raster.Workspace()
             frame = raster.draw_frame(scene, camera, RenderSettings(), workspace, threads=threads)
-            raster.differentiate(scene, frame, np.ones_like(frame.image))
+            differentiate(scene, frame, np.ones_like(frame.image))
 
 # Vectors reach memory by address; the check beside them must work too.
 from splatview.raster.compiling import inline
@@ -228,7 +232,7 @@ def test_hard_but_valid_scenes_have_finite_gradients(seed, blur, antialiased):
     means[:10, 2] = -3 + 10.0 ** rng.uniform(-2.1, -1, 10)
     scales = rng.uniform(-30, rng.choice([0, 5, 30]), size=(count, 3))
     scales[0, 0] = -np.inf
-    scene = raster.check_parameters(
+    scene = check_parameters(
         means.astype(np.float32),
         (rng.normal(size=(count, 4)) * 10.0 ** rng.uniform(-28, 28, (count, 1))).astype(np.float32),
         scales.astype(np.float32),
@@ -239,7 +243,7 @@ def test_hard_but_valid_scenes_have_finite_gradients(seed, blur, antialiased):
     frame = raster.draw_frame(scene, CAMERA, RenderSettings(model=model), raster.Workspace())
     assert frame.image[..., 3].max() > 0.5
     weights = rng.normal(size=frame.image.shape).astype(np.float32)
-    gradients = raster.differentiate(scene, frame, weights)
+    gradients = differentiate(scene, frame, weights)
     for name, gradient in gradients.parameters._asdict().items():
         assert np.isfinite(gradient).all(), name
     assert np.isfinite(gradients.pose).all()

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import psnr
-from splatview.raster import contributions, dominant_splats, render
+from splatview.raster import render
 from splatview.raster.camera_models import atan_lanes
 from splatview.raster.compiling import kernel
+from splatview.raster.contributions import contributions, dominant_splats
 from splatview.raster.simd import LANES, load, store
 from splatview.scene import Gaussians, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import undistort

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
+from splatview.raster.gradients import differentiate
 from splatview.scene import RenderSettings, look_at
 
 BYTES_A_SPLAT = 120
@@ -36,7 +37,7 @@ def test_workspace_per_splat_and_per_pair(random_gaussians):
     fixed = (64 + BYTES_A_PIXEL * 256) * tiles + 2 * frame.bins.positions.nbytes + 20_000
     allowed = BYTES_A_SPLAT * len(scene) + BYTES_A_PAIR * pairs + 8 * extra_rows + fixed
     assert workspace.nbytes <= allowed
-    raster.differentiate(splats, frame, np.ones_like(frame.image))
+    differentiate(splats, frame, np.ones_like(frame.image))
     allowed += BYTES_A_SPLAT_BACKWARD * len(scene) + BYTES_A_PAIR_BACKWARD * pairs
     assert workspace.nbytes <= allowed
 
@@ -45,12 +46,14 @@ FIVE_MILLION = """
 import resource
 import numpy as np
 from splatview import raster
+from splatview.raster.gradients import differentiate
+from splatview.raster.parameters import check_parameters
 from splatview.scene import RenderSettings, look_at
 count = 5_000_000
 rng = np.random.default_rng(0)
 means = rng.normal(size=(count, 3), scale=0.4).astype(np.float32)
 sh = rng.random((count, 16, 3), np.float32)
-splats = raster.check_parameters(
+splats = check_parameters(
     means,
     rng.random((count, 4), np.float32) - np.float32(0.5),
     np.log(rng.random((count, 3), np.float32) * np.float32(0.004) + np.float32(0.0005)),
@@ -63,7 +66,7 @@ frame = raster.draw_frame(splats, camera, RenderSettings(), workspace)
 scene_bytes = sum(array.nbytes for array in splats)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 print(len(frame.bins.order), int(frame.bins.offsets[-1]), scene_bytes, workspace.nbytes, peak)
-raster.differentiate(splats, frame, np.ones_like(frame.image))
+differentiate(splats, frame, np.ones_like(frame.image))
 print(workspace.nbytes, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatview.raster import Workspace, differentiate, draw_frame, parameters_of, render
+from splatview.raster import Workspace, draw_frame, parameters_of, render
 from splatview.raster.forward_per_pixel import NEAREST, depth_slopes
+from splatview.raster.gradients import differentiate
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.edits import IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.projection import covariances_3d, project, projection_jacobians

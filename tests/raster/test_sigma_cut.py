@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatview.raster import Workspace, differentiate, draw_frame, parameters_of, render
+from splatview.raster import Workspace, draw_frame, parameters_of, render
+from splatview.raster.gradients import differentiate
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.projection import project
 

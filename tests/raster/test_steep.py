@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatview.raster import Parameters, Workspace, differentiate, draw_frame, parameters_of
+from splatview.raster import Parameters, Workspace, draw_frame, parameters_of
+from splatview.raster.gradients import differentiate
 from splatview.scene import Camera, Gaussians, RenderSettings
 
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from splatview import raster
 from splatview.measure.hard_cases.case import about_axis, camera, splats
 from splatview.raster import Workspace, draw_frame, parameters_of
-from splatview.raster.contributions import count_work
+from splatview.raster.contributions import contributions, count_work, dominant_splats
+from splatview.raster.gradients import differentiate
 from splatview.scene import Gaussians, ImageModel, RenderSettings, reference
 
 DISCS = RenderSettings(model=ImageModel().with_footprint("disc"), background=(0.1, 0.3, 0.2))
@@ -96,14 +97,14 @@ def test_contributions_ids_and_counts_of_discs():
     scene = of_all_kinds(6)
     model = replace(DISCS.model, alpha_cut=1 / 255)
     chosen = RenderSettings(model=model, background=(0.0, 0.0, 0.0))
-    total = raster.contributions(scene, [CAMERA], chosen)
+    total = contributions(scene, [CAMERA], chosen)
     picture = reference.render(scene, CAMERA, chosen)
     assert total.sum() == pytest.approx(picture[..., 3].sum(), rel=1e-4)
     # Contributions times colours are the picture's sums.
     rgb = np.maximum(0.5 + 0.28209479177387814 * scene.sh[:, 0].astype(np.float64), 0)
     np.testing.assert_allclose(total @ rgb, picture[..., :3].sum(axis=(0, 1)), rtol=1e-4)
-    ids = raster.dominant_splats(scene, CAMERA, chosen)
-    assert (ids >= 0).any() and not np.array_equal(ids, raster.dominant_splats(scene, CAMERA))
+    ids = dominant_splats(scene, CAMERA, chosen)
+    assert (ids >= 0).any() and not np.array_equal(ids, dominant_splats(scene, CAMERA))
     counted = count_work(parameters_of(scene), CAMERA, chosen, Workspace())
     ellipsoids = count_work(parameters_of(scene), CAMERA, RenderSettings(), Workspace())
     evaluated = counted.evaluations > 0
@@ -116,7 +117,7 @@ def test_discs_have_no_gradients():
     splats_of, workspace = parameters_of(scene), Workspace()
     frame = draw_frame(splats_of, CAMERA, DISCS, workspace)
     with pytest.raises(ValueError, match="discs has no gradients: draw it with ellipsoids"):
-        raster.differentiate(splats_of, frame, np.ones_like(frame.image))
+        differentiate(splats_of, frame, np.ones_like(frame.image))
 
 
 def test_ellipsoids_have_no_rows_of_discs():

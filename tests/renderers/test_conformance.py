@@ -51,8 +51,9 @@ from splatview.scene.edits import (
     SceneEdits,
     bake,
 )
-from splatview.scene.effects import VISIBLE, settings_for
 from splatview.scene.effects.appearance import LEAST_LIGHT
+from splatview.scene.effects.effect import VISIBLE
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.lens import COUNTS

@@ -11,15 +11,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
-from splatview.scene.effects import (
-    VISIBLE,
-    Effect,
-    antialiasing,
-    effects_report,
-    own_degrees,
-    settings_for,
-    used_sh_degree,
-)
+from splatview.scene.effects.appearance import antialiasing
+from splatview.scene.effects.effect import VISIBLE, Effect
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.report import effects_report
+from splatview.scene.effects.sh_bands import own_degrees, used_sh_degree
 from splatview.scene.formats import load_scene
 from splatview.scene.health import check
 from splatview.scene.reference import render

@@ -23,17 +23,11 @@ from splatview.scene.edits import (
     SceneEdits,
     bake,
 )
-from splatview.scene.effects import (
-    GREY_LEVEL,
-    VISIBLE,
-    Effect,
-    effects_report,
-    settings_for,
-    sh_degrees,
-    visible_degrees,
-)
 from splatview.scene.effects.appearance import LEAST_LIGHT, brightest_colour, early_stop_for
-from splatview.scene.effects.report import largest_displacement
+from splatview.scene.effects.effect import GREY_LEVEL, VISIBLE, Effect
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.report import effects_report, largest_displacement
+from splatview.scene.effects.sh_bands import sh_degrees, visible_degrees
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.lens import Lens
 from splatview.scene.projection import project

@@ -7,8 +7,14 @@ from dataclasses import replace
 import pytest
 
 from splatview.scene import RenderSettings
-from splatview.scene.effects import overridable, scene_effects, settings_for
-from splatview.scene.effects.overrides import as_settings_have_them, in_force, switched
+from splatview.scene.effects.overrides import (
+    as_settings_have_them,
+    in_force,
+    overridable,
+    settings_for,
+    switched,
+)
+from splatview.scene.effects.report import scene_effects
 from splatview.scene.image_model import BLUR, DISC_BLUR
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.raster import differentiate
+from splatview.raster.gradients import differentiate
 from splatview.scene import ImageModel, look_at
-from splatview.scene.captures import Capture, Photo, Pixels
-from splatview.scene.captures.capture import PhotoStatistics
-from splatview.scene.effects import antialiasing
+from splatview.scene.captures import Capture
+from splatview.scene.captures.capture import Photo, PhotoStatistics, Pixels
+from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
 from splatview.trainer.run import Outputs, TrainingRun

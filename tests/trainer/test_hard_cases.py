@@ -11,7 +11,8 @@ from splatview.measure.hard_cases import CASES, HardCase, find_case
 from splatview.measure.hard_cases.case import neighbours
 from splatview.measure.hard_cases.run import scene_of
 from splatview.measure.metrics import SSIM_WINDOW
-from splatview.raster import Gradients, Parameters, Workspace, differentiate, draw_frame, parameters_of
+from splatview.raster import Parameters, Workspace, draw_frame, parameters_of
+from splatview.raster.gradients import Gradients, differentiate
 from splatview.scene import Camera, Gaussians, RenderSettings, reference
 from splatview.scene.projection import project
 from splatview.trainer.settings import TrainSettings

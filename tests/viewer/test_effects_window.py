@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.scene.effects import effects_report
+from splatview.scene.effects.report import effects_report
 from splatview.scene.formats import save_scene
 
 

@@ -18,7 +18,8 @@ from splatview.measure.metrics import psnr
 from splatview.raster import render
 from splatview.renderers.demo_cache import cached_demo
 from splatview.scene import Gaussians, ImageModel, RenderSettings
-from splatview.scene.effects import antialiasing, settings_for
+from splatview.scene.effects.appearance import antialiasing
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera
 

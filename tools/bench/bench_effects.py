@@ -34,7 +34,7 @@ from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import IDENTITY, SELECTED, Adjustment, SceneEdits
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.framing import frame_camera
 
 UNSEEN = 1e-30

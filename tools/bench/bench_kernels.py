@@ -15,17 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from splatview.raster import (
-    Frame,
-    Parameters,
-    Workspace,
-    available_threads,
-    differentiate,
-    draw_frame,
-    parameters_of,
-)
+from splatview.raster import Frame, Parameters, Workspace, available_threads, draw_frame, parameters_of
 from splatview.raster.compiling import kernel
 from splatview.raster.forward import draw_tiles
+from splatview.raster.gradients import differentiate
 from splatview.raster.simd import LANES, fill, fma, load, store
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 

@@ -18,7 +18,6 @@ from harness import make_parser
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.kernels.marks import positions_of
 from splatview.edit.selectors import (
-    ATTRIBUTES,
     AttributeRange,
     Box,
     Brush,
@@ -28,11 +27,9 @@ from splatview.edit.selectors import (
     Rectangle,
     SimilarColour,
     Sphere,
-    attribute_values,
-    grow,
-    histogram,
-    typical_spacing,
 )
+from splatview.edit.selectors.attributes import ATTRIBUTES, attribute_values, histogram
+from splatview.edit.selectors.region_growing import grow, typical_spacing
 from splatview.edit.tools import NoTools
 from splatview.measure.machine import write_results
 from splatview.scene import Camera, Gaussians, look_at

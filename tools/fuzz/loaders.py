@@ -15,7 +15,7 @@ from splatview.edit.journal import SUFFIX, find_abandoned_journals
 from splatview.edit.recipe import Recipe, load_recipe, replay, steps_from_json
 from splatview.scene import InputError
 from splatview.scene.captures import load_capture
-from splatview.scene.effects import effects_report
+from splatview.scene.effects.report import effects_report
 from splatview.scene.formats import load_cameras, load_scene
 from splatview.scene.formats.panorama import load_panorama
 from splatview.scene.health import check

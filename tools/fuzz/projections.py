@@ -10,7 +10,8 @@ import moderngl
 import numpy as np
 from patterns import Block
 
-from splatview.raster import Frame, Parameters, Workspace, differentiate, draw_frame, parameters_of
+from splatview.raster import Frame, Parameters, Workspace, draw_frame, parameters_of
+from splatview.raster.gradients import differentiate
 from splatview.raster.project import BLUE, CONIC_SCALE, LOG2_OPACITY, RED, X_REST, A, C, X
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from splatview.trainer.strategies.default import DefaultSettings, DefaultStrategy
 from splatview.trainer.strategies.mcmc import MCMCSettings, MCMCStrategy
-from splatview.trainer.strategies.ops import PAPER_ITERATIONS, DensitySettings, Strategy
-
-__all__ = ["PAPER_ITERATIONS", "STRATEGIES", "Strategy", "StrategySettings"]
+from splatview.trainer.strategies.ops import DensitySettings, Strategy
 
 STRATEGIES: dict[str, tuple[type[DensitySettings], type[Strategy]]] = {
     "mcmc": (MCMCSettings, MCMCStrategy),

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatview.raster import Frame, Gradients, Parameters
+from splatview.raster import Frame, Parameters
 from splatview.raster.compiling import kernel
+from splatview.raster.gradients import Gradients
 from splatview.scene.projection import rotation_matrices
 from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.ops import (

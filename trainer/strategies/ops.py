@@ -10,8 +10,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from splatview.raster import Frame, Gradients, Parameters, available_threads
+from splatview.raster import Frame, Parameters, available_threads
 from splatview.raster.compiling import SPLATS_PER_TASK, even_ranges, kernel, run
+from splatview.raster.gradients import Gradients
 from splatview.scene.edits import Crop
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX, sigmoid

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splatview.edit.export import export
+from splatview.edit.document import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe

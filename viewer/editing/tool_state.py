@@ -12,7 +12,8 @@ from splatview.edit.impact import Impact
 from splatview.edit.operations import Select
 from splatview.edit.operations.appearance import Grade, How
 from splatview.edit.operations.base import Scope
-from splatview.edit.selectors import Brush, Histogram, Lasso, Polygon, Rectangle
+from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
+from splatview.edit.selectors.attributes import Histogram
 from splatview.scene import Camera
 
 ToolName = Literal["none", "rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure", "ground"]

@@ -11,8 +11,9 @@ from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
 
 from splatview.edit.operations import Select
 from splatview.edit.operations.transform import Ground
-from splatview.edit.selectors import Flood, SimilarColour, picked
+from splatview.edit.selectors import Flood, SimilarColour
 from splatview.edit.selectors.attributes import base_colours
+from splatview.edit.selectors.region_growing import picked
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, adjusted_means
 from splatview.viewer import theme

@@ -8,7 +8,7 @@ from functools import partial
 from imgui_bundle import ImVec4, imgui
 
 from splatview.measure.effect_costs import EDITS, EffectPrice
-from splatview.scene.effects import Effect, grey_levels
+from splatview.scene.effects.effect import Effect, grey_levels
 from splatview.viewer import theme
 from splatview.viewer.panels import widgets
 from splatview.viewer.quality.effects import Effects

@@ -9,7 +9,8 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 
 from splatview.edit.operations import Select
-from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
+from splatview.edit.selectors import AttributeRange
+from splatview.edit.selectors.attributes import ATTRIBUTES, attribute_values, histogram, usual_span
 from splatview.scene.edits import DELETED, HIDDEN
 from splatview.scene.progress import Progress
 from splatview.viewer import theme

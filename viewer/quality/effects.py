@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from splatview.measure.effect_costs import EffectPrice
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import SceneEdits
-from splatview.scene.effects import Effect, settings_for
 from splatview.scene.effects.appearance import background_effect
-from splatview.scene.effects.overrides import as_settings_have_them, switched
+from splatview.scene.effects.effect import Effect
+from splatview.scene.effects.overrides import as_settings_have_them, settings_for, switched
 from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect
 from splatview.viewer.quality.measurement import EFFECT_SECONDS, Pricing
 from splatview.viewer.state import Feature

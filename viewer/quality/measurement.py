@@ -28,7 +28,8 @@ from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians
 from splatview.scene.camera import orbited
 from splatview.scene.edits import SceneEdits
-from splatview.scene.effects import Effect, used_sh_degree
+from splatview.scene.effects.effect import Effect
+from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.progress import Cancelled
 from splatview.viewer.navigation import orbit
 from splatview.viewer.picture import scaled_camera

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.selectors import ATTRIBUTES, AttributeRange, attribute_values, histogram, usual_span
+from splatview.edit.selectors import AttributeRange
+from splatview.edit.selectors.attributes import ATTRIBUTES, attribute_values, histogram, usual_span
 from splatview.edit.tools import NoTools
 from splatview.scene import look_at
 from splatview.scene.edits import bake, shown

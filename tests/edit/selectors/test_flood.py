@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.selectors import Flood, SimilarColour, picked
+from splatview.edit.selectors import Flood, SimilarColour
 from splatview.edit.selectors.attributes import base_colours
+from splatview.edit.selectors.region_growing import picked
 from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at
 from splatview.scene.edits import HIDDEN, adjusted_means, shown

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatview.edit.selectors import grow, shrink
+from splatview.edit.selectors.region_growing import grow, shrink
 from splatview.scene.edits import HIDDEN, adjusted_means, shown
 
 ways = st.one_of(

@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from splatview.edit.selectors import SELECTORS, IndexRuns, InvalidSplats, health_findings
+from splatview.edit.selectors import SELECTORS, IndexRuns, InvalidSplats
+from splatview.edit.selectors.volumes import health_findings
 from splatview.edit.serialization import from_json, to_json
 from splatview.edit.tools import NoTools
 from splatview.scene import InputError, look_at

@@ -18,7 +18,8 @@ from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, concatenate, look_at, reference
 from splatview.scene.attribute_formats import FORMATS
-from splatview.scene.effects import VISIBLE, settings_for
+from splatview.scene.effects.effect import VISIBLE
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.gaussians import SH_COEFFICIENTS
 
 CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)

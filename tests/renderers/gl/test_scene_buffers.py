@@ -12,7 +12,7 @@ from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, placement_of, upload_steps
 from splatview.renderers.request import FrameRequest
 from splatview.scene import InputError, RenderSettings, look_at
-from splatview.scene.effects import degree_in_use
+from splatview.scene.effects.sh_bands import degree_in_use
 
 CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from splatview.scene import Gaussians, ImageModel, InputError
-from splatview.scene.effects import settings_for
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene, ply_body, save_scene
 from splatview.scene.progress import Cancelled, Progress
 
