@@ -20,7 +20,8 @@ from splatview.viewer.training.live_edits import Rule, frozen_target, in_use
 
 DEFAULTS = TrainSettings()
 
-STRATEGIES = {"mcmc": "MCMC", "classic": "Classic"}
+STRATEGIES = {"mcmc": "MCMC"}
+"""Labels that are not the name with a capital letter."""
 
 
 def show(app: AppState, training: LiveTraining) -> None:
@@ -56,7 +57,7 @@ def show(app: AppState, training: LiveTraining) -> None:
     if degree is not None:
         app.post(lambda app: actions.change_settings(app, sh_degree=int(degree)))
     imgui.spacing()
-    widgets.fact("Strategy", STRATEGIES[settings.strategy], "How splats are born and die.")
+    widgets.fact("Strategy", STRATEGIES.get(settings.strategy, settings.strategy.capitalize()), "How splats are born and die.")
     widgets.fact("Seed", str(settings.seed), "Of all that is random.")
     first = training.photos[0].camera
     held_out = sum(photo.held_out for photo in training.photos)
