@@ -57,7 +57,8 @@ def show(app: AppState, training: LiveTraining) -> None:
     if degree is not None:
         app.post(lambda app: actions.change_settings(app, sh_degree=int(degree)))
     imgui.spacing()
-    widgets.fact("Strategy", STRATEGIES.get(settings.strategy, settings.strategy.capitalize()), "How splats are born and die.")
+    label = STRATEGIES.get(settings.strategy, settings.strategy.capitalize())
+    widgets.fact("Strategy", label, "How splats are born and die.")
     widgets.fact("Seed", str(settings.seed), "Of all that is random.")
     first = training.photos[0].camera
     held_out = sum(photo.held_out for photo in training.photos)
