@@ -164,7 +164,6 @@ class State:
         self._measurement: tuple[Hashable, np.ndarray] | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
-        self._exported: tuple[tuple[int, ...], int] | None = None
 
     @property
     def versions(self) -> tuple[int, int, int, int]:
@@ -212,18 +211,6 @@ class State:
             )
             self._counts = (version, counts)
         return self._counts[1]
-
-    @property
-    def exported_count(self) -> int:
-        """Splats that an export would have: neither deleted nor cropped away."""
-        versions = self.versions
-        if self._exported is None or self._exported[0] != versions:
-            cropped_in = self.cropped_in()
-            count = self.counts.kept
-            if len(cropped_in):
-                count = int(np.count_nonzero(cropped_in & ((self.marks & DELETED) == 0)))
-            self._exported = (versions, count)
-        return self._exported[1]
 
     def cropped_in(self, *, crops: tuple[Crop, ...] | None = None, only: int = 0) -> np.ndarray:
         """Whether the crops in force, or `crops` in their stead, keep each splat: (N,) bool, or of length 0

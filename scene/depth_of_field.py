@@ -45,10 +45,6 @@ class Aperture:
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
 
-    def blur_at(self, depth: float, camera: Camera) -> float:
-        """The diameter, px along x, of the disc that a point at `depth` > 0 becomes."""
-        return self.diameter * camera.fx * abs(1 / self.focus - 1 / depth)
-
 
 def check_camera(camera: Camera) -> None:
     """Raises InputError where the camera is no pinhole: shifting its picture would bend it."""

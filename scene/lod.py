@@ -41,14 +41,9 @@ _CELL_BITS = 20
 _TINY = 1e-12
 
 
-def coarser_levels(gaussians: Gaussians, *, levels: int = 4) -> Iterator[Gaussians]:
-    """Up to `levels` scenes of ever fewer splats, each made from the one before when it is asked for."""
-    for fewer, _ in levels_and_cells(gaussians, levels=levels):
-        yield fewer
-
-
 def levels_and_cells(gaussians: Gaussians, *, levels: int = 4) -> Iterator[tuple[Gaussians, float]]:
-    """As `coarser_levels`, each with the side of the cells in which the one before was merged."""
+    """Up to `levels` scenes of ever fewer splats, each made from the one before when it is asked for, and the
+    side of the cells in which that one was merged."""
     sizes = gaussians.log_scales.max(axis=1) if len(gaussians) else np.empty(0)
     sizes = sizes[np.isfinite(sizes)]
     if not len(sizes):

@@ -59,7 +59,7 @@ class HardCase:
     """Largest error of a renderer that blends in float16."""
     most_excluded: int = 0
     """Pixels of one picture that may be beyond the bound because an alpha sits on a cut or depths tie, as
-    `measure.ambiguity` finds them."""
+    `run.unexplained_pixels` finds them."""
     same: Same | None = None
     trains: bool = True
     """Whether the scene is also trained on."""

@@ -160,14 +160,12 @@ def test_crops_move_with_the_scene(document, edit_helpers):
         index=1,
         crop={"shape": "sphere", "half_extents": [0.2, 0.2, 0.2], "keep": "outside"},
     )
-    kept = document.exported_count
     labels = exported(document).extras["label"].tolist()
-    assert 0 < kept < 30
+    assert 0 < len(labels) < 30
     do(document, "transform", scope="scene", rotation=[1, 2, 3, 4], translation=[5, 6, 7], scale=0.3)
     assert exported(document).extras["label"].tolist() == labels
     do(document, "orient", up=[1, 1, 0])
     assert exported(document).extras["label"].tolist() == labels
-    assert document.exported_count == kept
 
 
 def test_cropping_deselects_what_it_takes_from_sight(document):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatview.measure.ambiguity import ambiguity_at, unexplained_pixels
+from splatview.measure.hard_cases.run import ambiguity_at, unexplained_pixels
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene.projection import project
 from splatview.scene.reference import render

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from splatview import raster
-from splatview.measure.ambiguity import unexplained_pixels
 from splatview.measure.hard_cases.case import camera as centred_camera
 from splatview.measure.hard_cases.case import splats as splats_of
+from splatview.measure.hard_cases.run import unexplained_pixels
 from splatview.measure.metrics import largest_error, psnr
 from splatview.renderers import VisualMode
 from splatview.renderers.gl import quads

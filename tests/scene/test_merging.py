@@ -9,7 +9,7 @@ import pytest
 
 from splatview.scene import Gaussians, RenderSettings, look_at
 from splatview.scene import lod as merging
-from splatview.scene.lod import coarser_levels, merge_in_cells, quaternions
+from splatview.scene.lod import levels_and_cells, merge_in_cells, quaternions
 from splatview.scene.projection import covariances_3d, rotation_matrices
 from splatview.scene.reference import render
 
@@ -96,7 +96,7 @@ def test_a_carpet_of_fewer_splats_looks_the_same():
     settings = RenderSettings()
     truth = render(full, camera, settings)
     counts, values = [len(full)], []
-    for level in coarser_levels(full):
+    for level, _ in levels_and_cells(full):
         counts.append(len(level))
         values.append(psnr(render(level, camera, settings), truth))
     assert len(values) >= 2
@@ -109,23 +109,23 @@ def test_a_carpet_of_fewer_splats_looks_the_same():
 
 def test_there_is_no_hole_in_a_merged_carpet():
     camera = look_at((0, 0, -3), (0, 0, 0), width=48, height=48)
-    for level in coarser_levels(carpet(60), levels=3):
+    for level, _ in levels_and_cells(carpet(60), levels=3):
         alpha = render(level, camera, RenderSettings())[20:28, 20:28, 3]
         assert alpha.min() > 0.9
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_what_cannot_be_fewer_has_no_levels(count):
-    assert list(coarser_levels(splats(np.zeros((count, 3))))) == []
+    assert list(levels_and_cells(splats(np.zeros((count, 3))))) == []
 
 
 def test_scenes_that_only_have_ill_splats_have_no_levels():
     scene = splats(np.zeros((3, 3)))
     scene.log_scales[:] = np.nan
-    assert list(coarser_levels(scene)) == []
+    assert list(levels_and_cells(scene)) == []
     scene.log_scales[:] = 0
     scene.means[:] = np.inf
-    assert list(coarser_levels(scene)) == []
+    assert list(levels_and_cells(scene)) == []
 
 
 def test_far_away_scenes_keep_their_places():

@@ -11,7 +11,7 @@ import numpy as np
 from drives import Hand, pose
 from imgui_bundle import ImVec2, imgui
 
-from splatview.scene.edits import SELECTED
+from splatview.scene.edits import SELECTED, bake
 from splatview.viewer.editing import files
 from splatview.viewer.editing.files import Restoring
 from splatview.viewer.editing.gizmos import guizmo
@@ -92,7 +92,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["crop"] = list(session.document.crops[0].half_extents)
     found["crop_steps"] = session.document.history.position
     found["crop_moved"] = session.document.crops[0].centre != box.centre
-    found["exported_after_crop"] = session.document.exported_count
+    found["exported_after_crop"] = len(bake(session.document.gaussians, session.document.edits, hidden=True))
 
     open_section(hand, "Clean up")
     hand.ctx.item_click("Clean up/Look for them")

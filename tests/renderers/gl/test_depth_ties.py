@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatview import raster
-from splatview.measure.ambiguity import ambiguity_at, unexplained_pixels
+from splatview.measure.hard_cases.run import ambiguity_at, unexplained_pixels
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
