@@ -270,7 +270,6 @@ def unpriced(milliseconds: float) -> tuple[Shortcut, ...]:
     """Fewer pixels only, from what a full frame takes: good enough until prices are known."""
     return tuple(
         Shortcut(
-            choices=(),
             scale=scale,
             ms=milliseconds * (1 - UNPRICED_PIXELS + UNPRICED_PIXELS * scale**2),
             error=None if scale < 1 else 0.0,

@@ -13,11 +13,7 @@ from functools import partial
 
 import glfw
 import moderngl
-from imgui_bundle import (
-    hello_imgui,  # before glfw: it says which library that is
-    imgui,  # before glfw: it says which library that is
-    implot,  # before glfw: it says which library that is
-)
+from imgui_bundle import hello_imgui, imgui, implot
 
 from splatview.renderers.gl.context import describe
 from splatview.renderers.precompile import ShaderPrecompiler
