@@ -462,7 +462,7 @@ def squared_error(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.mean(np.square(difference)))
 
 
-# ---- Scenes with fewer splats, or attributes in fewer bits: made once for each scene.
+# Scenes with fewer splats, or attributes in fewer bits: made once for each scene.
 #
 # Splats are kept by measured contribution: the share of the pictures' light that each makes in views from all
 # around (`edit.sample_views`), whatever view is drawn in the end. Smaller shares are subsets of larger ones.
