@@ -175,11 +175,10 @@ class Governor:
             return
         fitting = [step for step in self.steps if step.ms <= allowed * self._longest]
         # The nearest to the budget, in ratio; where none fits, the quickest.
-        self.step = min(fitting, key=lambda step: _apart(step.ms, allowed), default=self.steps[-1])
-
-
-def _apart(milliseconds: float, allowed: float) -> float:
-    return abs(math.log(max(milliseconds, 1e-9) / max(allowed, 1e-9)))
+        allowed = max(allowed, 1e-9)
+        self.step = min(
+            fitting, key=lambda step: abs(math.log(max(step.ms, 1e-9) / allowed)), default=self.steps[-1]
+        )
 
 
 class Watch:
