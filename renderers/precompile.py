@@ -29,7 +29,7 @@ from splatview.scene.background import Panorama
 from splatview.scene.edits import IDENTITY, Crop, SceneEdits
 from splatview.scene.framing import frame_camera
 
-# ---- A small picture with the effects of one that is wanted: drawn in a process of its own, it leaves the
+# A small picture with the effects of one that is wanted: drawn in a process of its own, it leaves the
 # programs and kernels that they need compiled, in the caches on disk.
 #
 #     python -m splatview.renderers.precompile < PICKLED_REHEARSAL

@@ -175,11 +175,10 @@ class Governor:
             return
         fitting = [step for step in self.steps if step.ms <= allowed * self._longest]
         # The nearest to the budget, in ratio; where none fits, the quickest.
-        self.step = min(fitting, key=lambda step: _apart(step.ms, allowed), default=self.steps[-1])
-
-
-def _apart(milliseconds: float, allowed: float) -> float:
-    return abs(math.log(max(milliseconds, 1e-9) / max(allowed, 1e-9)))
+        allowed = max(allowed, 1e-9)
+        self.step = min(
+            fitting, key=lambda step: abs(math.log(max(step.ms, 1e-9) / allowed)), default=self.steps[-1]
+        )
 
 
 class Watch:
@@ -270,7 +269,6 @@ def unpriced(milliseconds: float) -> tuple[Shortcut, ...]:
     """Fewer pixels only, from what a full frame takes: good enough until prices are known."""
     return tuple(
         Shortcut(
-            choices=(),
             scale=scale,
             ms=milliseconds * (1 - UNPRICED_PIXELS + UNPRICED_PIXELS * scale**2),
             error=None if scale < 1 else 0.0,
@@ -463,7 +461,7 @@ def squared_error(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.mean(np.square(difference)))
 
 
-# ---- Scenes with fewer splats, or attributes in fewer bits: made once for each scene.
+# Scenes with fewer splats, or attributes in fewer bits: made once for each scene.
 #
 # Splats are kept by measured contribution: the share of the pictures' light that each makes in views from all
 # around (`edit.sample_views`), whatever view is drawn in the end. Smaller shares are subsets of larger ones.

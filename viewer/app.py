@@ -13,11 +13,7 @@ from functools import partial
 
 import glfw
 import moderngl
-from imgui_bundle import (
-    hello_imgui,  # before glfw: it says which library that is
-    imgui,  # before glfw: it says which library that is
-    implot,  # before glfw: it says which library that is
-)
+from imgui_bundle import hello_imgui, imgui, implot
 
 from splatview.renderers.gl.context import describe
 from splatview.renderers.precompile import ShaderPrecompiler
@@ -199,7 +195,9 @@ class Window:
             app.clipboard_write = None
         if app.scene_path is not None and self.dialogs.folder is None:
             self.dialogs.folder = app.scene_path.parent
-        self._show_title(layout.title(app))
+        if (title := layout.title(app)) != self._title:
+            self._title = title
+            glfw.set_window_title(glfw_window_hello_imgui(), title)
         layout.hide_or_show_panels(app)
         flying = commands.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
@@ -228,11 +226,6 @@ class Window:
         if app.waiting or self.dialogs.open or app.loading is not None or app.transition is not None:
             return False
         return app.now() - self._touched > ATTENDED_SECONDS
-
-    def _show_title(self, title: str) -> None:
-        if title != self._title:
-            self._title = title
-            glfw.set_window_title(glfw_window_hello_imgui(), title)
 
     def frame(self) -> None:
         """Drawn over the docks: dialogs, and the keys that work everywhere."""

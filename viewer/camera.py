@@ -27,7 +27,6 @@ UP_NAMES = ("+Y", "-Y", "+Z", "-Z", "+X", "-X")
 FOV_STEP = 1.1
 """Factor on the angle for one press of a key."""
 
-
 LEAST_CAMERAS_FOR_UP = 3
 """Fewer photos may all have been taken at a slant."""
 

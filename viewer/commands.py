@@ -94,11 +94,6 @@ class Command:
     """Whether menus show it as chosen."""
 
 
-def _has_selection(app: AppState) -> bool:
-    session = session_of(app)
-    return session is not None and session.document.counts.selected > 0
-
-
 def _counts(name: str) -> Callable[[AppState], bool]:
     """Whether any splat has the state `name` of the document's counts."""
 
@@ -107,6 +102,9 @@ def _counts(name: str) -> Callable[[AppState], bool]:
         return session is not None and getattr(session.document.counts, name) > 0
 
     return check
+
+
+_has_selection = _counts("selected")
 
 
 def _history(name: str) -> Callable[[AppState], bool]:

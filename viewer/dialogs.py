@@ -31,7 +31,6 @@ DIALOG_FLAGS = (
     imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
 )
 
-
 LOADING_SHOWN_AFTER = 0.3
 """Seconds: what is quicker than this would only flicker."""
 

@@ -189,11 +189,8 @@ def show_palette(app: AppState) -> None:
     if changed:
         palette.chosen = 0
     found = matching(palette.query)
-    if imgui.is_key_pressed(imgui.Key.down_arrow):
-        palette.chosen += 1
-    if imgui.is_key_pressed(imgui.Key.up_arrow):
-        palette.chosen -= 1
-    palette.chosen = min(max(palette.chosen, 0), max(len(found) - 1, 0))
+    down, up = (imgui.is_key_pressed(key) for key in (imgui.Key.down_arrow, imgui.Key.up_arrow))
+    palette.chosen = min(max(palette.chosen + down - up, 0), max(len(found) - 1, 0))
     run = found[palette.chosen] if found and imgui.is_key_pressed(imgui.Key.enter) else None
     height = imgui.get_text_line_height_with_spacing() * ROWS
     imgui.begin_child("##found", ImVec2(0, height))
@@ -202,7 +199,7 @@ def show_palette(app: AppState) -> None:
         if clicked:
             run = command
         if number == palette.chosen and not palette.fresh:
-            imgui.set_scroll_here_y(0.5) if changed or _arrows() else None
+            imgui.set_scroll_here_y(0.5) if changed or down or up else None
         side = f"{command.group}   {', '.join(command.keys)}"
         imgui.same_line(imgui.get_content_region_avail().x - imgui.calc_text_size(side).x)
         imgui.text_colored(theme.QUIET, side)
@@ -218,7 +215,3 @@ def show_palette(app: AppState) -> None:
         app.post(run.run)
     elif not opened:
         app.dialog = None
-
-
-def _arrows() -> bool:
-    return imgui.is_key_pressed(imgui.Key.down_arrow) or imgui.is_key_pressed(imgui.Key.up_arrow)

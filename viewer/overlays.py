@@ -110,7 +110,6 @@ EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)
 MOST = 1000
 """Pyramids drawn at most: a video's every frame would be a carpet, and slow."""
 
-
 WIDEST = 2.0
 """Slope of a pyramid's sides at most where the camera has a lens: a fisheye's pyramid would be flat."""
 

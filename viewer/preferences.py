@@ -85,7 +85,6 @@ CHOICES = {
 }
 """Values of the fields that are one of a few words."""
 
-
 COLOURS = ("background", "sky", "ground")
 
 

@@ -153,7 +153,7 @@ def load_compute(
         raise _explain(error, origins) from error
 
 
-# ---- Programs by their flags: the specialised one, or until that is at hand the general one.
+# Programs by their flags: the specialised one, or until that is at hand the general one.
 #
 # A specialised program has the instructions of what its flags ask for and no others. A general one has all,
 # and takes the flags from uniforms: it can stand in for every other, at once and for a while.

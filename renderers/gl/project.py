@@ -17,7 +17,7 @@ from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_
 from splatview.scene import InputError
 from splatview.scene.order_reuse import ResortPolicy
 
-# ---- An order by depth that serves more frames than the one it was made for, on the GPU.
+# An order by depth that serves more frames than the one it was made for, on the GPU.
 #
 # It is one of all splats, seen or not, so that those that come into view have their place. A frame's visible
 # splats are taken from it in place of from the indices, and need no sort then.

@@ -140,7 +140,8 @@ class QuadsRenderer(GLRenderer):
         uniforms = view_uniforms(camera, settings, scene.placement.centre)
         previous = self._ctx.detect_framebuffer()
         if projected_key != self._projected_key:
-            keys = DepthKeys() if order != "16-bit" else self._short_keys(camera, settings.model.near)
+            near = settings.model.near
+            keys = short_keys(*self._depths(camera, near), 16) if order == "16-bit" else DepthKeys()
             if keeps:
                 with self._timers.stage("sort"):
                     self._keep_order(camera, settings, scene, uniforms, keys, editing.footprints)
@@ -226,9 +227,6 @@ class QuadsRenderer(GLRenderer):
         least, greatest = self._depths(camera, near)
         fall = WEIGHT_FALL / (greatest - least) if greatest > least else 0.0
         return {"weights": {"u_nearest": least, "u_weight_fall": fall}}
-
-    def _short_keys(self, camera: Camera, near: float) -> DepthKeys:
-        return short_keys(*self._depths(camera, near), 16)
 
     def _depths(self, camera: Camera, near: float) -> tuple[float, float]:
         """Between which all splats that can be seen are, as the file has them."""

@@ -375,7 +375,10 @@ class QuadsGL33Renderer(GLRenderer):
             self._counters["projected"] += 1
         with self._timers.stage("draw"):
             if order is not None and order is not self._order:
-                self._upload_order(order)
+                self._order_texels.write(order.order)
+                self._order = order
+                self._timers.latest["sort"] = order.milliseconds
+                self._counters["sorted"] += 1
             self._targets.fit((camera.width, camera.height), settings.blend, mode)
             self._gather(mode, line, uniforms, scene)
             self._resolving.draw(
@@ -389,12 +392,6 @@ class QuadsGL33Renderer(GLRenderer):
         self._drawn = drawn
         self._counters["drawn"] += 1
         previous.use()
-
-    def _upload_order(self, order: DepthOrder) -> None:
-        self._order_texels.write(order.order)
-        self._order = order
-        self._timers.latest["sort"] = order.milliseconds
-        self._counters["sorted"] += 1
 
     def _gather(
         self, mode: VisualMode, line: ViewLine, uniforms: dict[str, Uniform], scene: SceneTextures

@@ -16,7 +16,7 @@ from splatview.scene.effects.sh_bands import degree_in_use, own_degrees, used_sh
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.projection import sigmoid
 
-# ---- Spherical harmonics as ``quads/harmonics.glsl`` reads them: all splats alike, or each by its own
+# Spherical harmonics as ``quads/harmonics.glsl`` reads them: all splats alike, or each by its own
 # degree.
 
 
@@ -109,7 +109,6 @@ scenes keep their float32 values to the bit."""
 
 SAMPLE = 100_000
 """Splats that are looked at, at least, where there are so many."""
-
 
 REST_OF_SIZE = 5e-4
 """A splat that float32 moves by more than this share of its longest axis, a standard deviation, is drawn

@@ -25,7 +25,7 @@ from splatview.renderers.modes import VisualMode
 from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Gaussians, InputError
 
-# ---- Which splats each tile of the picture has: pairs of tile and splat, by tile and then front to back.
+# Which splats each tile of the picture has: pairs of tile and splat, by tile and then front to back.
 #
 # The visible splats come sorted by depth; their pairs, written in that order, need only a stable sort by
 # tile, which takes a few bits. How many pairs there are is known to the GPU alone, and storage is limited, so

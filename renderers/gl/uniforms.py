@@ -14,7 +14,6 @@ from splatview.scene.surfels import check_surfels
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
 
-
 ORTHOGRAPHIC = "u_orthographic"
 """No uniform of any program: a flag decides."""
 

@@ -48,7 +48,6 @@ BRUSH_STEP = 1.25
 LEAST_BRUSH, MOST_BRUSH = 2.0, 600.0
 """px"""
 
-
 NEIGHBOURS = 8
 """Growing and shrinking go by so many nearest splats: about one layer."""
 

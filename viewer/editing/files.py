@@ -15,7 +15,15 @@ from splatview.scene import InputError
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer import open as opening
-from splatview.viewer.editing.session import JOURNALS, Editing, EditSession, at_rest, can_edit, session_of
+from splatview.viewer.editing.session import (
+    JOURNALS,
+    Editing,
+    EditSession,
+    at_rest,
+    can_edit,
+    session_of,
+    with_session,
+)
 from splatview.viewer.editing.target import AT_REST
 from splatview.viewer.loading import stamp_of, stamps_of
 from splatview.viewer.state import Feature
@@ -48,11 +56,9 @@ def choose_export(app: AppState) -> None:
     )
 
 
-def export_to(app: AppState, path: Path) -> None:
+@with_session
+def export_to(app: AppState, session: EditSession, path: Path) -> None:
     """Writes the edited scene, whole or not at all, in a thread."""
-    session = session_of(app)
-    if session is None:
-        return
     target = path if path.suffix else path.with_suffix(".ply")
     read = session.stamps.get(target.resolve())
     if read is not None and stamp_of(target) not in (read, None):
@@ -90,10 +96,8 @@ def choose_recipe_to_save(app: AppState) -> None:
     )
 
 
-def save_recipe_to(app: AppState, path: Path) -> None:
-    session = session_of(app)
-    if session is None:
-        return
+@with_session
+def save_recipe_to(app: AppState, session: EditSession, path: Path) -> None:
     target = path if path.suffix else path.with_suffix(".json")
     try:
         save_recipe(recipe_of(session.document), target)
@@ -109,10 +113,8 @@ def choose_recipe_to_replay(app: AppState) -> None:
     app.choose_files("Replay a recipe", lambda paths: app.post(replay_file, paths[0]), kind="recipe")
 
 
-def replay_file(app: AppState, path: Path) -> None:
-    session = session_of(app)
-    if session is None:
-        return
+@with_session
+def replay_file(app: AppState, session: EditSession, path: Path) -> None:
     try:
         recipe = load_recipe(path)
         check_scene(recipe, session.document, any_scene=True)
@@ -146,10 +148,10 @@ def choose_merge(app: AppState) -> None:
     app.choose_files("Merge another scene", lambda paths: app.post(merge_files, paths), kind="scene")
 
 
-def merge_files(app: AppState, paths: Sequence[Path]) -> None:
+@with_session
+def merge_files(app: AppState, session: EditSession, paths: Sequence[Path]) -> None:
     """Each is a step of its own; one that cannot be read ends it."""
-    session = session_of(app)
-    if session is not None and paths:
+    if paths:
         merge = Merge(path=str(paths[0].absolute()))
         session.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(app, paths[1:]))
 
@@ -184,11 +186,10 @@ def choose_split(app: AppState) -> None:
     )
 
 
-def split_to(app: AppState, path: Path) -> None:
-    session = session_of(app)
-    if session is not None:
-        target = path if path.suffix else path.with_suffix(".ply")
-        session.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
+@with_session
+def split_to(app: AppState, session: EditSession, path: Path) -> None:
+    target = path if path.suffix else path.with_suffix(".ply")
+    session.apply_slowly(Split(path=str(target.absolute())), f"Writing {target.name}")
 
 
 def _stem(app: AppState) -> str:

@@ -25,7 +25,6 @@ OPERATIONS = {
 GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes x right, y down, z forward to x right, y up, z backward."""
 
-
 FAR = 1e5
 """World units: of the far plane, which is of no account to handles."""
 

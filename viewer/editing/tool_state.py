@@ -31,7 +31,6 @@ Point = tuple[float, float]
 Place = tuple[float, float, float]
 """World units."""
 
-
 LEAST_STEP = 2.0
 """px between points of a path: finer says nothing more."""
 

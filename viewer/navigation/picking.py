@@ -24,7 +24,6 @@ SURFACE = 0.5
 FAINTEST = 0.02
 """A pixel that lets more than 1 - this through shows no surface worth turning about."""
 
-
 SAMPLES = 24
 """A side, of the rays at which a lens is looked at."""
 

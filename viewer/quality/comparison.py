@@ -29,7 +29,6 @@ RIGHTS: tuple[Right, ...] = ("off", "chosen", "signed", "perceptual")
 REST_SECONDS = 0.2
 """A view that has stayed the same for so long is compared."""
 
-
 Pair = tuple[FrameRequest, FrameRequest, float]
 """The exact picture, the chosen one, and by how much their difference is brightened."""
 
