@@ -1,4 +1,4 @@
-"""Has pictures rehearsed in the background, and knows which have been.
+"""Programs and kernels of pictures, compiled in the background before they are needed.
 
 One at a time of the GPU's and one of the CPU's: kernels take many times as long as programs.
 """
@@ -177,7 +177,7 @@ if __name__ == "__main__":
 
 
 LONGEST = 300.0
-"""Seconds after which a rehearsal is given up."""
+"""Seconds after which a precompile job is given up."""
 
 MOST_REMEMBERED = 5000
 """Lines of the file that remembers; then it begins anew."""
@@ -229,8 +229,8 @@ class ShaderPrecompiler:
             return self._ended or self._done.issuperset(keys)
 
     def ask(self, keys: Iterable[str], title: str, job: Callable[[], PrecompileJob]) -> None:
-        """Has `keys` compiled by a rehearsal, unless that has been asked for; `title` tells the user what
-        is compiled."""
+        """Has `keys` compiled by a job, unless that has been asked for; `title` tells the user what is
+        compiled."""
         with self._change:
             missing = frozenset(keys) - self._done - self._asked
             if not missing or self._ended:
@@ -241,7 +241,7 @@ class ShaderPrecompiler:
             if by_cpu not in self._tasks:
                 self._tasks[by_cpu] = queue.SimpleQueue()
                 threading.Thread(
-                    target=self._work, args=(by_cpu,), name="splatview-rehearsals", daemon=True
+                    target=self._work, args=(by_cpu,), name="splatview-precompile", daemon=True
                 ).start()
             self._tasks[by_cpu].put(task)
 

@@ -55,12 +55,12 @@ class OcclusionPass:
         self._closed.write(np.zeros(self._blocks, dtype=np.uint32))
 
     def hide(
-        self, projector: Projector, gathered: moderngl.Texture, slab: int, early_stop: float
+        self, projector: Projector, accumulation: moderngl.Texture, slab: int, early_stop: float
     ) -> moderngl.Buffer:
-        """Closes blocks by the transmittance of `gathered`; returns the slab's order less those hidden."""
+        """Closes blocks by the transmittance so far; returns the slab's order without hidden splats."""
         if self._closed is None:
             raise RuntimeError("start() comes before hide()")
-        gathered.use(0)
+        accumulation.use(0)
         self._closed.bind_to_storage_buffer(0)
         grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_accumulation": 0}
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})

@@ -44,12 +44,12 @@ class QuadsRenderer(GLRenderer):
     )
 
     def __init__(
-        self, ctx: moderngl.Context, *, gathering: BlendPass | None = None, variants: Variants | None = None
+        self, ctx: moderngl.Context, *, blend_pass: BlendPass | None = None, variants: Variants | None = None
     ) -> None:
         super().__init__(ctx, variants)
         self._projector = Projector(ctx, self._variants)
         self._scene: SceneBuffers | None = None
-        self._gathering = gathering or BlendPass(ctx, self._variants)
+        self._blend_pass = blend_pass or BlendPass(ctx, self._variants)
         self._kept = KeptOrder(ctx, self._variants)
         self._early_stop = EARLY_STOP
         self._projected_key: object = None
@@ -168,9 +168,9 @@ class QuadsRenderer(GLRenderer):
                 self._targets.fit(
                     (camera.width, camera.height), settings.blend, mode, sums=order == "weighted"
                 )
-                self._gathering.draw(
+                self._blend_pass.draw(
                     mode,
-                    self._targets.gathered,
+                    self._targets.accumulation,
                     scene,
                     self._projector,
                     uniforms,
@@ -182,7 +182,7 @@ class QuadsRenderer(GLRenderer):
                 self._drawn_key = drawn_key
             self._resolving.draw(
                 mode,
-                self._targets.gathered,
+                self._targets.accumulation,
                 self._targets.shown,
                 background=settings.background,
                 camera=camera,
@@ -248,7 +248,7 @@ class QuadsRenderer(GLRenderer):
             self._scene.release()
         self._projector.release()
         self._kept.release()
-        self._gathering.release()
+        self._blend_pass.release()
 
 
 def finite_box(means: np.ndarray) -> np.ndarray:

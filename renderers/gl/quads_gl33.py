@@ -283,7 +283,7 @@ class QuadsGL33Renderer(GLRenderer):
         self._order_texels = TexelArray(ctx, 1, "u4", "splats")
         self._order: DepthOrder | None = None
         """What `_order_texels` holds."""
-        self._gathering = BlendPassGL33(ctx, self._variants)
+        self._blend_pass = BlendPassGL33(ctx, self._variants)
         self._projected: tuple | None = None
         self._drawn: tuple | None = None
         """Keys of what was projected and drawn last."""
@@ -383,7 +383,7 @@ class QuadsGL33Renderer(GLRenderer):
             self._gather(mode, line, uniforms, scene)
             self._resolving.draw(
                 mode,
-                self._targets.gathered,
+                self._targets.accumulation,
                 self._targets.shown,
                 background=settings.background,
                 camera=camera,
@@ -396,16 +396,16 @@ class QuadsGL33Renderer(GLRenderer):
     def _gather(
         self, mode: VisualMode, line: ViewLine, uniforms: dict[str, Uniform], scene: SceneTextures
     ) -> None:
-        target = self._targets.gathered
+        target = self._targets.accumulation
         if MODES[mode].surfaces:
-            self._gathering.draw_ellipsoids(target, self._projection, uniforms, self._edits, scene)
+            self._blend_pass.draw_ellipsoids(target, self._projection, uniforms, self._edits, scene)
             return
         ordered = 0
         if self._order is not None:
             # Behind the eye no vertices are needed; but in the order of another view they may be before it.
             exact = self._order.view == line
             ordered = self._order.before_eye if exact else len(self._order.order)
-        self._gathering.draw_splats(
+        self._blend_pass.draw_splats(
             mode, target, self._projection, uniforms, self._edits, self._order_texels.texture, ordered
         )
 
@@ -429,7 +429,7 @@ class QuadsGL33Renderer(GLRenderer):
         self._release_scene()  # ends the sort thread
         super().close()
         self._projection.release()
-        self._gathering.release()
+        self._blend_pass.release()
 
     def _release_scene(self) -> None:
         if self._sorter is not None:

@@ -1,4 +1,4 @@
-"""From what was gathered to the picture: background, or a mode's colour map."""
+"""From the accumulation target to the picture: background, or a mode's colour map."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Resolving:
     def draw(
         self,
         mode: VisualMode,
-        gathered: ColourTarget,
+        accumulation: ColourTarget,
         shown: ColourTarget,
         *,
         background: Background,
@@ -116,12 +116,12 @@ class Resolving:
         weighted: bool = False,
     ) -> None:
         """Fills `shown`. `camera` sees the background; `depths` are those of the colour map's ends, for the
-        mode that has one; `weighted`: what was gathered are sums, over those in `gathered.weights`.
+        mode that has one; `weighted`: the target holds sums, over those in `accumulation.weights`.
 
         Raises:
             InputError: the background does not fit into this driver's textures.
         """
-        weights = gathered.weights if weighted else None
+        weights = accumulation.weights if weighted else None
         background_flags, background_values = self._background.use(background, camera)
         flags = {**background_flags, **mode_flags(mode, resolved=True), "WEIGHTED": weights is not None}
         program, array = self._variants.drawing(
@@ -129,11 +129,11 @@ class Resolving:
         )
         shown.framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
-        gathered.texture.use(0)
+        accumulation.texture.use(0)
         if weights is not None:
             weights.use(1)
         else:
-            gathered.texture.use(1)  # a general program has the sampler all the same
+            accumulation.texture.use(1)  # a general program has the sampler all the same
         values = {
             "u_accumulation": 0,
             "u_weights": 1,
@@ -152,7 +152,7 @@ def float16_blending_truncates(ctx: moderngl.Context) -> bool:
     """Whether this driver cuts blended float16 values off instead of rounding them to the nearest.
 
     Mesa's llvmpipe does (at least to 22.3), and a picture of 80 layers then has 44 dB where rounding gives
-    62 (see `gathering`). It also blends float32 a tenth faster than float16.
+    62 (see `blend`). It also blends float32 a tenth faster than float16.
     """
     target = ColourTarget(ctx, (1, 1), "float16")
     program = load_render_program(ctx, "quads/fullscreen.vert.glsl", "quads/constant.frag.glsl")

@@ -94,10 +94,10 @@ class FallbackShaders(Variants):
     def _compiled(self, variant: Variant) -> Made:
         if variant in self._made:
             return self._made[variant]
-        rehearsed = not variant.general and self._precompiler.is_done([self._key(variant)])
+        precompiled = not variant.general and self._precompiler.is_done([self._key(variant)])
         begun = time.perf_counter()
         made = super()._compiled(variant)
-        if rehearsed and time.perf_counter() - begun > STALL:
+        if precompiled and time.perf_counter() - begun > STALL:
             self.driver_remembers = False
         return made
 

@@ -1,4 +1,4 @@
-"""The textures that a picture is gathered in and shown from."""
+"""The textures that a picture is accumulated in and shown from."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ class ColourTarget:
 
 
 class PictureTargets:
-    """Where a picture's splats are gathered, and what it is shown from; made anew when they do not fit."""
+    """The accumulation target of a picture and the texture that it is shown from; made anew on a new size."""
 
     def __init__(self, ctx: moderngl.Context, *, truncates: bool) -> None:
         self._ctx = ctx
         self.truncates = truncates
         """The driver cuts float16 off when it blends, so float32 gathers."""
-        self._gathered: ColourTarget | None = None
+        self._accumulation: ColourTarget | None = None
         self._shown: ColourTarget | None = None
 
     def fit(self, size: tuple[int, int], blend: Precision, mode: VisualMode, *, sums: bool = False) -> None:
@@ -89,8 +89,8 @@ class PictureTargets:
         # Sums of depths and counts of splats need float32's digits, and so does a driver that truncates.
         wide = sums or MODES[mode].sums or (blend == "float16" and self.truncates)
         # Should there be no room, the next picture tries again.
-        gathered, self._gathered = self._gathered, None
-        self._gathered = self._fitting(gathered, size, "float32" if wide else blend)
+        accumulation, self._accumulation = self._accumulation, None
+        self._accumulation = self._fitting(accumulation, size, "float32" if wide else blend)
         shown, self._shown = self._shown, None
         self._shown = self._fitting(shown, size, blend)
 
@@ -110,18 +110,18 @@ class PictureTargets:
         return made
 
     @property
-    def gathered(self) -> ColourTarget:
-        return _existing(self._gathered)
+    def accumulation(self) -> ColourTarget:
+        return _existing(self._accumulation)
 
     @property
     def shown(self) -> ColourTarget:
         return _existing(self._shown)
 
     def release(self) -> None:
-        for target in (self._gathered, self._shown):
+        for target in (self._accumulation, self._shown):
             if target is not None:
                 target.release()
-        self._gathered = self._shown = None
+        self._accumulation = self._shown = None
 
 
 def _existing(target: ColourTarget | None) -> ColourTarget:

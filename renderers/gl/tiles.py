@@ -371,7 +371,7 @@ class TilesRenderer(QuadsRenderer):
             raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
         variants = variants or Variants(ctx)
         self._tiles = TilesBlendPass(ctx, variants, tuning)
-        super().__init__(ctx, gathering=self._tiles, variants=variants)
+        super().__init__(ctx, blend_pass=self._tiles, variants=variants)
 
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
         super()._use(scene, source)
