@@ -65,9 +65,11 @@ def describe(ctx: moderngl.Context) -> GLInfo:
 
 def has_compute(ctx: moderngl.Context) -> bool:
     """Whether the compute shaders of `quads` and `tiles` link here: OpenGL 4.3 alone does not say so."""
+    if not ctx.version_code >= 430:
+        return False
     compute = ctx.info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0)
     vertex = ctx.info.get("GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS", 0)
-    return ctx.version_code >= 430 and compute >= COMPUTE_STORAGE_BLOCKS and vertex >= VERTEX_STORAGE_BLOCKS
+    return compute >= COMPUTE_STORAGE_BLOCKS and vertex >= VERTEX_STORAGE_BLOCKS
 
 
 def create_headless_context(*, require: int = 330) -> moderngl.Context:

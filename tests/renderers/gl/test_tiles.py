@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import moderngl
 import numpy as np
 import pytest
 
 from splatview.measure.metrics import largest_error, psnr
-from splatview.renderers import make_renderer
+from splatview.renderers import make_renderer, on_this_gl
 from splatview.renderers.gl.tiles import HARDWARE, LEAST_PAIRS, SOFTWARE, TilesRenderer, TileTuning
 from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import TEXTBOOK, Camera, Gaussians, ImageModel, InputError, RenderSettings, look_at
@@ -215,6 +215,14 @@ def test_older_gl_is_refused_in_one_line(ctx: moderngl.Context):
 
     with pytest.raises(InputError, match=r"tiles needs OpenGL 4\.3, this is 3\.3"):
         make_renderer("tiles", Old())  # pyright: ignore[reportArgumentType]
+
+    class Few:
+        version_code = 450
+        info: ClassVar = {"GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS": 8, "GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS": 0}
+
+    with pytest.raises(InputError, match=r"this is 4\.5 with too few storage blocks; use --renderer quads"):
+        make_renderer("tiles", Few())  # pyright: ignore[reportArgumentType]
+    assert on_this_gl("quads", Few()).name == "quads-gl33"  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("cramped", [False, True])
