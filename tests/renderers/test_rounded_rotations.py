@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from splatview.raster import render as render_cpu
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at, reference
 from splatview.scene.formats import load_cameras
 
@@ -69,12 +68,11 @@ def test_the_eye_is_what_the_matrix_takes_to_zero(place, rounding):
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)
 @pytest.mark.parametrize("place", [np.zeros(3), FAR], ids=["origin", "far"])
-@pytest.mark.parametrize("renderer", ["reference", "cpu"])
-def test_pictures_are_those_of_the_matrix(renderer, place, rounding):
-    draw = {"reference": reference.render, "cpu": render_cpu}[renderer]
-    picture = draw(scene_at(place), rounded_camera(place, rounding), RenderSettings())
-    tolerance = {"reference": 1e-6, "cpu": 1e-4}[renderer]  # positions to 1e-9 m; float32 records
-    assert np.abs(np.asarray(picture) - expected_picture(place, rounding)).max() <= tolerance
+def test_pictures_are_those_of_the_matrix(backend, place, rounding):
+    picture = backend.draw(
+        scene_at(place), rounded_camera(place, rounding), RenderSettings(blend="float32", early_stop=0.0)
+    )
+    assert np.abs(picture - expected_picture(place, rounding)).max() <= backend.bound
 
 
 def test_a_trainer_s_list_of_cameras_keeps_the_position(tmp_path):
