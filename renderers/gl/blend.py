@@ -1,7 +1,7 @@
 """Draws the sorted splats, in each visual mode, into the target that gathers colour and transmittance.
 
 Front to back, rgb += T·colour·alpha and T *= 1 - alpha with T in the target's alpha, because opaque blocks
-of the picture can then be closed early. At 80 layers a pixel, against float32: a float16 target that rounds
+of the picture can then be closed early. At 80 layers per pixel, against float32: a float16 target that rounds
 gives 62 dB and errors to 1.4/255 this way, 72 dB and 0.4/255 back to front; one that truncates, as llvmpipe
 does, 44 dB and 10/255 this way, 55 dB and 2.9/255 back to front, so there float32 gathers (`resolving`).
 Without early stop both ways take the same time (1.00).

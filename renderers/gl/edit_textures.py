@@ -92,7 +92,7 @@ NOT_EDITED = Editing()
 class EditTextures:
     """Marks, palette and crops of the scene that is loaded.
 
-    What marks held is kept here too (4 bytes a splat), to tell a new selection, which is only lit up,
+    What marks held is kept here too (4 bytes per splat), to tell a new selection, which is only lit up,
     from a change of what is shown.
     """
 

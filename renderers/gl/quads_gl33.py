@@ -1,6 +1,6 @@
 """The `quads` renderer for OpenGL 3.3 and 4.1 (macOS): no compute shaders, no storage buffers.
 
-Projection is a pass that writes a texel a splat, once per view; the draw then fetches its vertices from
+Projection is a pass that writes one texel per splat, once per view; the draw then fetches its vertices from
 those. The depth order comes from a thread on the CPU: while the camera moves, a frame may be drawn in
 the order of a moment ago, and `busy` says that a better one is on its way; `read` waits for it.
 

@@ -152,7 +152,7 @@ FLAT = "flat 2D splats"
 ANTIALIASED = "antialiased opacity"
 
 ANTIALIASED_OPERATIONS = 3
-"""A division, a root and a product a splat."""
+"""A division, a root and a product per splat."""
 
 
 def antialiasing(comments: tuple[str, ...]) -> tuple[bool, float, str]:

@@ -129,7 +129,7 @@ def centred_effect(gaussians: Gaussians) -> Effect:
         name="float64-centred positions",
         on=on,
         why=why,
-        saving=Saving(what="one difference a splat"),
+        saving=Saving(what="one difference per splat"),
         bound=math.inf if on else 0.0,
     )
 

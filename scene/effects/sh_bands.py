@@ -173,7 +173,7 @@ def own_degrees_effect(gaussians: Gaussians) -> Effect:
     if not np.array_equal(visible, counts):
         why += f"; that can be seen: {_listed(visible)}"
     why += (
-        f": {apart:,} bytes in place of {alike:,}, at the price of a place a splat"
+        f": {apart:,} bytes in place of {alike:,}, at the price of one place per splat"
         if on
         else f": one layout for all takes {alike:,} bytes, each its own {apart:,}, no tenth less"
     )

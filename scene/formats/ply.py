@@ -87,7 +87,7 @@ def _read_splats(body: PlyBody, vertex: PlyElement) -> Gaussians:
     missing = [name for name in REQUIRED if name not in types]
     for name in missing:
         if name in vertex:
-            raise InputError(f"{path}: {name} is a list, not a number a splat; export the scene again")
+            raise InputError(f"{path}: {name} is a list, not one number per splat; export the scene again")
     if missing:
         raise InputError(f"{path}: the splats have no {', '.join(missing)}; export the scene again with them")
     if coefficients is None or not set(rest_names) <= set(types):
