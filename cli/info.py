@@ -243,11 +243,11 @@ def as_text(path: str, receipt: dict[str, Any]) -> str:
             lines.append(f"       measured: {effect['measured']}")
     lines.append(f"  off until a view or an edit calls for it: {', '.join(later)}")
     lines.append("health")
-    ill = [f for f in receipt["health"] if f["count"]]
+    found = [f for f in receipt["health"] if f["count"]]
     lines += [
-        f"  {f['count']:>9,}  {f['name']}: {f['what']}{' (not drawn)' if f['culled'] else ''}" for f in ill
+        f"  {f['count']:>9,}  {f['name']}: {f['what']}{' (not drawn)' if f['culled'] else ''}" for f in found
     ]
-    if not ill:
+    if not found:
         lines.append("  nothing found")
     if any("price" in finding for finding in receipt["health"]):
         lines += repairs_as_text(receipt)

@@ -25,7 +25,7 @@ from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.session import Editing
-from splatview.viewer.picture import Picture, choose_picture
+from splatview.viewer.picture import NullPicture, Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
@@ -173,7 +173,7 @@ class Window:
         """Everything that changes the state happens here, between two frames."""
         app = self.app
         params = hello_imgui.get_runner_params()
-        if app.picture is None:
+        if self.failure is not None:
             params.app_shall_exit = True
             return
         unattended = self._unattended()
@@ -246,9 +246,8 @@ class Window:
         for feature in app.features.values():
             app.attempt(feature.close, app)
         app.attempt(self.end_precompiler)
-        if app.picture is not None:
-            app.attempt(app.picture.close)
-            app.picture = None
+        app.attempt(app.picture.close)
+        app.picture = NullPicture()
 
     def end_precompiler(self) -> None:
         """Shaders that are being compiled beside the window are not waited for."""

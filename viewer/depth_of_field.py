@@ -65,7 +65,7 @@ class DepthOfField(Feature):
     def next_camera(self, app: AppState, camera: Camera, settings: RenderSettings) -> Camera:
         """Camera of the next frame, in the place of `camera`."""
         aperture = self.aperture(app)
-        if aperture is None or app.picture is None or not is_pinhole(camera):
+        if aperture is None or not is_pinhole(camera):
             self.close(app)
             return camera
         self._edits = edit_snapshot(app.edits, app.highlight, self._edits)
@@ -82,7 +82,7 @@ class DepthOfField(Feature):
 
     def shown(self, app: AppState) -> moderngl.Texture | None:
         """The mean with the picture just drawn in it, if that is finished; None: show the picture itself."""
-        if not self._open or app.picture is None:
+        if not self._open:
             return None
         if self.samples < SAMPLES and not app.picture.busy:
             if self._mean is None:
@@ -107,8 +107,7 @@ class DepthOfField(Feature):
 
     def close(self, app: AppState) -> None:
         """Gives back what the mean takes; pictures of a camera that moves may be coarse again."""
-        if self._open and app.picture is not None:
-            app.picture.sharp = False
+        app.picture.sharp = False
         self._key, self._edits, self.samples, self._open = None, None, 0, False
         if self._mean is not None:
             self._mean.release()

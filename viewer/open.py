@@ -79,7 +79,7 @@ def continue_loading(app: AppState) -> None:
             app.complain(loading.problem)
             app.preferences = without_missing(app.preferences)
         return
-    if app.upload is None and app.picture is not None:
+    if app.upload is None:
         loading.stage = "Uploading"
         app.upload = app.picture.load_steps(loading.result.gaussians)
     if upload_for(app, UPLOAD_SECONDS):

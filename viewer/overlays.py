@@ -244,16 +244,16 @@ def over_picture(app: AppState) -> None:
     mode_chooser(app)
     width = imgui.get_window_width()
     show_axis_gizmo(app, ImVec2(corner.x + width - margin, corner.y + margin))
-    if app.picture is not None and app.picture.status:
+    if app.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
         imgui.begin_group()
         imgui.text_colored(theme.WARNING, app.picture.status)
         imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(app.picture.status).x, margin), "")
         imgui.end_group()
-    if app.picture is not None and app.picture.note:
+    if app.picture.note:
         badge(app.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin
-    moving = app.picture is not None and bool(app.picture.note)
+    moving = bool(app.picture.note)
     split_view.badges(app, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
     if text := app.feature(DepthOfField).badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()

@@ -28,6 +28,22 @@ class Picture:
     What the CPU cannot show (points, depth, ...) is drawn by `quads`, made and loaded when first asked for.
     """
 
+    threads: int | None = None
+    """Cores that drawing may take, where the processor draws; None: all. As all that follows it counts from
+    the next `draw` on, and means nothing where a GPU draws."""
+    cores: float | None = None
+    """Cores to keep busy on average, the window included; None: no limit."""
+    sharp: bool = False
+    """Whether pictures of a camera that changes are drawn in full, too."""
+    budget_ms: float | None = None
+    """Milliseconds for a picture while the camera moves; None: as much as is smooth."""
+    _precompiler: ShaderPrecompiler | None = None
+    _fallback: FallbackShaders | None = None
+    _gl: GLRenderer | None = None
+    _async: AsyncRenderer | None = None
+    _by_gl: bool = False
+    _mode_to_come: bool = False
+
     def __init__(
         self,
         ctx: moderngl.Context,
@@ -43,25 +59,12 @@ class Picture:
         self.backend = name
         """As `--renderer` takes it."""
         self.name = backend.label
-        self.threads: int | None = None
-        """Cores that drawing may take, where the processor draws; None: all. As all that follows it counts
-        from the next `draw` on, and means nothing where a GPU draws."""
-        self.cores: float | None = None
-        """Cores to keep busy on average, the window included; None: no limit."""
-        self.sharp = False
-        """Whether pictures of a camera that changes are drawn in full, too."""
-        self.budget_ms: float | None = None
-        """Milliseconds for a picture while the camera moves; None: as much as is smooth."""
         self._ctx = ctx
         self._precompiler = precompiler
-        self._fallback: FallbackShaders | None = None
-        self._gl: GLRenderer | None = None
-        self._async: AsyncRenderer | None = None
         self._gaussians = EMPTY
         self._gl_holds: Gaussians | None = None
         """Scene that the OpenGL renderer has, where the CPU draws splats."""
         self._by_gl = backend.gl_version is not None
-        self._mode_to_come = False
         if self._by_gl:
             self._fallback = None if precompiler is None else FallbackShaders(ctx, precompiler)
             self._gl = gl_renderer(name, ctx, self._fallback)
@@ -212,6 +215,24 @@ class Picture:
             self._texture.release()
         if self._gl is not None:
             self._gl.close()
+
+
+class NullPicture(Picture):
+    """The picture while there is no OpenGL context: takes every scene, and has no texture."""
+
+    backend = name = "none"
+
+    def __init__(self) -> None:
+        pass
+
+    def unsupported(self, request: FrameRequest) -> str | None:
+        return "there is no OpenGL context"
+
+    def load_steps(self, gaussians: Gaussians, attributes: Attributes = "float32") -> Generator[float]:
+        yield from ()
+
+    def read(self, request: FrameRequest) -> np.ndarray:
+        raise InputError("Nothing can be drawn: there is no OpenGL context")
 
 
 def gl_renderer(name: str, ctx: moderngl.Context, variants: FallbackShaders | None = None) -> GLRenderer:

@@ -29,8 +29,6 @@ def screenshot(app: AppState) -> None:
 
 def save_picture(app: AppState, camera: Camera, path: Path) -> None:
     """Renders `camera` at full quality into the PNG `path`, and says where it is."""
-    if app.picture is None:
-        return
     try:
         session = session_of(app)
         edits = session.document.edits if session else None

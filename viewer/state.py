@@ -25,7 +25,7 @@ from splatview.scene.edits import SceneEdits
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
-from splatview.viewer.picture import Picture
+from splatview.viewer.picture import NullPicture, Picture
 from splatview.viewer.preferences import Bookmark, Preferences
 
 F = TypeVar("F", bound="Feature")
@@ -93,8 +93,7 @@ class AppState:
     simple ones, commands the rest."""
 
     preferences: Preferences
-    picture: Picture | None = None
-    """None until the GL context exists."""
+    picture: Picture = field(default_factory=NullPicture)
     scene: LoadedScene = EMPTY_SCENE
     """The open scene; the empty one where nothing is open."""
     loading: Loading | None = None
@@ -105,7 +104,7 @@ class AppState:
     """Effects and health of the scene."""
     examined: bool = True
     """Whether the findings have been reported."""
-    stats: FrameStats | None = None
+    stats: FrameStats = field(default_factory=FrameStats)
     """Statistics of the picture, read once a frame."""
     features: dict[type[Feature], Feature] = field(default_factory=dict)
     """In the order in which the frame loop calls them; see `viewer.app.window_state`."""
@@ -244,7 +243,7 @@ class AppState:
         return (
             self.loading is not None
             or not self.examined
-            or (self.picture is not None and self.picture.busy)
+            or self.picture.busy
             or any(feature.busy(self) for feature in self.features.values())
         )
 
@@ -275,8 +274,6 @@ class AppState:
 
     def note_statistics(self) -> None:
         """Remembers what the latest drawn frame cost, and once a second the process's memory."""
-        if self.picture is None:
-            return
         stats = self.stats = self.picture.stats
         if stats.drawn != self._frames_noted and stats.ms:
             self._frames_noted = stats.drawn

@@ -92,15 +92,12 @@ def mark_target(app: AppState, corner: ImVec2, width: int, height: int) -> None:
 
 
 def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None:
-    picture = app.picture
-    if picture is None:
-        return
     accuracy, lens = app.feature(Accuracy), app.feature(DepthOfField)
     app.feature(WindowBackground).follow(app)
     request = accuracy.next_frame(app)
     try:
         camera = lens.next_camera(app, request.camera, request.settings)
-        picture.draw(replace(request, camera=camera))
+        app.picture.draw(replace(request, camera=camera))
     except InputError as error:
         # A mode or a size that needs more of the GPU than it has; told of once, though each frame tries.
         if app.undrawn != str(error):
@@ -108,7 +105,7 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
         app.mode, app.undrawn = "splats", str(error)
         return
     app.undrawn = None
-    texture = lens.shown(app) or picture.texture
+    texture = lens.shown(app) or app.picture.texture
     # Alpha is what the scene covers; the background is already in the colours, so it must not blend twice.
     texture.swizzle = "RGB1"
     exact = texture.size == app.picture_size

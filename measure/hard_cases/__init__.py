@@ -14,7 +14,6 @@ from splatview.measure.hard_cases import (
     opacities,
     pictures,
     rays,
-    rotations,
     shapes,
     surfels,
 )
@@ -22,7 +21,6 @@ from splatview.measure.hard_cases.case import HardCase
 from splatview.scene import InputError
 
 CASES: tuple[HardCase, ...] = (
-    *rotations.CASES,
     *shapes.CASES,
     *surfels.CASES,
     *near_plane.CASES,

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from splatview.measure.hard_cases.case import (
+    BOTH,
     FRONT,
     ONLY_PLAIN,
     TURNED,
@@ -39,6 +40,8 @@ def moved(view: Camera, shift: tuple[float, float, float]) -> Camera:
 
 ORDINARY = partial(neighbours, 1, count=40)
 
+case = partial(HardCase, theme=THEME, cameras=(FRONT,), settings=ONLY_PLAIN)
+
 
 def moved_case(
     name: str,
@@ -51,13 +54,11 @@ def moved_case(
     same: bool = True,
     **statement,
 ) -> HardCase:
-    return HardCase(
-        name=name,
-        theme=THEME,
-        what=what,
-        build=partial(shifted, build, shift, dtype),
+    return case(
+        name,
+        what,
+        partial(shifted, build, shift, dtype),
         cameras=tuple(moved(view, shift) for view in cameras),
-        settings=ONLY_PLAIN,
         same=Same(build=build, cameras=cameras, psnr=SAME_AT_ORIGIN) if same else None,
         **{"most_excluded": 3, **statement},
     )
@@ -140,76 +141,56 @@ CASES = (
     moved_case(
         "10¹² m from the origin", "What float64 can still do: steps of 0.1 mm.", (1e12, 0.0, 0.0), same=False
     ),
-    HardCase(
-        name="two towns 20 km apart",
-        theme=THEME,
-        what="No centre is near both halves.",
-        build=two_towns,
+    case(
+        "two towns 20 km apart",
+        "No centre is near both halves.",
+        two_towns,
         cameras=(FRONT, moved(FRONT, (2e4, 0, 0))),
-        settings=ONLY_PLAIN,
         most_excluded=3,
     ),
-    HardCase(
-        name="lost outliers",
-        theme=THEME,
-        what="A few splats at 10¹⁵ beside a good scene.",
-        build=lost_outliers,
+    case(
+        "lost outliers",
+        "A few splats at 10¹⁵ beside a good scene.",
+        lost_outliers,
         cameras=(FRONT, TURNED),
-        settings=ONLY_PLAIN,
         culled=(40, 41, 42),
         most_excluded=3,
     ),
-    HardCase(
-        name="scene of a millionth",
-        theme=THEME,
-        what="Everything within 3e-6 of the eye.",
-        build=partial(scaled, 1e-6),
-        cameras=(FRONT,),
+    case(
+        "scene of a millionth",
+        "Everything within 3e-6 of the eye.",
+        partial(scaled, 1e-6),
         settings=TINY,
         most_excluded=3,
     ),
-    HardCase(
-        name="scene of a million",
-        theme=THEME,
-        what="Everything 3 million units away.",
-        build=partial(scaled, 1e6),
-        cameras=(FRONT,),
-        settings=ONLY_PLAIN,
-        most_excluded=3,
-    ),
-    HardCase(
-        name="star at 10¹²",
-        theme=THEME,
-        what="A splat of 10¹¹ units, seen as a few pixels.",
-        build=partial(star, 1e12, 1e11),
+    case("scene of a million", "Everything 3 million units away.", partial(scaled, 1e6), most_excluded=3),
+    case(
+        "star at 10¹²",
+        "A splat of 10¹¹ units, seen as a few pixels.",
+        partial(star, 1e12, 1e11),
         cameras=(FRONT, TURNED),
         visible=(0,),
+        settings=BOTH,
     ),
-    HardCase(
-        name="star at 10²⁵",
-        theme=THEME,
-        what="The square of its distance is infinite in float32.",
-        build=partial(star, 1e25, 1e24),
-        cameras=(FRONT,),
+    case(
+        "star at 10²⁵",
+        "The square of its distance is infinite in float32.",
+        partial(star, 1e25, 1e24),
+        visible=(0,),
+        trains=False,
+        settings=BOTH,
+    ),
+    case(
+        "means at the end of float32",
+        "3e38 away, a point that the blur makes a pixel of.",
+        partial(star, 3e38, 1.0),
         visible=(0,),
         trains=False,
     ),
-    HardCase(
-        name="means at the end of float32",
-        theme=THEME,
-        what="3e38 away, a point that the blur makes a pixel of.",
-        build=partial(star, 3e38, 1.0),
-        cameras=(FRONT,),
-        settings=ONLY_PLAIN,
-        visible=(0,),
-        trains=False,
-    ),
-    HardCase(
-        name="telescope",
-        theme=THEME,
-        what="An eye 10⁴ units away with a focal length of 10⁵ px.",
-        build=ORDINARY,
-        settings=ONLY_PLAIN,
+    case(
+        "telescope",
+        "An eye 10⁴ units away with a focal length of 10⁵ px.",
+        ORDINARY,
         most_excluded=6,
         cameras=(camera(focal=1e5, eye=(0, 0, -1e4)),),
     ),

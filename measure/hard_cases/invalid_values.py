@@ -19,7 +19,7 @@ from splatview.measure.hard_cases.case import (
 )
 from splatview.scene import Gaussians, concatenate
 
-THEME = "ill values"
+THEME = "invalid values"
 PAYLOADS = (0x7FC00000, 0xFFC00000, 0x7F800001, 0xFFFFFFFF, 0x7FFFFFFF, 0x7FABCDEF)
 """NaN of both signs, quiet and signalling, as float32 bits."""
 
@@ -105,7 +105,7 @@ CASES = (
         trains=False,
     ),
     case(
-        "ill splats between good ones",
+        "invalid splats between valid ones",
         "Two of three are left out: lists must stay aligned.",
         crowd,
         culled=(0, 1, 2, 4, 6, 7, 8, 10),

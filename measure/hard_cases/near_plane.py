@@ -19,7 +19,7 @@ from splatview.measure.hard_cases.case import (
 )
 from splatview.scene import Gaussians, ImageModel, RenderSettings
 
-THEME = "near the eye"
+THEME = "near plane"
 NEAR = 2.0**-7
 """A near plane that float32 and float64 hold alike: no rounding decides what is on it."""
 

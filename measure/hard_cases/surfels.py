@@ -67,12 +67,7 @@ def floor(height: float) -> Gaussians:
 CASES = (
     case("discs of all kinds", "Some of them about the eye.", many, cameras=(FRONT, TURNED, PARALLEL)),
     case("disc facing the eye", "Its plane is met at the same depth everywhere.", lambda: one((0.4, 0.3, 0))),
-    case(
-        "fan of discs",
-        "Every slope from face-on to edge-on.",
-        fan,
-        cameras=(FRONT, TURNED, PARALLEL),
-    ),
+    case("fan of discs", "Every slope from face-on to edge-on.", fan, cameras=(FRONT, TURNED, PARALLEL)),
     case(
         "disc edge-on, as a dot",
         "No ray meets its plane; one dot of a pixel is left.",
@@ -201,7 +196,7 @@ CASES = (
         settings={"antialiased": replace(DISCS, model=replace(DISCS.model, antialiased=True))},
     ),
     case(
-        "disc ill in every value",
+        "disc invalid in every value",
         "NaN and infinity, where a normal is to be chosen.",
         lambda: among_neighbours(
             splats(

@@ -125,7 +125,7 @@ def left_out_effects(gaussians: Gaussians, health: list[Finding]) -> list[Effect
             saving=_skipped(invisible),
         ),
         Effect(
-            name="skip ill splats",
+            name="skip invalid splats",
             on=undrawable > 0,
             why=f"{undrawable:,} of {len(gaussians):,} splats cannot be drawn"
             + (f": {kinds}" if kinds else ""),

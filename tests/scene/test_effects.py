@@ -98,7 +98,7 @@ def test_nan_in_a_band_keeps_what_it_decides(random_gaussians):
         assert used_sh_degree(ill) == degree
         full, used = (render(ill, camera, each) for each in (RenderSettings(), settings_for(ill)))
         assert np.abs(full - used).max() <= VISIBLE
-        assert receipt(ill)["skip ill splats"].on
+        assert receipt(ill)["skip invalid splats"].on
 
 
 @pytest.mark.parametrize(
@@ -161,8 +161,8 @@ def test_counts_are_true(random_gaussians):
     effects = receipt(replace(random_gaussians(200), opacity_logits=logits))
     assert "29 of 200 splats have an opacity below 0.99" in effects["transparency"].why
     assert effects["skip faint splats"].on and "7 of 200" in effects["skip faint splats"].why
-    assert effects["skip ill splats"].on and "1 of 200" in effects["skip ill splats"].why
-    assert "1 NaN opacities" in effects["skip ill splats"].why
+    assert effects["skip invalid splats"].on and "1 of 200" in effects["skip invalid splats"].why
+    assert "1 NaN opacities" in effects["skip invalid splats"].why
 
 
 def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkeypatch):
@@ -176,7 +176,7 @@ def test_findings_that_are_known_are_not_searched_again(random_gaussians, monkey
 def test_none_and_one(random_gaussians):
     for count in (0, 1):
         effects = receipt(random_gaussians(count))
-        assert not effects["sorting"].on and not effects["skip ill splats"].on
+        assert not effects["sorting"].on and not effects["skip invalid splats"].on
         assert effects["transparency"].on == (count > 0)
         assert settings_for(random_gaussians(count)).model == ImageModel()
     assert receipt(random_gaussians(2))["sorting"].on

@@ -56,7 +56,6 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["choices"] = dict(accuracy.choices)
     plan = accuracy.plan(app)
     picture = app.picture
-    assert picture is not None
     coarse = hand.on_gl_thread(lambda: picture.read(FrameRequest(None, app.camera, plan.settings)))
     shown = seen(hand, app)
     found["shown_is_coarse"] = float(np.abs(shown - coarse).max())
@@ -97,7 +96,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
 def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
     """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
     accuracy, picture = app.feature(Accuracy), app.picture
-    assert app.is_open and picture is not None
+    assert app.is_open
     for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
         hand.ctx.item_click(f"**/###{name} {value}")
         hand.frames(3)
@@ -125,7 +124,6 @@ def drag_line(hand: Hand, dx: float) -> None:
 def seen(hand: Hand, app: AppState) -> np.ndarray:
     """What the window shows of the scene now (H, W, 4)."""
     picture = app.picture
-    assert picture is not None
     hand.settle()
     return hand.on_gl_thread(
         lambda: (
@@ -145,7 +143,6 @@ def governor(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     hand.settle()
     app.prefer(smooth=False)
     accuracy, picture = app.feature(Accuracy), app.picture
-    assert picture is not None
     exact_size = picture.texture.size
 
     def turn(_: AppState) -> None:
@@ -153,7 +150,7 @@ def governor(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
 
     def turned(frames: int) -> list[float]:
         times: list[float] = []
-        last = app.stats.drawn if app.stats else 0
+        last = app.stats.drawn
         while len(times) < frames:
             app.post(turn)
             hand.frames(1)

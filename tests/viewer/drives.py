@@ -97,7 +97,6 @@ class Hand:
     def picture(self) -> np.ndarray:
         """What a saved picture would hold now."""
         app = self.app
-        assert app.picture is not None
         picture = app.picture
         return self.on_gl_thread(
             lambda: picture.read(FrameRequest(None, app.camera, app.settings, mode=app.mode))
@@ -106,7 +105,7 @@ class Hand:
     def picture_of_edits(self) -> np.ndarray:
         """The same with the edits in force."""
         app, session = self.app, session_of(self.app)
-        assert app.picture is not None and session is not None
+        assert session is not None
         picture, document = app.picture, session.document
         return self.on_gl_thread(
             lambda: picture.read(
@@ -211,8 +210,6 @@ def tour(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     hand.press("F12")
     hand.settle()
     found["said"] = hand.said
-    assert app.picture is not None
-    assert app.stats is not None
     found["stats"] = {
         "splats": app.stats.splats,
         "drawn_idle": idle_draws(app, hand),
@@ -287,7 +284,6 @@ def second_look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[
 def idle_draws(app: AppState, hand: Hand) -> int:
     """Pictures drawn in 20 frames in which nothing changes."""
     hand.frames(2)
-    assert app.stats is not None
     before = app.stats.drawn
     hand.frames(20)
     return app.stats.drawn - before
@@ -339,7 +335,6 @@ def trouble(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
 def look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Which renderer shows what."""
     hand.settle()
-    assert app.picture is not None
     found["renderer"] = app.picture.name
     found["camera"] = camera_json(app)
     found["pixel_sum"] = float(hand.picture()[..., :3].sum())
@@ -362,7 +357,6 @@ def turn(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     app.prefer(smooth=False)
     hand.settle()
     picture = app.picture
-    assert picture is not None
     found["renderer"] = picture.name
     found["rest_size"] = list(picture.texture.size)
     found["picture_size"] = list(app.picture_size)

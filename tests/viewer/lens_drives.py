@@ -83,9 +83,9 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     found["error"] = float(np.abs(shown(hand, app)[..., :3] - through(hand, app)[..., :3]).max())
     found["blurred"] = float(np.abs(shown(hand, app)[..., :3] - sharp[..., :3]).max())
 
-    drawn = app.stats.drawn if app.stats else 0
+    drawn = app.stats.drawn
     hand.frames(10)
-    found["idle"] = (app.stats.drawn if app.stats else 0) - drawn
+    found["idle"] = app.stats.drawn - drawn
 
     app.steer(orbit(app.view, 0.2, 0.0))
     hand.frames(1)
@@ -104,7 +104,7 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     hand.ctx.item_click("**/##Depth of field")
     hand.frames(3)
     hand.settle()
-    found["closed"] = [lens.samples, lens._mean is None, app.picture.sharp if app.picture else None]
+    found["closed"] = [lens.samples, lens._mean is None, app.picture.sharp]
     hand.press("Shift+B")
     found["by_key"] = [lens.on]
     hand.press("Shift+B")
@@ -114,7 +114,7 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
 def through(hand: Hand, app: AppState) -> np.ndarray:
     """The picture through the lens, drawn by the renderer that the window has."""
     picture, aperture = app.picture, app.feature(DepthOfField).aperture(app)
-    assert picture is not None and aperture is not None
+    assert aperture is not None
     return hand.on_gl_thread(
         lambda: mean_picture(
             lambda camera: picture.read(FrameRequest(None, camera, app.settings, mode=app.mode)),

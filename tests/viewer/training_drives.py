@@ -71,11 +71,11 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(lambda: training.shown is not None and training.shown.iteration == at, "the last snapshot")
     hand.wait(lambda: not app.waiting, "the picture")
     picture = hand.picture()
-    drawn = app.stats.drawn if app.stats else 0
+    drawn = app.stats.drawn
     time.sleep(0.3)
     hand.frames(10)
     found["paused_at"] = [at, training.status.iteration]
-    found["drawn_in_pause"] = (app.stats.drawn if app.stats else 0) - drawn
+    found["drawn_in_pause"] = app.stats.drawn - drawn
     found["picture_mean"] = float(picture[..., :3].mean())
 
     found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(60)]

@@ -116,7 +116,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
             found["size"] = list(app.picture_size)
             ladder = app.feature(Accuracy).ladder
             found["priced"] = [f"{one.rung.knob} {one.rung.value}" for one in ladder.rungs] if ladder else []
-            exact = app.picture.texture.size if app.picture else None
+            exact = app.picture.texture.size
             full = [ms for _, ms, size, note in pictures_while_flying(app, LEARNING) if not note]
             found["full_ms"] = float(np.median(full)) if full else None
             settle(app)
@@ -129,7 +129,7 @@ def watch(scene: Path, renderer: str, size: tuple[int, int], pictures: int, repo
                 flown = pictures_while_flying(app, pictures)
                 frames.clear()
                 settle(app)
-                if renderer != "cpu" and app.picture is not None:  # times come a frame late, or never
+                if renderer != "cpu":  # times come a frame late, or never
                     frames.append((-1, 0.0, app.picture.texture.size, app.feature(Accuracy).note))
                 after = [(size == exact and not note) for _, _, size, note in frames]
                 times = [ms for _, ms, _, _ in flown]

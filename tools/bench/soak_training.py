@@ -102,7 +102,6 @@ class Soak:
         assert training.shown is not None
         if not np.array_equal(answer.result(60), training.shown.gaussians.means):
             self.problems.append("the last picture is not of the trainer's scene")
-        assert app.stats is not None and app.picture is not None
         self.window = {
             "picture": list(app.picture_size),
             "renderer": app.picture.name,

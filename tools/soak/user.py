@@ -76,7 +76,7 @@ class User(Hand):
             "looking at the splats": not app.examined or app.feature(Editing).examining is not None,
             "an edit": session is not None and session.job is not None,
             "a changed scene": session is not None and session.loading is not None,
-            "a picture": app.picture is not None and app.picture.busy and not self._trains,
+            "a picture": app.picture.busy and not self._trains,
             "measuring": app.feature(Accuracy).measurement is not None,
         }
         return [name for name, under_way in waits.items() if under_way]

@@ -467,7 +467,7 @@ def load_changed_scene(app: AppState, session: EditSession) -> None:
     wanted = session.document.gaussians
     if session.loaded is None:
         session.loaded = wanted
-    if session.job is not None or app.loading is not None or app.picture is None:
+    if session.job is not None or app.loading is not None:
         return
     if session.loading is not None and session.loading[0] is not wanted:
         session.loading[1].close()

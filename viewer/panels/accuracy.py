@@ -27,7 +27,7 @@ RIGHT_NAMES = {
 
 def show(app: AppState) -> None:
     accuracy = app.feature(Accuracy)
-    if not app.is_open or app.picture is None:
+    if not app.is_open:
         widgets.note("Open a scene to see what accuracy costs in it.")
         return
     tools(app, accuracy)
@@ -74,7 +74,6 @@ def tools(app: AppState, accuracy: Accuracy) -> None:
 def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
     """A row a value, by knob; the chosen ones are bright."""
     base = ladder.baseline
-    picture = app.picture
     exact = f"{base.psnr:.1f} dB" if base.psnr != float("inf") else "the truth itself"
     widgets.note(f"Exact: {base.ms:.1f} ms a frame, {exact}. Noise floor: {ladder.noise:.0%}.")
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
@@ -93,7 +92,7 @@ def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
                 imgui.text_colored(theme.QUIET, knob(before).title)
                 widgets.tooltip(knob(before).changes)
             row(app, accuracy, ladder, one)
-        for other in unpriced_knobs(picture.backend) if picture is not None else ():
+        for other in unpriced_knobs(app.picture.backend):
             unpriced(app, accuracy, other)
         imgui.end_table()
     if ladder.left_out:

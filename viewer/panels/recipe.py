@@ -146,7 +146,7 @@ def waiting_note(app: AppState) -> str:
         if session.tool != "none"
         else "while crops are being set"
         if session.document.crops
-        else "until it is let go"
+        else "until it is released"
     )
     return f"{begin} waits at step {step} {why}."
 
@@ -157,14 +157,14 @@ def show_rules(app: AppState, training: LiveTraining) -> None:
     if note:
         widgets.note(note, theme.WARNING)
         widgets.button(
-            f"{icons.ICON_FA_PLAY}  Let go###let go",
+            f"{icons.ICON_FA_PLAY}  Release###let go",
             "Puts the tool away, selects nothing, and shows the training as it goes on (Esc).",
             partial(app.post, training.editor.release),
         )
     else:
         widgets.note("Take a tool to choose splats: the view then waits, and training goes on.")
         widgets.button(
-            f"{icons.ICON_FA_PAUSE}  Hold the view###hold",
+            f"{icons.ICON_FA_PAUSE}  Freeze the view###hold",
             "Stays with this moment of the training, for all that the panel can do.",
             partial(app.post, training.editor.pin),
         )

@@ -42,7 +42,7 @@ def draw_split(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     compared = comparing.want(app, accuracy.plan(app), accuracy.wake)
     draw, place = imgui.get_window_draw_list(), comparing.line
     middle, low = corner.x + place * width, corner.y + height
-    if compared is not None and app.picture is not None:
+    if compared is not None:
         left, right = comparing.textures(app.picture.texture.ctx, compared)
         for texture in (left, right):
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)

@@ -23,8 +23,6 @@ STAGES = {
 def show(app: AppState) -> None:
     picture = app.picture
     stats = app.stats
-    if picture is None or stats is None:
-        return
     widgets.fact("Renderer", picture.name, "What computes the picture.")
     widgets.fact("Runs on", app.gpu_name, "As the OpenGL driver names it.")
     width, height = app.picture_size

@@ -98,7 +98,7 @@ class Comparing:
         """Called every frame while it is on: the comparison of what is seen now with the
         picture by the plan `by`, if there is one."""
         self._task.collect()
-        if not app.is_open or app.picture is None or app.mode != "splats":
+        if not app.is_open or app.mode != "splats":
             return None
         shown = app.scene.gaussians, app.camera
         exact, chosen = (

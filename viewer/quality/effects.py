@@ -96,7 +96,7 @@ class Effects(Feature):
     def measure(self, app: AppState) -> None:
         """Begins to price the effects of the view that is seen, where that is not being done."""
         receipt = self.receipt(app)
-        if self.pricing is None and receipt and app.picture is not None:
+        if self.pricing is None and receipt:
             self.pricing = Pricing(app, receipt, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel_measuring(self) -> None:

@@ -48,7 +48,7 @@ class WindowScene:
     `measure.ladder.SceneRenderer` for a thread that measures."""
 
     def __init__(self, app: AppState, cancelled: Callable[[], bool], wake: Callable[[], object]):
-        if app.picture is None or not app.is_open:
+        if not app.is_open:
             raise ValueError("nothing is open")
         self.name = app.picture.backend
         self.gaussians: Gaussians = app.scene.gaussians

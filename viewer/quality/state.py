@@ -104,7 +104,7 @@ class Accuracy(Feature):
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
             app.complain("Take attributes back first: prices are measured on the scene as it is")
-        elif self.measurement is None and app.is_open and app.picture is not None:
+        elif self.measurement is None and app.is_open:
             self.measurement = Measurement(app, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
     def cancel_measuring(self) -> None:
@@ -113,8 +113,6 @@ class Accuracy(Feature):
 
     def choose(self, app: AppState, knob: str, value: str) -> None:
         """Takes a shortcut. Raises InputError where the renderer does not have it."""
-        if app.picture is None:
-            return
         plan = apply_choices(Plan(), {knob: value}, app.picture.backend)
         problem = app.picture.unsupported(FrameRequest(None, app.camera, plan.settings))
         if problem is not None:
@@ -133,13 +131,12 @@ class Accuracy(Feature):
             if not self.progress.governor.steps and self._full_ms > 0:
                 # Until prices are known.
                 self.progress.governor.follow(unpriced(self._full_ms))
-        if app.picture is not None:
-            app.picture.budget_ms = budget_ms
+        app.picture.budget_ms = budget_ms
 
     def plan(self, app: AppState) -> Plan:
         """The settings with the shortcuts taken."""
         plan = Plan(settings=app.settings)
-        if self.choices and app.picture is not None:
+        if self.choices:
             plan = apply_choices(plan, self.choices, app.picture.backend)
         return plan
 
@@ -148,7 +145,7 @@ class Accuracy(Feature):
         plan, camera, self.note = self.plan(app), app.camera, ""
         moved = self._camera is not None and not self._camera.same_view(camera)
         self._camera = camera
-        if app.picture is not None and self.governs(app):
+        if self.governs(app):
             step = self.progress.next(moved=moved)
             if step is not None and not step.is_exact:
                 # One's own shortcuts stay, unless the budget asks for more of the same.
@@ -185,12 +182,7 @@ class Accuracy(Feature):
 
     def governs(self, app: AppState) -> bool:
         """Whether a budget is held here; the CPU's pictures hold theirs where they are drawn."""
-        return (
-            self.budget_ms is not None
-            and app.picture is not None
-            and not app.picture.draws_anywhere
-            and app.mode == "splats"
-        )
+        return self.budget_ms is not None and not app.picture.draws_anywhere and app.mode == "splats"
 
     def busy(self, app: AppState) -> bool:
         governed = self.budget_ms is not None and not self.progress.resting
@@ -219,7 +211,7 @@ class Accuracy(Feature):
 
     def _store(self, app: AppState) -> None:
         """Loads the scene in the form that was chosen, where it is in another."""
-        if not app.is_open or app.picture is None or app.loading is not None:
+        if not app.is_open or app.loading is not None:
             return
         session = session_of(app)
         if session is not None and session.loading is not None:
@@ -254,7 +246,7 @@ class Accuracy(Feature):
 
     def _learn(self, app: AppState) -> None:
         stats = app.stats
-        if stats is None or stats.drawn == self._frames_seen or self.measurement is not None:
+        if stats.drawn == self._frames_seen or self.measurement is not None:
             return
         self._frames_seen = stats.drawn
         milliseconds = sum(stats.ms.values())

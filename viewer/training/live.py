@@ -137,7 +137,7 @@ class LiveTraining(Feature):
             return MINIMISED_FPS
         runs = self.status.state == "training"
         fps = RATES[app.preferences.training_updates if runs else "low"].fps
-        return min(fps, SOFTWARE_FPS) if app.picture is not None and app.picture.name == "cpu" else fps
+        return min(fps, SOFTWARE_FPS) if app.picture.name == "cpu" else fps
 
     def followed_by(self, app: AppState) -> bool:
         """Whether the window shows this training, and not something that was opened since."""
@@ -204,10 +204,9 @@ class LiveTraining(Feature):
         moved = now - self._touched < TOUCHED_SECONDS
         wanted, cores = app.preferences.training_share, self.thread.cores
         self.thread.share = wanted if moved or not app.preferences.training_takes_idle_cores else 1.0
-        if app.picture is not None:
-            runs = self.status.state == "training"
-            app.picture.threads = viewer_threads(wanted, cores) if runs else None
-            app.picture.cores = max(1 - wanted, LEAST_FOR_VIEWER) * cores if runs else None
+        runs = self.status.state == "training"
+        app.picture.threads = viewer_threads(wanted, cores) if runs else None
+        app.picture.cores = max(1 - wanted, LEAST_FOR_VIEWER) * cores if runs else None
         rate = RATES["off" if self.minimised else app.preferences.training_updates]
         if rate.share > 0:
             cost = redraw_seconds(app) / (rate.share * cores)
@@ -220,7 +219,7 @@ class LiveTraining(Feature):
         if app.loading is not None or not self.followed_by(app) or self.editor.stays_frozen(app):
             self._drop_arriving()
             return
-        if app.picture is None or app.picture_size == (1, 1):  # nothing has been laid out yet
+        if app.picture_size == (1, 1):  # nothing has been laid out yet
             return
         if self._arriving is None:
             if self.minimised or (app.picture.busy and self.shown is not None and not self._starved(app)):
@@ -313,7 +312,7 @@ def watched_photos(train: Sequence[TrainView], held_out: Sequence[TrainView]) ->
 def redraw_seconds(app: AppState) -> float:
     """Core-seconds that the processor spends on a new picture of the scene, the window's frames for it
     included; 0 where a GPU does it."""
-    if app.stats is None or app.picture is None or app.picture.name != "cpu":
+    if app.picture.name != "cpu":
         return 0.0
     drawing = sum(app.stats.ms.values()) / 1000 * (app.picture.threads or 1)
     return drawing + FRAMES_A_PICTURE * FRAME_SECONDS
