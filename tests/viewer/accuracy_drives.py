@@ -95,7 +95,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
 
 def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:
     """Fewer splats, and the scene in fewer bits, each by a click and back by another."""
-    accuracy, picture = app.feature(Accuracy), app.picture
+    accuracy = app.feature(Accuracy)
     assert app.is_open
     for name, value in (("keep", "25"), ("attributes", "8-bit-sh")):
         hand.ctx.item_click(f"**/###{name} {value}")
