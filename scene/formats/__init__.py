@@ -23,8 +23,8 @@ class Format:
 
     suffix: str
     """Lower case, with its dot."""
-    sniff: Callable[[bytes], bool] = lambda start: False
-    """Whether a file with these first SNIFFED bytes is one; never, where they do not tell."""
+    sniff: Callable[[bytes], bool] | None = None
+    """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
     read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
     """Reader of a file from its start; the path is for messages. None: recognised and refused."""
     write: Callable[[Gaussians, Path], None] | None = None
@@ -74,12 +74,15 @@ def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader,
     file.seek(0)
     if not start:
         raise InputError(f"{path}: is empty")
-    sniffed = next((known for known in FORMATS.values() if known.sniff(start)), None)
-    if sniffed is not None and sniffed.read is not None:
-        return sniffed.read
+    sniffed = next((known for known in FORMATS.values() if known.sniff and known.sniff(start)), None)
     suffix = path.suffix.lower()
-    unread = (known for known in FORMATS.values() if known.suffix == suffix and known.read is None)
-    known = sniffed or next(unread, None)
+    # Where the bytes do not tell a format, the suffix does.
+    named = (
+        known for known in FORMATS.values() if known.suffix == suffix and not (known.sniff and known.read)
+    )
+    known = sniffed or next(named, None)
+    if known is not None and known.read is not None:
+        return known.read
     if known is not None:
         namesakes = known.namesakes if sniffed else ""
         raise InputError(
