@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import io
+from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from splatview.scene import InputError
+from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import FORMATS, Format, load_scene
+from splatview.scene.progress import Progress
+
+NOTHING = Gaussians(
+    means=np.zeros((0, 3), np.float32),
+    quats=np.zeros((0, 4), np.float32),
+    log_scales=np.zeros((0, 3), np.float32),
+    opacity_logits=np.zeros(0, np.float32),
+    sh=np.zeros((0, 1, 3), np.float32),
+)
 
 
 @pytest.fixture
@@ -15,10 +27,10 @@ def asked(monkeypatch):
     """The names of the formats whose readers were called."""
     called = []
 
-    def reader(name):
-        def read(file, path, progress):
+    def reader(name: str) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
+        def read(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
             called.append((name, file.read()))
-            return SimpleNamespace()
+            return NOTHING
 
         return read
 
