@@ -60,6 +60,6 @@ def test_the_suffix_decides_where_no_bytes_tell(asked, tmp_path):
 def test_a_suffix_whose_bytes_are_missing_is_refused(asked, tmp_path):
     path = tmp_path / "scene.told"
     path.write_bytes(b"something else")
-    with pytest.raises(InputError, match="scene.told"):
+    with pytest.raises(InputError, match=r"scene\.told"):
         load_scene(path)
     assert asked == []
