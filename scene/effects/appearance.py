@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
+from splatview.scene.edits import Adjustment, is_graded
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
-from splatview.scene.effects.sh_bands import SLICE
+from splatview.scene.effects.sh_bands import colour_reach
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.health import Finding, sh_bound
+from splatview.scene.health import Finding
 from splatview.scene.image_model import BLUR, RenderSettings
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
@@ -25,23 +27,8 @@ FOOTPRINT_OPERATIONS = 250
 """Additions and multiplications of a footprint, about."""
 
 
-def brightest_colour(gaussians: Gaussians) -> float:
-    """An upper bound of every colour that a drawn splat can have from any side, at least 1 for backgrounds.
-
-    What is not finite is culled, and does not count.
-    """
-    brightest = 1.0
-    for start in range(0, len(gaussians), SLICE):
-        sh = gaussians.sh[start : start + SLICE]
-        with np.errstate(over="ignore", invalid="ignore"):
-            colours = 0.5 + SH_C0 * sh[:, 0] + sh_bound(sh)[:, 1:].sum(axis=1)
-            drawn = np.isfinite(sh).all(axis=(1, 2))
-        brightest = max(brightest, float(colours[drawn].max(initial=0.0)))
-    return brightest
-
-
 def brightness_is_ordinary(gaussians: Gaussians) -> bool:
-    """Whether `brightest_colour` surely is so low that LEAST_LIGHT of it cannot be seen, at a glance."""
+    """Whether the brightest colour surely is so low that LEAST_LIGHT of it cannot be seen, at a glance."""
     if not len(gaussians):
         return True
     constant, rest = gaussians.sh[:, 0], gaussians.sh[:, 1:]
@@ -51,21 +38,20 @@ def brightness_is_ordinary(gaussians: Gaussians) -> bool:
     return bool((0.5 + SH_C0 * (float(constant.max()) + most * bands)) * LEAST_LIGHT <= VISIBLE)
 
 
-def early_stop_for(gaussians: Gaussians) -> float | None:
-    """The light below which pixels may end, for `RenderSettings`; None: as renderers do by themselves."""
-    if brightness_is_ordinary(gaussians):
+def early_stop_for(gaussians: Gaussians, palette: Sequence[Adjustment] = ()) -> float | None:
+    """The light below which pixels may end where splats may have the grades of `palette`, for
+    `RenderSettings`; None: as renderers do by themselves."""
+    if not is_graded(palette) and brightness_is_ordinary(gaussians):
         return None
-    brightest = brightest_colour(gaussians)
+    brightest = colour_reach(gaussians).graded(palette).brightest
     if brightest * LEAST_LIGHT <= VISIBLE:
         return None
     return VISIBLE / brightest if brightest < math.inf else 0.0
 
 
-def hidden_light_effect(gaussians: Gaussians, brightest: float) -> Effect:
-    """The light that comes through nearly opaque pixels from what lies behind; `brightest_colour`."""
+def hidden_light_effect(brightest: float) -> Effect:
+    """The light that comes through nearly opaque pixels from what lies behind; `ColourReach.brightest`."""
     bound = brightest * LEAST_LIGHT
-    with np.errstate(invalid="ignore"):
-        opaque = int((sigmoid(gaussians.opacity_logits) >= 0.5).sum())
     why = (
         f"no colour exceeds {short(brightest)} from any side, so where less than {LEAST_LIGHT:g} of the "
         f"light gets through, what lies behind adds at most {grey_levels(bound)}"
@@ -75,17 +61,20 @@ def hidden_light_effect(gaussians: Gaussians, brightest: float) -> Effect:
     return Effect(
         name="light behind opaque pixels",
         on=not bound <= VISIBLE,
-        why=f"{why}; {opaque:,} of {len(gaussians):,} splats have an opacity of at least 0.5",
+        why=why,
         saving=Saving(what="splats behind opaque pixels"),
         bound=bound,
     )
+
+
+TRANSPARENCY = "transparency"
 
 
 def transparency_effect(gaussians: Gaussians, brightest: float) -> Effect:
     with np.errstate(invalid="ignore"):
         translucent = int((sigmoid(gaussians.opacity_logits) < OPAQUE).sum())
     return Effect(
-        name="transparency",
+        name=TRANSPARENCY,
         on=len(gaussians) > 0,
         why=f"{translucent:,} of {len(gaussians):,} splats have an opacity below {OPAQUE:g}, and every splat "
         "fades to its edge: all are blended in depth order",

@@ -227,9 +227,10 @@ class Measurement(Measuring):
             return
         work = count_work(splats, self.camera, plan.settings, workspace, edits=scene.edits)
         self.bill = bill_of(scene.gaussians, work)
+        used = used_sh_degree(scene.gaussians, scene.edits.palette if scene.edits else ())
         slow = FRAMES * draw_by_path(scene, self._moved(0, BEFORE_ALL), plan)[1] / 1000
         ladder = run_ladder(
-            rungs_for([scene], plan, used_sh_degree=used_sh_degree(scene.gaussians)),
+            rungs_for([scene], plan, used_sh_degree=used),
             [self.camera],
             [truth],
             moved=self._moved,
