@@ -19,7 +19,7 @@ from splatview.scene.background import Background, Colour, Gradient
 from splatview.scene.camera import orbited, stepped_back, through_lens, with_parallel_rays
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.panorama import load_panorama
-from splatview.scene.framing import WORLD_UP, frame_camera, robust_bounds
+from splatview.scene.framing import WORLD_UP, frame_camera, pivot, robust_bounds
 
 DEFAULT_SIZE = (1280, 720)
 
@@ -345,9 +345,7 @@ def _pinhole_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
 
 def orbit_of(camera: Camera, centre: np.ndarray) -> Orbit:
     """About the point of the camera's viewing axis that is nearest to the scene's `centre`."""
-    depth = float((centre - camera.eye) @ camera.forward)
-    target = camera.eye + camera.forward * (depth if depth > 0 else 1.0)
-    return Orbit(camera, target, -camera.R_camera_world[1])
+    return Orbit(camera, pivot(camera, centre), -camera.R_camera_world[1])
 
 
 def camera_from_file(args: argparse.Namespace) -> Camera:

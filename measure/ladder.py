@@ -87,6 +87,8 @@ class Measured:
     rung: Rung
     psnr: float = math.nan
     """dB, mean over the views; inf where every one is the truth to the bit."""
+    elsewhere: list[float] = field(default_factory=list)
+    """dB in other views, against the baseline's picture there."""
     ssim: float = math.nan
     max_error: float = math.nan
     """The largest of any pixel, colour and view."""
