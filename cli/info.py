@@ -70,7 +70,7 @@ def measured_prices(
 
     orbit = chosen_orbit(args, gaussians)
     scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
-    camera = orbit.turned(0.0)
+    camera = orbit.camera
     stopped = threading.Event()
 
     def moved(_: int, number: int) -> Camera:

@@ -26,6 +26,7 @@ from splatview.cli.arguments import (
     check_camera_options,
     chosen_orbit,
     count,
+    orbit_of,
     positive,
 )
 from splatview.cli.render import check_output
@@ -52,6 +53,8 @@ from splatview.scene.captures import Capture, load_capture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
+from splatview.scene.formats.cameras import camera_values
+from splatview.scene.framing import robust_bounds
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
@@ -227,7 +230,12 @@ def make_parser() -> Parser:
     parser.add_argument("scene", metavar="SCENE", nargs="?")
     add_camera_options(parser)
     group = parser.add_argument_group("ladder")
-    group.add_argument("--views", type=count, default=2, metavar="N", help="views on an orbit (default: 2)")
+    group.add_argument(
+        "--views",
+        type=count,
+        metavar="N",
+        help=f"on an orbit, {VIEW_TURN:g} degrees apart (default: 2; 1 where a camera is given)",
+    )
     group.add_argument(
         "--renderers",
         metavar="A,B",
@@ -306,8 +314,16 @@ def run(arguments: list[str]) -> int:
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
     console = Console(stderr=True)
-    scenes = [HeadlessScene(make_headless(name), gaussians, orbit.turned_from) for name in names]
-    views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
+    count_of_views = args.views or (2 if args.camera is None and args.eye is None else 1)
+    views = [orbit.camera, *(orbit.turned(VIEW_TURN * number) for number in range(1, count_of_views))]
+    centre, _ = robust_bounds(gaussians.means)
+
+    def turned(camera: Camera, degrees: float) -> Camera:
+        # One view is what `render` draws with the same options; of several each is in a file of cameras.
+        path = orbit if len(views) == 1 else orbit_of(camera, centre)
+        return path.turned_from(camera, degrees)
+
+    scenes = [HeadlessScene(make_headless(name), gaussians, turned) for name in names]
     with console.status("Drawing the truth in float64"):
         truths, apart = draw_truths(gaussians, views, plan.settings)
     if not apart <= AGREEMENT:
@@ -326,19 +342,21 @@ def run(arguments: list[str]) -> int:
         seconds=max(seconds - (time.perf_counter() - begun), 1.0),
         rounds=args.rounds,
     )
-    size = f"{views[0].width}x{views[0].height}"
+    shown = f"{views[0].width}x{views[0].height}, {len(views)} view{'s' * (len(views) > 1)}"
+    title = f"{Path(args.scene).name}, {len(gaussians):,} splats, {shown}"
     about = {
         "scene": Path(args.scene).name,
         "splats": len(gaussians),
         "size": [views[0].width, views[0].height],
+        "cameras": [camera_values(view) for view in views],
         "truth": {"by": "float64 rasteriser", "largest_difference_from_reference": apart},
     }
     if args.json:
         print(json.dumps(as_json(ladder, about)))
     else:
-        print_ladder(Console(), ladder, f"{Path(args.scene).name}, {len(gaussians):,} splats, {size}", apart)
+        print_ladder(Console(), ladder, title, apart)
     if args.plot is not None:
-        plot(ladder, args.plot, title=f"{Path(args.scene).name}, {len(gaussians):,} splats at {size}")
+        plot(ladder, args.plot, title=title)
         print(f"{args.plot}: the plot", file=sys.stderr)
     return 0 if ladder.complete else EXIT_INTERRUPTED
 

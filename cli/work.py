@@ -47,7 +47,7 @@ def run(arguments: list[str]) -> int:
     if args.heatmap is not None:
         check_output(args.heatmap)
     gaussians = load_scene(args.scene)
-    camera = chosen_orbit(args, gaussians).turned(0.0)
+    camera = chosen_orbit(args, gaussians).camera
     work = count_work(parameters_of(gaussians), camera, settings_for(gaussians), Workspace())
     bill = bill_of(gaussians, work)
     brightest = float(work.evaluations.max())

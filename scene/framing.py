@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from splatview.scene.background import WORLD_UP
-from splatview.scene.camera import Camera, look_at
+from splatview.scene.camera import Camera, look_at, orbited
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import NEAR
 from splatview.scene.projection import FLOAT32_MAX
@@ -37,6 +37,24 @@ def frame_camera(gaussians: Gaussians, width: int, height: int, *, fov_y: float 
     distance = max(radius / math.sin(narrower), radius + 2 * NEAR, 1e-9 * float(np.abs(centre).max()))
     offset = np.array(VIEW_OFFSET) / np.linalg.norm(VIEW_OFFSET)
     return look_at(centre + offset * distance, centre, up=WORLD_UP, fov_y=fov_y, width=width, height=height)
+
+
+def pivot(camera: Camera, centre: np.ndarray) -> np.ndarray:
+    """(3,): the point of the camera's viewing axis that is nearest to `centre` (3,); a unit ahead where that
+    is behind it."""
+    depth = float((centre - camera.eye) @ camera.forward)
+    return camera.eye + camera.forward * (depth if depth > 0 else 1.0)
+
+
+AROUND = (90.0, 180.0, 270.0)
+"""Degrees from a view to others of the same scene."""
+
+
+def views_around(camera: Camera, gaussians: Gaussians) -> list[Camera]:
+    """The camera, and others from as far away on the other sides of what it looks at."""
+    target = pivot(camera, robust_bounds(gaussians.means)[0])
+    up = -camera.R_camera_world[1]
+    return [camera, *(orbited(camera, target, up, degrees) for degrees in AROUND)]
 
 
 def bulk(gaussians: Gaussians) -> tuple[np.ndarray, float]:

@@ -110,7 +110,10 @@ def adopt(app: AppState, scene: LoadedScene) -> None:
     app.scene = scene
     for feature in app.features.values():
         feature.on_scene_opened(app, scene)
-    if not same_place:
+    if same_place:
+        app.call_for(scene.settings)
+    else:
+        app.called_for = scene.settings
         app.settings = replace(
             scene.settings, background=app.preferences.background, blend=app.preferences.blend
         )

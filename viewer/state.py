@@ -22,6 +22,7 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
+from splatview.scene.effects.overrides import followed
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -112,6 +113,8 @@ class AppState:
     view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
     transition: Transition | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
+    called_for: RenderSettings = field(default_factory=RenderSettings)
+    """Settings that the scene calls for as it is edited; the user may have set others."""
     mode: VisualMode = "splats"
 
     cameras: list[Camera] = field(default_factory=list)
@@ -200,6 +203,11 @@ class AppState:
         """One line that the user must not miss: a dialog, and the messages panel."""
         self.messages.append(Message(text=text, error=True, at=time.time()))
         self.problem = text
+
+    def call_for(self, wanted: RenderSettings) -> None:
+        """Has the scene call for `wanted`: settings follow, where the user has not set them otherwise."""
+        self.settings = followed(self.settings, self.called_for, wanted)
+        self.called_for = wanted
 
     def go_to(self, view: View, *, smooth: bool = True) -> None:
         """Changes the view, as a short motion where the user likes that."""

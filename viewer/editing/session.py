@@ -5,6 +5,7 @@ Nothing here imports ImGui, so that all of it is tested without a display.
 
 from __future__ import annotations
 
+import operator
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,8 @@ from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import PREVIEW, Crop, SceneEdits
+from splatview.scene.edits import PREVIEW, Adjustment, Crop, SceneEdits, is_graded
+from splatview.scene.effects.overrides import settings_for
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
@@ -307,6 +309,8 @@ class Editing(Feature):
         """Examination of splats that an edit has changed, under way."""
         self.outlined: tuple[Crop, ...] = ()
         """Crops of a training's rule under the mouse, to be drawn on the picture."""
+        self._followed: tuple[RenderSettings | None, tuple[Adjustment, ...]] = (None, ())
+        """What the settings followed last: those of the scene, and a palette."""
 
     @property
     def edits(self) -> SceneEdits | None:
@@ -337,6 +341,7 @@ class Editing(Feature):
     def before_frame(self, app: AppState) -> None:
         """Ends jobs, and reports what they and the user's edits came to."""
         self._examine(app)
+        self._follow(app)
         session = self.session
         if session is None:
             return
@@ -395,8 +400,7 @@ class Editing(Feature):
             self.examining = self.examining or Examination(gaussians)
 
     def _examine(self, app: AppState) -> None:
-        """Takes over the examination of changed splats. Settings follow what they call for, where the user
-        has not set them otherwise."""
+        """Takes over the examination of changed splats."""
         found = self.examining
         if found is None or not found.done:
             return
@@ -408,8 +412,24 @@ class Editing(Feature):
             return
         app.examination = found
         if found.settings is not None:
-            app.settings = followed(app.settings, scene.settings, found.settings)
             app.scene = replace(scene, settings=found.settings)
+
+    def _follow(self, app: AppState) -> None:
+        """Settings follow what scene and colour grade call for, where the user has not set them otherwise;
+        not before the scene has been looked through, as that takes long."""
+        found, scene = app.examination, app.scene
+        if found is None or found.settings is None or found.gaussians is not scene.gaussians:
+            return
+        palette = self.edits.palette if self.edits else ()
+        looked_at = scene.settings, palette
+        if all(map(operator.is_, looked_at, self._followed)):
+            return
+        self._followed = looked_at
+        wanted = scene.settings
+        if is_graded(palette):
+            graded = settings_for(scene.gaussians, palette=palette)
+            wanted = replace(wanted, sh_degree=graded.sh_degree, early_stop=graded.early_stop)
+        app.call_for(wanted)
 
 
 def session_of(app: AppState) -> EditSession | None:
@@ -487,18 +507,6 @@ def load_changed_scene(app: AppState, session: EditSession) -> None:
         session.loading = None
         session.problem = f"{error}; the last step is taken back"
         session.undo()
-
-
-def followed(settings: RenderSettings, before: RenderSettings, after: RenderSettings) -> RenderSettings:
-    """`settings` with everything that is as a scene called for `before` as it calls for `after`."""
-    near = settings.model.near
-    if settings.model == replace(before.model, near=near):
-        settings = replace(settings, model=replace(after.model, near=near))
-    if settings.sh_degree == before.sh_degree:
-        settings = replace(settings, sh_degree=after.sh_degree)
-    if settings.early_stop == before.early_stop:
-        settings = replace(settings, early_stop=after.early_stop)
-    return settings
 
 
 JOURNALS = "journals"

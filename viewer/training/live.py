@@ -155,6 +155,7 @@ class LiveTraining(Feature):
         app.feature(Editing).live = self.editor
         self.comparer = Comparer(on_change)
         self.thread.on_change = on_change
+        app.called_for = self.settings
         app.settings = replace(self.settings, blend=app.preferences.blend)
         app.cameras = self.cameras
         self.thread.begin()
@@ -181,6 +182,7 @@ class LiveTraining(Feature):
         """Shows this training again after something else was opened."""
         app.scene = self._scene
         app.cameras, app.camera_index = self.cameras, -1
+        app.called_for = self.settings
         app.settings = replace(self.settings, blend=app.preferences.blend)
         self.shown = None
         # The picture holds something else, so even an unchanged scene is to be handed over.
