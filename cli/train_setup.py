@@ -160,6 +160,13 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
             )
     else:
         trainer = _resumed_trainer(views, checkpoint, options, group)
+        if trainer.done:
+            # Perhaps it was killed before its scene was written.
+            say(
+                console,
+                f"{options.resume}: its run is over, and only its scene and pictures are written; --iterations"
+                f" above {trainer.counters.iteration} or more --minutes train on",
+            )
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     antialiased = (
@@ -281,7 +288,7 @@ def _resumed_trainer(
         views, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
     )
     restore(trainer, checkpoint)
-    if trainer.done:
+    if trainer.done and settings is not checkpoint.settings:
         raise InputError(
             f"{options.resume}: its run is over; give --iterations above {trainer.counters.iteration}"
             " or more --minutes to train on"

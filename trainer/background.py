@@ -368,6 +368,8 @@ class BackgroundTraining:
 
     def _work(self) -> None:
         self._begun.wait()
+        if self._training_run.trainer.done:  # resumed from its last checkpoint
+            self._finish()
         while not self._closing:
             self._obey()
             if not self._closing and self._steps_are_wanted and time.perf_counter() >= self._step_due:
