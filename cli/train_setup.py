@@ -164,8 +164,8 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
             # Perhaps it was killed before its scene was written.
             say(
                 console,
-                f"{options.resume}: its run is over, and only its scene and pictures are written; --iterations"
-                f" above {trainer.counters.iteration} or more --minutes train on",
+                f"{options.resume}: its run is over; its scene and pictures are written, and --iterations"
+                f" above {trainer.counters.iteration} or more --minutes trains on",
             )
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
