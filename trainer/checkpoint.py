@@ -34,6 +34,8 @@ class Checkpoint:
     settings: TrainSettings
     counters: Counters
     extent: float
+    centre: np.ndarray
+    """(3,) float64: what the means are relative to, see `Trainer`."""
     splats: Splats
     control: dict[str, np.ndarray]
     """Arrays of the density control, see its `state`."""
@@ -68,6 +70,8 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         "photos": trainer.views.names(),
         "notes": notes or {},
     }
+    if trainer.centre.any():
+        description["centre"] = trainer.centre.tolist()
     _remove_leftovers(path)
     data = save(arrays, metadata={"format": FORMAT, "run": json.dumps(description)})
     with atomic_write(path) as file:
@@ -115,6 +119,10 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
             " resume with the same capture and --downscale"
         )
     trainer.splats = checkpoint.splats
+    shift = checkpoint.centre - trainer.centre
+    if shift.any():  # written before captures far from the origin were trained about a centre
+        means = trainer.splats.parameters.means
+        means[:] = means + shift
     trainer.counters = checkpoint.counters
     trainer.extent = trainer.control.extent = checkpoint.extent
     trainer.control.restore(checkpoint.control)
@@ -139,10 +147,14 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     ids, next_id = arrays["ids"], int(run["next_id"])
     if ids.dtype != np.int64 or len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
         raise ValueError("its splats are not numbered as they should be")
+    centre = np.array(run.get("centre", (0, 0, 0)), np.float64)
+    if centre.shape != (3,) or not np.isfinite(centre).all():
+        raise ValueError(f"its centre must be 3 finite numbers, not {centre}")
     return Checkpoint(
         settings=from_recorded(run["settings"]),
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
+        centre=centre,
         splats=Splats(groups[0], groups[1], groups[2], ids, next_id),
         control=_under("control.", arrays),
         exposure=_under("exposure.", arrays),

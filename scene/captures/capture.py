@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -62,6 +63,10 @@ DEFAULT_LENS_USE: LensUse = "through"
 """By measurement (tools/bench/bench_lens.py), as all of the photo is used and no pixel interpolated: as
 good with a lens that bends little, some dB better with one that bends much, at all but equal times a step.
 The exception are very wide pinhole views of a scene that a fisheye saw: undistorted photos are such views."""
+
+NEAR_ORIGIN = 16.0
+"""Scene radii: float32 holds a scene well whose cameras are no farther from the origin. It rounds positions
+there to less than 1e-6 radii, a sixth of the largest step that the end of a run takes."""
 
 EXTENT_MARGIN = 1.1
 """How far a scene reaches beyond its cameras, by Kerbl et al. 2023."""
@@ -137,6 +142,22 @@ class Capture:
         if not radius > 1e-9 * (1 + np.abs(centre).max()):
             radius = float(np.median(np.linalg.norm(self.points - centre, axis=1)))
         return EXTENT_MARGIN * radius
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) float64, world units: what float32 positions should be relative to. 0 where the cameras are
+        near the origin, else their mean, rounded: then a position and this add up without loss."""
+        radius = self.scene_radius
+        middle = np.mean([photo.camera.eye for photo in self.train], axis=0)
+        if not np.linalg.norm(middle) > NEAR_ORIGIN * radius:
+            return np.zeros(3)
+        step = 2.0 ** math.floor(math.log2(radius))
+        return np.round(middle / step) * step
+
+    def about(self, origin: np.ndarray) -> Capture:
+        """The same capture in a world whose origin is at `origin` (3,) of this one."""
+        photos = tuple(replace(photo, camera=photo.camera.about(origin)) for photo in self.photos)
+        return replace(self, photos=photos, points=self.points - origin)
 
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
