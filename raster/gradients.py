@@ -14,8 +14,8 @@ from splatview.raster.parameters import NO_SHARE, Parameters, describe
 from splatview.raster.project_backward import POSE_BLOCK, project_backward
 
 BRIGHT = 1e18
-"""Colours that the backward pass multiplies in float32. Where a splat is brighter, the gradient of the loss is
-made smaller by a power of two for that pass, so that no product is infinite."""
+"""Colours that the backward pass multiplies in float32. Where a splat is brighter, the gradient of the loss
+is made smaller by a power of two for that pass, so that no product is infinite."""
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for

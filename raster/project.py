@@ -370,8 +370,8 @@ def project(
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written for
     visible splats only; visible (N,) int32; bounds (3,) float64: least and greatest depth and brightest
-    colour, written; edits an `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or None;
-    own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros, or None.
+    colour, written; edits an `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or
+    None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros, or None.
     """
     basis = np.empty(16, np.float64)
     number = records.dtype.type

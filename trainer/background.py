@@ -401,7 +401,8 @@ class BackgroundTraining:
         try:
             self._take_step()
         except Exception as error:
-            traceback.print_exc()
+            if not isinstance(error, InputError):
+                traceback.print_exc()
             self._steps_wanted = 0
             self._training_run.stopwatch.pause()
             self._unseen = True

@@ -27,7 +27,7 @@ from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
-from splatview.trainer.trainer import StepReport, Trainer
+from splatview.trainer.trainer import NothingSeen, StepReport, Trainer
 from splatview.trainer.views import TrainView
 
 CHECKPOINT_SECONDS = 60.0
@@ -164,6 +164,7 @@ class TrainingRun:
 
         Raises:
             PeerLost: another process of the run has ended; what there is has been saved.
+            NothingSeen: no photo shows the scene, which is not saved.
             InputError: the scene could not be saved where it should; the message says where it is.
         """
         completed = True
@@ -174,6 +175,8 @@ class TrainingRun:
             completed = False
         except PeerLost:
             self.keep()
+            raise
+        except NothingSeen:  # such a scene is worth nothing
             raise
         except Exception as error:
             # The scene is worth more than the reason why it is not finished.

@@ -35,6 +35,10 @@ CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 
+class NothingSeen(InputError):
+    """No photo shows any splat, so that nothing can be learnt."""
+
+
 class StepReport(NamedTuple):
     """One step, as plots and progress bars want it."""
 
@@ -94,6 +98,8 @@ class Trainer:
         _, strategy = STRATEGIES[settings.strategy]
         self.control: Strategy = strategy(self._local(settings), self.extent)
         self.control.begin(len(self.splats))
+        self._unseen = 0
+        """Photos in a row that show no splat."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
@@ -186,6 +192,7 @@ class Trainer:
 
         Raises:
             KeyboardInterrupt, PeerLost: see `Group.agreed`; the scene is as the last step left it.
+            NothingSeen: all photos have been looked at, and the scene is in none of them.
         """
         begun = time.perf_counter()
         counters, settings = self.counters, self.settings
@@ -202,6 +209,13 @@ class Trainer:
                 self.threads,
             )
         gradients, visible, loss = self._batch_gradients(progress)
+        self._unseen = 0 if any(map(len, visible)) else self._unseen + settings.batch
+        # Of so many in a row each photo is one: orders of the photos differ from round to round.
+        if self._unseen >= 2 * len(self.views):
+            raise NothingSeen(
+                f"training has stopped, as none of its {len(self.views)} photos shows a splat; check that the"
+                " points of the capture lie in front of its cameras"
+            )
 
         counters.iteration += 1
         rates = settings.rates(progress, self.extent)

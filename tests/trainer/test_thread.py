@@ -225,7 +225,7 @@ def test_settings_change_between_steps(begin) -> None:
     thread.change(max_splats=400, means_rate=1e-3).result(60)
     assert thread.status.settings.max_splats == 400
     trainer = thread.post(lambda training_run: training_run.trainer).result(60)
-    assert trainer.control.settings is trainer.settings
+    assert trainer.control.settings == trainer.settings
     for wrong in ({"max_splats": 0}, {"strategy": "classic"}, {"sh_degree": 7}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             thread.change(**wrong).result(60)

@@ -131,6 +131,28 @@ def test_captures(complaint: Callable[..., str], damage: Damage, message: str) -
     assert message in complaint(damage)
 
 
+def with_cameras_that_face_away(folder: Path) -> None:
+    """Turned about by half a turn around their y axes: R' = diag(-1, 1, -1)·R."""
+    path = model(folder, "images.txt")
+    lines = []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if words:
+            w, x, y, z, tx, ty, tz = map(float, words[1:8])
+            words[1:8] = map(repr, (-y, z, w, -x, -tx, ty, -tz))
+        lines.append(" ".join(words))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_cameras_that_face_away(capture_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    with_cameras_that_face_away(capture_folder)
+    assert main(["train", str(capture_folder), "--headless", "--iterations", "500"]) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("splatview: training has stopped, as none of its 17 photos shows a splat")
+    assert not (tmp_path / "toy.ply").exists()
+
+
 def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: Path) -> None:
     def damage(folder: Path) -> None:
         shutil.rmtree(folder / "sparse")
