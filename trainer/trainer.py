@@ -214,7 +214,7 @@ class Trainer:
         if self._unseen >= 2 * len(self.views):
             raise NothingSeen(
                 f"training has stopped, as none of its {len(self.views)} photos shows a splat; check that the"
-                " points of the capture lie in front of its cameras"
+                f" points of the capture lie before its cameras, {settings.model.near:g} units away at least"
             )
 
         counters.iteration += 1
