@@ -141,7 +141,8 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
-        lock_run(outputs.checkpoint)
+        for path in (outputs.scene, outputs.checkpoint):
+            lock_run(path)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
     capture = _with_status(
         console,
