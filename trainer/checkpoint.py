@@ -16,7 +16,7 @@ from safetensors.numpy import save
 from splatview.raster import Parameters
 from splatview.raster.parameters import check_parameters
 from splatview.scene import InputError
-from splatview.scene.formats.io import atomic_write
+from splatview.scene.formats.io import atomic_write, require_regular_file
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.splats import Splats
 from splatview.trainer.trainer import Counters, Trainer
@@ -87,6 +87,7 @@ def _remove_leftovers(path: Path) -> None:
 
 def load_checkpoint(path: Path) -> Checkpoint:
     """Raises InputError: the file is missing, damaged, or no checkpoint of ours."""
+    require_regular_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
@@ -94,8 +95,6 @@ def load_checkpoint(path: Path) -> Checkpoint:
                 raise InputError(f"{path}: is not a splatview checkpoint")
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 not a dict
         return _checked(json.loads(metadata["run"]), arrays)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except (SafetensorError, OSError) as error:
         raise InputError(f"{path}: is not a checkpoint that can be read: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:

@@ -97,6 +97,15 @@ def open_scene(path: Path) -> Iterator[io.BufferedReader]:
         raise InputError(f"{path}: does not fit in this machine's memory") from None
 
 
+def require_regular_file(path: Path) -> None:
+    """Raises InputError where `path` cannot be opened to be read, or is no file: a pipe may be waited for
+    without end. For files that a library opens by their names."""
+    if os.path.isdir(path):
+        raise InputError(f"{path}: is a folder; name a file in it")
+    with open_scene(path):
+        pass
+
+
 def _open_regular(name: str, flags: int) -> int:
     # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
     descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
@@ -159,9 +168,7 @@ with a larger limit a damaged file could take all memory."""
 def read_json(path: Path, *, what: str) -> Any:
     """The content of `path`. Raises InputError; `what` says what the file should have been."""
     try:
-        # A device or a pipe may never end: only files are opened.
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
+        require_regular_file(path)
         if path.stat().st_size > MAX_JSON_BYTES:
             raise InputError(f"{path}: is too large for a {what}")
         return json.loads(path.read_bytes())
