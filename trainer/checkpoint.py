@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import glob
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -72,17 +70,9 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     }
     if trainer.centre.any():
         description["centre"] = trainer.centre.tolist()
-    _remove_leftovers(path)
     data = save(arrays, metadata={"format": FORMAT, "run": json.dumps(description)})
     with atomic_write(path) as file:
         file.write(data)
-
-
-def _remove_leftovers(path: Path) -> None:
-    """Of writes that were killed: nobody else writes this file while the run goes on."""
-    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
-        with contextlib.suppress(OSError):
-            leftover.unlink()
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
