@@ -90,6 +90,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
+        capture = capture.about(capture.centre)
     held_out = train_views(capture.held_out)
     if not held_out:
         raise InputError(f"{name}: has no held-out photos to measure by")

@@ -51,8 +51,9 @@ EXIT_BROKEN_PIPE = 141
 """128 + SIGINT and 128 + SIGPIPE, as shells report them."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs `splatview` with `argv` (default: the process's); returns the exit code.
+def main(argv: Sequence[str] | None = None, *, on_loaded: Callable[[], None] = lambda: None) -> int:
+    """Runs `splatview` with `argv` (default: the process's); returns the exit code. `on_loaded` is called
+    between the import of the command and its work.
 
     A user's mistake (InputError) is one line on standard error and exit code 2. Any other exception is a
     defect of ours and keeps its traceback.
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     output, messages = TolerantStream(sys.stdout), TolerantStream(sys.stderr)
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):  # pyright: ignore
         try:
-            code = _dispatch(arguments)
+            code = _dispatch(arguments, on_loaded)
         except InputError as error:
             print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
             code = EXIT_BAD_INPUT
@@ -125,7 +126,7 @@ class TolerantStream:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
-def _dispatch(arguments: list[str]) -> int:
+def _dispatch(arguments: list[str], on_loaded: Callable[[], None]) -> int:
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help", "help"):
         commands = "".join(f"  {name:34}  {summary}\n" for name, summary in COMMANDS.items())
@@ -135,7 +136,9 @@ def _dispatch(arguments: list[str]) -> int:
         print("splatview", version("splatview"))
         return 0
     if first in COMMANDS:
-        command = importlib.import_module(f"splatview.cli.{MODULES.get(first, first)}")
-        return command.run(arguments[1:])
-    command = importlib.import_module("splatview.cli.window")
+        name, arguments = MODULES.get(first, first), arguments[1:]
+    else:
+        name = "window"
+    command = importlib.import_module(f"splatview.cli.{name}")
+    on_loaded()
     return command.run(arguments)

@@ -164,7 +164,7 @@ def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> i
     training = LiveTraining(
         thread=thread,
         name=ready.capture.name,
-        photos=watched_photos(ready.trainer.views.all, ready.held_out),
+        photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
         settings=ready.trainer.render_settings,
     )
 

@@ -368,6 +368,8 @@ class BackgroundTraining:
 
     def _work(self) -> None:
         self._begun.wait()
+        if self._training_run.trainer.done:  # resumed from its last checkpoint
+            self._finish()
         while not self._closing:
             self._obey()
             if not self._closing and self._steps_are_wanted and time.perf_counter() >= self._step_due:
@@ -399,7 +401,8 @@ class BackgroundTraining:
         try:
             self._take_step()
         except Exception as error:
-            traceback.print_exc()
+            if not isinstance(error, InputError):
+                traceback.print_exc()
             self._steps_wanted = 0
             self._training_run.stopwatch.pause()
             self._unseen = True

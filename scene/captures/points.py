@@ -80,7 +80,7 @@ def _in_front(
         rays = camera.points_at(pixel[mine] * (camera.width, camera.height), 1.0)
         # Pixels that the lens shows nothing at: straight ahead instead.
         rays = np.where(np.isfinite(rays), rays, (0.0, 0.0, 1.0)) * depth[mine, None]
-        points[mine] = (rays - camera.t_camera_world) @ camera.R_camera_world
+        points[mine] = camera.eye + rays @ camera.R_world_camera.T
     return points
 
 

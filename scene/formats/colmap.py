@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt
 from splatview.scene.lens import COUNTS, Lens
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
 
 MAX_NAME_BYTES = 4096
@@ -154,9 +156,9 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
     return _read(path, _cameras_binary if path.suffix == ".bin" else _cameras_text)
 
 
-def read_images(path: Path) -> list[ColmapImage]:
-    """``images.bin`` or ``.txt`` in the order of the file. Raises InputError."""
-    return _read(path, _images_binary if path.suffix == ".bin" else _images_text)
+def read_images(path: Path, progress: Progress = NO_PROGRESS) -> list[ColmapImage]:
+    """``images.bin`` or ``.txt`` in the order of the file. Raises InputError, Cancelled."""
+    return _read(path, partial(_images_binary if path.suffix == ".bin" else _images_text, progress))
 
 
 def _read(path: Path, parse: Callable):
@@ -237,11 +239,17 @@ def _cameras_text(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera
     return cameras
 
 
-def _images_binary(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+AT_ONCE = 4096
+"""Images read between two questions whether to go on."""
+
+
+def _images_binary(progress: Progress, file: io.BufferedReader, path: Path) -> list[ColmapImage]:
     images = []
     (count,) = _unpack(file, "<Q", path)
     file_bytes = path.stat().st_size
-    for _ in range(count):
+    for number in range(count):
+        if number % AT_ONCE == 0:
+            progress.step(number / count)
         _, *pose, camera_id = _unpack(file, "<I7dI", path)
         name = bytearray()
         while (byte := file.read(1)) != b"\0":
@@ -257,12 +265,14 @@ def _images_binary(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
     return images
 
 
-def _images_text(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
-    images = []
+def _images_text(progress: Progress, file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+    images, file_bytes = [], path.stat().st_size
     lines = (line.decode("utf-8", "replace").strip() for line in file)
     for line in lines:
         if not line or line.startswith("#"):
             continue
+        if len(images) % AT_ONCE == 0:
+            progress.step(file.tell() / max(file_bytes, 1))
         words = line.split(maxsplit=9)
         try:
             pose = [float(word) for word in words[1:8]]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import io
 import json
 import math
 import os
 import secrets
 import stat
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,7 +40,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A file to write to that takes the name `path` when the block ends well, and vanishes when it does not.
 
     The bytes are on the disk (fsync) before the name changes, so that a kill or a power cut at any moment
-    leaves the old file or the new one. A link stays a link: the file that it leads to is replaced.
+    leaves the old file or the new one. A link stays a link: the file that it leads to is replaced. What a
+    kill left beside it of an earlier write is removed.
 
     Raises:
         InputError: the operating system refuses, be it the folder's permissions or a full disk.
@@ -51,21 +55,48 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         if not target.parent.is_dir():
             raise InputError(f"{path}: the folder {target.parent} does not exist; make it first")
         # In the same folder, for a rename between file systems would be a copy.
-        temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
+        prefix = f".{target.name[:100]}."
+        _remove_leftovers(target.parent, prefix)
+        temporary = target.parent / f"{prefix}{secrets.token_hex(4)}.tmp"
         try:
             with open(temporary, "xb") as file:
+                _mark_as_ours(file)
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
-            if target.exists():
-                temporary.chmod(target.stat().st_mode & 0o777)
-            temporary.replace(target)
+                if target.exists():
+                    temporary.chmod(target.stat().st_mode & 0o777)
+                if os.name == "posix":  # while it is locked
+                    temporary.replace(target)
+            if os.name != "posix":  # which rename no open files
+                temporary.replace(target)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
         _sync_folder(target.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+LOCKED_WITHIN = 1.0
+"""Seconds after which a file that is being written has been locked."""
+
+
+def _mark_as_ours(file: BinaryIO) -> None:
+    """Locks a file that is being written, where the file system can: no other process takes it for a
+    leftover."""
+    with contextlib.suppress(OSError):
+        take_lock(file)
+
+
+def _remove_leftovers(folder: Path, prefix: str) -> None:
+    """Removes files of writes that were killed: those that no living process has locked, or is about to."""
+    for leftover in folder.glob(f"{glob.escape(prefix)}*.tmp"):
+        with contextlib.suppress(OSError):
+            with open(leftover, "r+b") as file:
+                free = take_lock(file) and time.time() - os.fstat(file.fileno()).st_mtime > LOCKED_WITHIN
+            if free:
+                leftover.unlink()
 
 
 def _sync_folder(folder: Path) -> None:
@@ -95,6 +126,15 @@ def open_scene(path: Path) -> Iterator[io.BufferedReader]:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def require_regular_file(path: Path) -> None:
+    """Raises InputError where `path` cannot be opened to be read, or is no file: a pipe may be waited for
+    without end. For files that a library opens by their names."""
+    if os.path.isdir(path):
+        raise InputError(f"{path}: is a folder; name a file in it")
+    with open_scene(path):
+        pass
 
 
 def _open_regular(name: str, flags: int) -> int:
@@ -159,9 +199,7 @@ with a larger limit a damaged file could take all memory."""
 def read_json(path: Path, *, what: str) -> Any:
     """The content of `path`. Raises InputError; `what` says what the file should have been."""
     try:
-        # A device or a pipe may never end: only files are opened.
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
+        require_regular_file(path)
         if path.stat().st_size > MAX_JSON_BYTES:
             raise InputError(f"{path}: is too large for a {what}")
         return json.loads(path.read_bytes())

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from splatview.renderers.async_renderer import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.framing import robust_bounds
@@ -298,9 +300,13 @@ def viewer_threads(share: float, cores: int) -> int:
     return max(cores - pace_of(share, cores).threads, 1)
 
 
-def watched_photos(train: Sequence[TrainView], held_out: Sequence[TrainView]) -> list[WatchedPhoto]:
-    """Both sorts, sorted by name."""
+def watched_photos(
+    train: Sequence[TrainView], held_out: Sequence[TrainView], centre: np.ndarray | None = None
+) -> list[WatchedPhoto]:
+    """Both sorts, sorted by name, in the world, where `centre` (3,) is their origin; None: at the world's."""
     shots = [(shot, False) for shot in train] + [(shot, True) for shot in held_out]
+    if centre is not None:
+        shots = [(shot.about(-centre), kept) for shot, kept in shots]
     files = Counter(PurePosixPath(shot.camera.name).name for shot, _ in shots)
 
     def label(name: str) -> str:
