@@ -391,22 +391,32 @@ def _key(name: str) -> imgui.Key:
 
 
 def post_pressed(app: AppState) -> None:
-    """Posts every command whose key is pressed in this frame.
-
-    None while the user is typing, and only the way out while a menu or question is open.
-    """
+    """Posts every command whose key is pressed in this frame; an open menu closes then, and Escape does no
+    more than that. None while the user is typing, and only the way out while a question is open."""
     if imgui.get_io().want_text_input:
         return
-    asked = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-    for command in (COMMANDS["cancel"],) if asked else COMMANDS.values():
-        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys):
-            app.post(command.run)
+    asked = under_question()
+    pressed = [
+        command
+        for command in ((COMMANDS["cancel"],) if asked else COMMANDS.values())
+        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys)
+    ]
+    if pressed and not asked and imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+        imgui.internal.close_popups_except_modals()
+        pressed = [command for command in pressed if command.id != "cancel"]
+    for command in pressed:
+        app.post(command.run)
+
+
+def under_question() -> bool:
+    """Whether a dialog waits for its answer before anything else."""
+    return imgui.internal.get_top_most_popup_modal() is not None
 
 
 def held_step() -> tuple[float, float, float] | None:
     """(right, up, forward) of the held keys, times 4 when fast and 1/4 when slow; None where none is."""
     io = imgui.get_io()
-    if io.want_text_input or io.key_ctrl or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+    if io.want_text_input or io.key_ctrl or under_question():
         return None
     down = [held.direction for held in HELD_KEYS if any(imgui.is_key_down(_key(key)) for key in held.keys)]
     if not down:

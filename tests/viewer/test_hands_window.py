@@ -1,0 +1,27 @@
+"""What keys, menus, buttons and notes of the window do, all found out in one window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splatview.scene.formats import save_scene
+
+TOTAL = 900
+
+
+@pytest.fixture(scope="module")
+def found(drive_once, tmp_path_factory, random_gaussians) -> dict[str, Any]:
+    path: Path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    save_scene(random_gaussians(TOTAL, seed=4), path)
+    return drive_once("all_hands", path, script="hands_drives.py", size=(1000, 700))
+
+
+def test_escape_closes_a_menu_and_other_keys_work_under_it(found):
+    found = found["menus_and_keys"]
+    assert found["opened"]
+    assert found["after_escape"] == [False, "rectangle"], "the tool stays in hand"
+    assert found["after_key"] == [False, TOTAL]
+    assert found["tool"] == "none"
