@@ -3,16 +3,27 @@ of `drives`."""
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
 import drives
 from drives import Hand
-from editing_drives import counts, settle
+from editing_drives import counts, open_section, settle
 from imgui_bundle import imgui
 
+from splatview.scene.edits import PREVIEW
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import EditSession, session_of
 from splatview.viewer.state import AppState
+
+
+SHOTS = os.environ.get("SPLATVIEW_SHOTS")
+"""Folder for pictures of the window, to be looked at."""
+
+
+def shoot(hand: Hand, name: str) -> None:
+    hand.shoot(f"{SHOTS}/{name}.png" if SHOTS else None)
 
 
 def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
@@ -21,7 +32,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys,):
+    for part in (menus_and_keys, sections):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -46,6 +57,49 @@ def menus_and_keys(app: AppState, session: EditSession, hand: Hand, found: dict[
     found["after_key"] = [hand.on_gl_thread(is_menu_open), counts(app)["selected"]]
     hand.press("Escape")
     found["tool"] = session.tool
+
+
+def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """Highlight and handles are seen with their sections only; what a detector has found is selected."""
+
+    def seen() -> tuple[bool, str]:
+        hand.frames(3)
+        return bool(session.edits.flags & PREVIEW), session.handles
+
+    hand.press("Ctrl+A")
+    settle(hand)
+    open_section(hand, "Move")
+    hand.ctx.item_check("Move/##Handles")
+    found["moving"] = seen()
+    hand.ctx.window_focus("//Camera")
+    found["other_tab"] = seen()
+    hand.on_gl_thread(lambda: COMMANDS["add_box"].run(app))
+    settle(hand)
+    found["crop"] = seen()
+    hand.ctx.item_close("Move")
+    found["crop_alone"] = seen()
+    hand.ctx.item_close("Crop")
+    found["shut"] = seen()
+    hand.ctx.item_open("Move")
+    hand.ctx.item_uncheck("Move/##Handles")
+    hand.press("Ctrl+Z")
+
+    hand.ctx.window_focus("//Camera")
+    hand.frames(3)
+    hand.on_gl_thread(lambda: COMMANDS["find_faint"].run(app))
+    settle(hand)
+    found["looking"] = seen()
+    hand.ctx.item_close("Clean up")
+    found["looked"] = seen()
+    hand.ctx.item_open("Clean up")
+    found["looking_again"] = seen()
+    found["detected"] = session.forms.clean.count
+    shoot(hand, "clean")
+    hand.ctx.item_click(f"Clean up/Select {session.forms.clean.count:,}")
+    settle(hand)
+    found["selected"] = counts(app)["selected"]
+    found["titles"] = [step.title for step in session.document.history.done]
+    hand.ctx.item_close("Clean up")
 
 
 if __name__ == "__main__":

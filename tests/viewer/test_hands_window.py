@@ -25,3 +25,24 @@ def test_escape_closes_a_menu_and_other_keys_work_under_it(found):
     assert found["after_escape"] == [False, "rectangle"], "the tool stays in hand"
     assert found["after_key"] == [False, TOTAL]
     assert found["tool"] == "none"
+
+
+def test_highlight_and_handles_go_with_their_sections(found):
+    found = found["sections"]
+    seen = {name: tuple(found[name]) for name in found if name not in ("detected", "selected", "titles")}
+    assert seen == {
+        "moving": (False, "Move"),
+        "other_tab": (False, ""),
+        "crop": (False, "Move"),
+        "crop_alone": (False, "Crop"),
+        "shut": (False, ""),
+        "looking": (True, ""),
+        "looked": (False, ""),
+        "looking_again": (True, ""),
+    }
+
+
+def test_what_a_detector_finds_is_selected_on_a_click(found):
+    found = found["sections"]
+    assert 0 < found["selected"] == found["detected"] < TOTAL
+    assert found["titles"][-1] == f"Select by faint: {found['selected']} selected"

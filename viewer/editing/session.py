@@ -76,6 +76,8 @@ class EditSession:
     forms: Forms = field(default_factory=Forms)
     preview_mask: np.ndarray | None = None
     """(N,) bool: splats that a tool would take, highlighted until the next edit; never written to."""
+    preview_of: str = ""
+    """Title of the section that the highlight belongs to and is seen with; "" where it is always seen."""
     target: EditTarget = field(default_factory=SceneTarget)
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
@@ -129,12 +131,24 @@ class EditSession:
         if mask is None or self._previewed_at != versions:
             self.preview_mask = self._previewed = None
             return edits
+        if self.preview_of and self.preview_of not in self.forms.sections:
+            return edits
         key = (versions, id(mask))
         if self._shown is None or self._shown[0] != key:
             marks = edits.marks | np.where(mask, np.uint32(PREVIEW), np.uint32(0))
             lit = replace(edits, marks=marks, changes=(), flags=edits.flags | PREVIEW)
             self._shown = (key, lit)
         return self._shown[1]
+
+    @property
+    def handles(self) -> str:
+        """Title of the section whose handles are on the picture; "" where there are none."""
+        forms, document = self.forms, self.document
+        if forms.move.gizmo and (forms.scope != "selection" or document.counts.selected):
+            if "Move" in forms.sections:
+                return "Move"
+        chosen = 0 <= forms.crop < len(document.crops)
+        return "Crop" if chosen and "Crop" in forms.sections else ""
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
@@ -340,6 +354,7 @@ class Editing(Feature):
         session = self.session
         if session is None:
             return
+        session.forms.sections, session.forms.drawn = frozenset(session.forms.drawn), set()
         session.advance()
         load_changed_scene(app, session)
         if session.journal is not None and session.journal.problem is not None:

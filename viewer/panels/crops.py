@@ -168,10 +168,6 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
         post_edit(app, EditSession.commit_preview)
 
 
-def has_handles(session: EditSession) -> bool:
-    return 0 <= session.forms.crop < len(session.document.crops) and not session.forms.move.gizmo
-
-
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
     for index, crop in enumerate(session.document.crops):
@@ -180,7 +176,7 @@ def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) ->
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
         draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
-    if has_handles(session):
+    if session.handles == "Crop":
         drag_handles(app, session, camera, corner)
 
 

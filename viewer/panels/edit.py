@@ -233,16 +233,10 @@ def pivot(session: EditSession) -> Place:
     return session.pivot[1]
 
 
-def has_handles(session: EditSession) -> bool:
-    return session.forms.move.gizmo and (
-        session.forms.scope != "selection" or session.document.counts.selected > 0
-    )
-
-
 def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """Over the picture; what they do is the same as typing the numbers."""
     form = session.forms.move
-    if not has_handles(session):
+    if session.handles != "Move":
         return
     centre = np.array(pivot(session))
     turned = Adjustment(rotation=quat_of(form.rotation)) if form.turning else IDENTITY
@@ -329,11 +323,12 @@ def show(app: AppState) -> None:
             flags = imgui.TreeNodeFlags_.default_open if opened else 0
             if session.forms.open_section == title:
                 imgui.set_next_item_open(True)
-                session.forms.open_section = ""
             if imgui.collapsing_header(title, flags):
+                session.forms.drawn.add(title)
                 imgui.push_id(title)
                 contents(app, session)
                 imgui.pop_id()
+        session.forms.open_section = ""
     if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
         imgui.push_id(RULES)
         recipe.in_force(app, training)

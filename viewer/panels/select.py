@@ -183,6 +183,7 @@ def highlight_range(session: EditSession) -> None:
     if form.values is not None:
         mask = AttributeRange(attribute=form.attribute, low=form.low, high=form.high).of(form.values)
         session.preview_mask = mask & ((session.document.marks & (DELETED | HIDDEN)) == 0)
+        session.preview_of = "Select"
 
 
 def selecting(app: AppState, session: EditSession) -> None:
