@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatview.scene import Camera, InputError
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
 from splatview.scene.errors import one_line
 from splatview.scene.formats import load_cameras
@@ -34,12 +34,18 @@ LEAST_CAMERAS_FOR_UP = 3
 def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float] | None:
     """Centre (3,) float64 and radius > 0, world, of the bulk of all splats that are shown, or of the selected
     ones. None where there are none."""
-    scene, edits = app.scene, app.edits
+    sample = shown_sample(app, selected=selected)
+    return None if sample is None else bulk(sample)
+
+
+def shown_sample(app: AppState, *, selected: bool = False) -> Gaussians | None:
+    """Some of the splats that are shown, or of the selected ones, as they are after edits; None where there
+    are none."""
+    gaussians, edits = app.scene.gaussians, app.edits
     if not app.is_open or (selected and edits is None):
         return None
     if edits is None:
-        return scene.centre, scene.radius
-    gaussians = scene.gaussians
+        return gaussians
     kept = shown(gaussians, edits)
     if selected:
         kept &= (edits.marks & SELECTED) != 0
@@ -48,7 +54,7 @@ def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float]
         return None
     indices = indices[:: -(-len(indices) // SAMPLE)]
     sample = replace(gaussians, sh=gaussians.sh[:, :1], extras={}).take(indices)
-    return bulk(bake(sample, SceneEdits(marks=edits.marks[indices], palette=edits.palette)))
+    return bake(sample, SceneEdits(marks=edits.marks[indices], palette=edits.palette))
 
 
 def frame_all(app: AppState) -> None:

@@ -17,7 +17,6 @@ from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import EditSession, session_of
 from splatview.viewer.state import AppState
 
-
 SHOTS = os.environ.get("SPLATVIEW_SHOTS")
 """Folder for pictures of the window, to be looked at."""
 

@@ -144,9 +144,9 @@ class EditSession:
     def handles(self) -> str:
         """Title of the section whose handles are on the picture; "" where there are none."""
         forms, document = self.forms, self.document
-        if forms.move.gizmo and (forms.scope != "selection" or document.counts.selected):
-            if "Move" in forms.sections:
-                return "Move"
+        movable = forms.scope != "selection" or document.counts.selected > 0
+        if forms.move.gizmo and movable and "Move" in forms.sections:
+            return "Move"
         chosen = 0 <= forms.crop < len(document.crops)
         return "Crop" if chosen and "Crop" in forms.sections else ""
 

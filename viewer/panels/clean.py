@@ -73,7 +73,7 @@ def threshold(app: AppState, session: EditSession) -> None:
     mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
     widgets.button(
         f"Select {form.count:,}",
-        "Selects them; Shift adds them to the selection, Ctrl removes them from it, both keep what is common.",
+        "Shift adds them to the selection, Ctrl removes them from it, both keep what is common.",
         partial(app.post, cleanup.select, mode),
     )
     widgets.beside(f"Delete {form.count:,}")
