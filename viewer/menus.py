@@ -14,6 +14,7 @@ from splatview.viewer.camera import UP_NAMES, set_up, up_name
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
+from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -45,8 +46,10 @@ def item(app: AppState, command: Command, title: str = "") -> None:
     """A menu entry with its key."""
     keys = command.keys[0] if command.keys else ""
     name = title or command.menu or command.title
-    if imgui.menu_item(name, keys, command.checked(app), command.enabled(app))[0]:
+    lacks = command.lacks(app)
+    if imgui.menu_item(name, keys, command.checked(app), not lacks)[0]:
         app.post(command.run)
+    widgets.tooltip(lacks)
 
 
 def recent_files(app: AppState) -> None:

@@ -31,7 +31,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys, sections):
+    for part in (menus_and_keys, buttons, sections):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -56,6 +56,28 @@ def menus_and_keys(app: AppState, session: EditSession, hand: Hand, found: dict[
     found["after_key"] = [hand.on_gl_thread(is_menu_open), counts(app)["selected"]]
     hand.press("Escape")
     found["tool"] = session.tool
+
+
+def buttons(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """Buttons of the Select section with nothing selected, and with something."""
+    names = ("All", "None", "Grow", "Delete", "Hide", "Isolate", "Lock")
+
+    def disabled() -> list[str]:
+        hand.frames(3)
+        items = {name: hand.ctx.item_info(f"Select/{name}") for name in names}
+        return [name for name, item in items.items() if item.item_flags & imgui.ItemFlags_.disabled]
+
+    open_section(hand, "Select")
+    hand.press("Ctrl+Shift+A")
+    settle(hand)
+    found["nothing"] = disabled()
+    if SHOTS:
+        hand.ctx.mouse_move("Select/Delete")
+        hand.frames(40)
+    shoot(hand, "disabled")
+    hand.press("Ctrl+A")
+    settle(hand)
+    found["everything"] = disabled()
 
 
 def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:

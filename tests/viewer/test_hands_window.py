@@ -27,6 +27,11 @@ def test_escape_closes_a_menu_and_other_keys_work_under_it(found):
     assert found["tool"] == "none"
 
 
+def test_buttons_that_lack_a_selection_are_disabled(found):
+    needy = ["None", "Grow", "Delete", "Hide", "Isolate", "Lock"]
+    assert found["buttons"] == {"nothing": needy, "everything": []}
+
+
 def test_highlight_and_handles_go_with_their_sections(found):
     found = found["sections"]
     seen = {name: tuple(found[name]) for name in found if name not in ("detected", "selected", "titles")}

@@ -130,19 +130,20 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     if handle is not None:
         session.forms.crop_handles = KINDS.index(handle)
     change(app, session, index, new, settled=settled)
-    by = volume(crop)
-    imgui.begin_disabled(by is None)
-    if imgui.button("Select inside") and by is not None:
-        io = imgui.get_io()
-        post_edit(app, EditSession.apply, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
-    widgets.tooltip(
-        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
+    by, io = volume(crop), imgui.get_io()
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    widgets.button(
+        "Select inside",
+        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it.",
+        lambda: post_edit(app, EditSession.apply, Select(by=by, mode=mode)),
+        lacks="" if by is not None else "A sphere that is stretched cannot: give its half sizes one value",
     )
-    imgui.end_disabled()
     widgets.beside("Remove")
-    if imgui.button("Remove"):
-        post_edit(app, EditSession.apply, RemoveCrop(index=index))
-    widgets.tooltip("Removes this crop; what it cut away is back.")
+    widgets.button(
+        "Remove",
+        "Removes this crop; what it cut away is back.",
+        partial(post_edit, app, EditSession.apply, RemoveCrop(index=index)),
+    )
     if not session.target.at_rest:
         widgets.button(
             "No growth inside",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -118,17 +119,19 @@ def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
 
 
 def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> None:
-    """A button that runs a command; its tooltip names the key."""
-    if imgui.button(name, (width, 0)):
-        app.post(COMMANDS[id].run)
-    key = keys_of(id)
-    tooltip(f"{COMMANDS[id].title} ({key})" if key else COMMANDS[id].title)
+    """A button that runs a command; its tooltip names the key, and what the command lacks."""
+    key, title = keys_of(id), COMMANDS[id].title
+    tip = f"{title} ({key})" if key else title
+    button(name, tip, partial(app.post, COMMANDS[id].run), width=width, lacks=COMMANDS[id].lacks(app))
 
 
-def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0) -> None:
+def button(name: str, tip: str, pressed: Callable[[], object], *, width: float = 0, lacks: str = "") -> None:
+    """`lacks`: what must be there before it can be pressed, for the tooltip; "" where it can be."""
+    imgui.begin_disabled(lacks != "")
     if imgui.button(name, (width, 0)):
         pressed()
-    tooltip(tip)
+    imgui.end_disabled()
+    tooltip(f"{tip}\n{lacks}" if lacks else tip)
 
 
 def beside(name: str) -> None:
