@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from typing import Any
 
 import drives
@@ -12,6 +13,7 @@ from drives import Hand
 from editing_drives import counts, open_section, settle
 from imgui_bundle import imgui
 
+from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import PREVIEW
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import EditSession, session_of
@@ -31,7 +33,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys, buttons, sections):
+    for part in (menus_and_keys, buttons, grading, sections):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -78,6 +80,28 @@ def buttons(app: AppState, session: EditSession, hand: Hand, found: dict[str, An
     hand.press("Ctrl+A")
     settle(hand)
     found["everything"] = disabled()
+
+
+def grading(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """What is selected is seen in the colours that it is given, until they are applied."""
+
+    def colourfulness() -> float:
+        settle(hand)
+        assert app.picture is not None
+        picture, shown = app.picture, FrameRequest(None, app.camera, app.settings, edits=app.edits)
+        image = hand.on_gl_thread(lambda: picture.read(replace(shown, highlight=app.highlight)))[..., :3]
+        return float((image.max(axis=-1) - image.min(axis=-1)).max())
+
+    open_section(hand, "Look")
+    hand.press("Ctrl+A")
+    found["before"] = colourfulness()
+    hand.ctx.item_input_value("Look/##Saturation", 0.0)
+    found["preview"] = colourfulness()
+    shoot(hand, "grey")
+    hand.ctx.item_click("Look/Apply##look")
+    found["after"] = colourfulness()
+    hand.press("Ctrl+Z")
+    settle(hand)
 
 
 def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from splatview.edit.operations.crop import RemoveCrop
 from splatview.edit.operations.transform import Transform
 from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
-from splatview.scene.edits import PREVIEW, Adjustment, Crop
+from splatview.scene.edits import PREVIEW, SELECTED, Adjustment, Crop
 from splatview.scene.progress import Progress
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
@@ -175,6 +175,15 @@ def test_a_preview_is_no_step_until_it_is_kept(session):
     session.preview("look", Opacity(value=0.5, scope="scene"))
     session.commit_preview()
     assert [step.title for step in session.document.history.done] == ["Opacity x 0.5: 300 splats"]
+
+
+def test_an_undone_preview_leaves_no_buttons_and_the_tint_is_back(session):
+    session.apply(OPERATIONS["select_all"]())
+    session.preview("look", Opacity(value=0.5))
+    assert not session.highlight.flags & SELECTED
+    session.undo()
+    session.advance()
+    assert session.forms.previewing == "" and session.highlight.flags & SELECTED
 
 
 def test_a_highlight_is_shown_until_the_next_edit_and_is_no_edit(session):

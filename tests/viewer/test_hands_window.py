@@ -32,6 +32,12 @@ def test_buttons_that_lack_a_selection_are_disabled(found):
     assert found["buttons"] == {"nothing": needy, "everything": []}
 
 
+def test_grading_a_selection_shows_its_colours(found):
+    found = found["grading"]
+    assert found["before"] > 0.1 and found["after"] > 0.1, "tinted"
+    assert found["preview"] < 0.01
+
+
 def test_highlight_and_handles_go_with_their_sections(found):
     found = found["sections"]
     seen = {name: tuple(found[name]) for name in found if name not in ("detected", "selected", "titles")}

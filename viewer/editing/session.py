@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
+LOOK = "look"
+"""Section whose previews change opacity, size and colour."""
+
 BRUSH_RADIUS = 24.0
 """px of the picture."""
 
@@ -66,7 +69,6 @@ class EditSession:
     """Edits of the open scene. Panels read it freely; what changes the document runs between frames."""
 
     document: Document
-    highlight: Highlight = field(default_factory=Highlight)
     tool: ToolName = "none"
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
@@ -139,6 +141,12 @@ class EditSession:
             lit = replace(edits, marks=marks, changes=(), flags=edits.flags | PREVIEW)
             self._shown = (key, lit)
         return self._shown[1]
+
+    @property
+    def highlight(self) -> Highlight:
+        """Tints of the picture: none of the selection while its look is changed, which they would hide."""
+        tinted = Highlight()
+        return replace(tinted, selected=(0, 0, 0, 0)) if self.forms.previewing == LOOK else tinted
 
     @property
     def handles(self) -> str:
@@ -246,7 +254,9 @@ class EditSession:
         self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
-        """Called every frame: ends a job that is done."""
+        """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended."""
+        if self.document.previewed is None:
+            self.forms.previewing = ""
         job = self.job
         if job is None or not job.done:
             return
