@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import PREVIEW
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import EditSession, session_of
+from splatview.viewer.overlays import TOOL_HINTS, hint
 from splatview.viewer.state import AppState
 
 SHOTS = os.environ.get("SPLATVIEW_SHOTS")
@@ -33,7 +35,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys, buttons, grading, sections):
+    for part in (menus_and_keys, buttons, tools_and_jobs, grading, sections):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -80,6 +82,31 @@ def buttons(app: AppState, session: EditSession, hand: Hand, found: dict[str, An
     hand.press("Ctrl+A")
     settle(hand)
     found["everything"] = disabled()
+
+
+def tools_and_jobs(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """What the status bar says of each tool; where a button is with a tool in hand and while a job runs."""
+
+    def place() -> float:
+        hand.frames(3)
+        return hand.ctx.item_info("Select/Delete").rect_full.min.y
+
+    open_section(hand, "Select")
+    places = [place()]
+    found["hints"] = {"none": hint(app)}
+    for tool in TOOL_HINTS:
+        hand.on_gl_thread(lambda tool=tool: session.take_tool(tool))
+        places.append(place())
+        found["hints"][tool] = hint(app)
+    shoot(hand, "tool")
+    hand.press("Escape")
+    go_on = threading.Event()
+    hand.on_gl_thread(lambda: session.start("Waiting", lambda _: go_on.wait(60), lambda _: None))
+    places.append(place())
+    shoot(hand, "job")
+    go_on.set()
+    settle(hand)
+    found["places"] = [*places, place()]
 
 
 def grading(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:

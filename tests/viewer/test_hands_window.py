@@ -32,6 +32,21 @@ def test_buttons_that_lack_a_selection_are_disabled(found):
     assert found["buttons"] == {"nothing": needy, "everything": []}
 
 
+def test_the_status_bar_says_what_a_drag_does_with_a_tool(found):
+    hints = found["tools_and_jobs"]["hints"]
+    assert hints.pop("none").startswith("Drag: orbit")
+    assert len(hints) == 8 == len(set(hints.values()))
+    for tool, hint in hints.items():
+        assert "orbit" not in hint and "Alt + drag: turn" in hint and "Esc: done" in hint
+        assert ("Shift: add" in hint) == (tool not in ("measure", "ground"))
+        assert hint.startswith("Drag") == (tool in ("rectangle", "lasso", "brush"))
+
+
+def test_the_edit_panel_stands_still_when_a_tool_is_taken_or_a_job_runs(found):
+    places = found["tools_and_jobs"]["places"]
+    assert len(places) == 11 and len(set(places)) == 1
+
+
 def test_grading_a_selection_shows_its_colours(found):
     found = found["grading"]
     assert found["before"] > 0.1 and found["after"] > 0.1, "tinted"

@@ -338,13 +338,12 @@ def toolbar(app: AppState, session: EditSession | None) -> None:
         widgets.command_button(app, name, f"tool_{tool}")
         if chosen:
             imgui.pop_style_color()
-    if session is not None and session.tool != "none":
-        widgets.note("Shift adds, Ctrl removes, both keep what is common. Alt + drag turns. Esc: done.")
 
 
 def job(app: AppState, session: EditSession) -> None:
-    """Slow work under way, with a way to stop it."""
+    """Slow work under way, with a way to stop it, in a row that is kept free for it."""
     if session.job is None:
+        imgui.dummy((0, imgui.get_frame_height()))
         return
     imgui.progress_bar(session.job.progress, (-imgui.get_font_size() * 5, 0), session.job.title)
     imgui.same_line()
