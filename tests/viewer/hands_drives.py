@@ -12,7 +12,7 @@ from typing import Any
 import drives
 from drives import Hand
 from editing_drives import counts, open_section, settle
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 
 from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import PREVIEW
@@ -35,7 +35,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys, buttons, tools_and_jobs, grading, sections):
+    for part in (menus_and_keys, buttons, tools_and_jobs, sliders, grading, sections):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -107,6 +107,22 @@ def tools_and_jobs(app: AppState, session: EditSession, hand: Hand, found: dict[
     go_on.set()
     settle(hand)
     found["places"] = [*places, place()]
+
+
+def sliders(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """A slider is dragged to its end, and its value typed beside it."""
+    open_section(hand, "Select")
+    slider = hand.ctx.item_info("Select/##Tolerance").rect_full
+    value = hand.ctx.item_info("Select/##Tolerance value").rect_full
+    found["apart"] = value.min.x >= slider.max.x and value.min.y < slider.max.y
+    hand.ctx.mouse_move("Select/##Tolerance")
+    hand.ctx.mouse_drag_with_delta(ImVec2(20, 0), 0)
+    found["dragged"] = session.tolerance
+    hand.ctx.item_input_value("Select/##Tolerance value", 0.1234)
+    found["typed"] = session.tolerance
+    hand.ctx.item_input_value("Select/##Tolerance", 0.25)
+    found["typed_on_it"] = session.tolerance
+    shoot(hand, "sliders")
 
 
 def grading(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:

@@ -47,6 +47,14 @@ def test_the_edit_panel_stands_still_when_a_tool_is_taken_or_a_job_runs(found):
     assert len(places) == 11 and len(set(places)) == 1
 
 
+def test_values_of_sliders_lie_beside_them(found):
+    found = found["sliders"]
+    assert found["apart"]
+    assert found["dragged"] > 0.08 and found["dragged"] == round(found["dragged"], 3)
+    assert found["typed"] == pytest.approx(0.1234, abs=1e-6)
+    assert found["typed_on_it"] == 0.25
+
+
 def test_grading_a_selection_shows_its_colours(found):
     found = found["grading"]
     assert found["before"] > 0.1 and found["after"] > 0.1, "tinted"

@@ -139,8 +139,8 @@ def tools(app: AppState, training: LiveTraining) -> None:
     )
     imgui.same_line()
     imgui.set_next_item_width(imgui.get_font_size() * 8)
-    changed, gain = imgui.slider_float(
-        "##gain", training.gain, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
+    changed, gain = imgui.drag_float(
+        "##gain", training.gain, 0.05, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
     )
     widgets.tooltip("By how much differences are brightened")
     if changed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeVar
@@ -20,6 +21,12 @@ Triple = tuple[float, float, float]
 
 LABEL_SHARE = 0.38
 """Share of a panel's width for labels."""
+
+VALUE_EM = 3.6
+"""Width of a slider's value, in font heights."""
+
+DRAG_PX = 300
+"""Pixels in which a drag on a slider's value goes through its range."""
 
 VECTOR_LABEL_SHARE = 0.25
 """Share of a panel's width for labels beside three numbers."""
@@ -55,12 +62,22 @@ def slider(
     form: str = "%.2f",
     logarithmic: bool = False,
 ) -> float | None:
-    """A row with a slider; the new value where the user changed it."""
+    """A row with a slider, and beside it, where no grab hides it, the value to read or to type; the new one
+    where the user changed it."""
     label(name, tip)
+    room, spacing = imgui.get_content_region_avail().x, imgui.get_style().item_inner_spacing.x
+    number = min(imgui.get_font_size() * VALUE_EM, room / 2)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
-    changed, value = imgui.slider_float(f"##{name}", value, low, high, form, flags)
+    imgui.set_next_item_width(room - number - spacing)
+    slid, new = imgui.slider_float(f"##{name}", value, low, high, "", flags)
     tooltip(tip)
-    return value if changed else None
+    imgui.same_line(0, spacing)
+    imgui.set_next_item_width(number)
+    typed, exact = imgui.drag_float(f"##{name} value", value, (high - low) / DRAG_PX, low, high, form, flags)
+    tooltip(tip)
+    if slid and (digits := re.match(r"%\.?\d*[fg]", form)):
+        new = float(digits[0] % new)
+    return exact if typed else new if slid else None
 
 
 def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
