@@ -88,6 +88,8 @@ class Command:
     """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
     menu: str = ""
     """Title in a menu, where `title` would be too long."""
+    words: str = ""
+    """Further words that the palette finds it by."""
     lacks: Callable[[AppState], str] = lambda app: ""
     """What must be there first, as a sentence; "" where it can be done. Menus and buttons are grey without it
     and say so; keys and the palette run the command all the same, which then says why it does nothing."""
@@ -148,9 +150,9 @@ def _command(
     title: str,
     run: Callable[[AppState], object],
     menu: str = "",
-    **states: Callable[[AppState], Any],
+    **more: Any,
 ) -> Command:
-    return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **states)
+    return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **more)
 
 
 _file, _camera, _navigation, _picture, _edit, _select, _training, _window = (
@@ -295,7 +297,7 @@ COMMANDS: dict[str, Command] = {
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
             _edit(f"find_{name}", "", f"Clean up: find {detector.label.lower()}",
-                partial(cleanup.find, detector=name))
+                partial(cleanup.find, detector=name), words=detector.what, lacks=_a_scene)
             for name, detector in DETECTORS.items()
         ),
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",

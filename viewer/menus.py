@@ -140,11 +140,8 @@ ROWS = 14
 
 
 def matching(query: str) -> list[Command]:
-    """Commands that have every word of `query` in title, group or keys, the likeliest first.
-
-    A word that begins a word of the title counts more than one within; letters alone, in order, still find
-    what no word does.
-    """
+    """Commands that have every word of `query` in title, group, keys or further words, the likeliest first: a
+    word that begins one of the title counts more than one within."""
     words = query.casefold().split()
     scored = []
     for place, command in enumerate(COMMANDS.values()):
@@ -165,16 +162,11 @@ def _score(words: list[str], command: Command) -> int | None:
             total += 1
         elif word in text:
             total += 3
-        elif _letters_in_order(word, text):
+        elif any(part.startswith(word) for part in command.words.casefold().split()):
             total += 9
         else:
             return None
     return total
-
-
-def _letters_in_order(word: str, text: str) -> bool:
-    letters = iter(text)
-    return len(word) > 1 and all(letter in letters for letter in word)
 
 
 def show_palette(app: AppState) -> None:

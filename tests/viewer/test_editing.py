@@ -215,6 +215,10 @@ def test_commands_are_found_by_their_words_and_keys():
     assert matching("undo")[0].id == "undo"
     assert {command.id for command in matching("")} == set(COMMANDS)
     assert not matching("no such thing at all")
+    assert [command.id for command in matching("floater")] == ["find_clusters", "find_sparse"]
+    assert not matching("fltr"), "letters with others between them are no word"
+    assert matching("lens")[0].id == "toggle_lenses"
+    assert matching("box")[0].id == "add_box"
 
 
 degrees = st.floats(-179, 179)
