@@ -97,6 +97,8 @@ def panels(app: AppState) -> None:
     imgui.separator()
     if imgui.menu_item("Put the panels back", "", False)[0]:
         app.panels_hidden, app.open_panels = False, None
+        for window in params.docking_params.dockable_windows:
+            window.is_visible = True
         params.docking_params.layout_reset = True
 
 

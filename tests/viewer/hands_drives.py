@@ -12,7 +12,7 @@ from typing import Any
 import drives
 from drives import Hand
 from editing_drives import counts, open_section, settle
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import PREVIEW
@@ -35,7 +35,7 @@ def all_hands(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
-    for part in (menus_and_keys, buttons, tools_and_jobs, sliders, grading, sections):
+    for part in (menus_and_keys, buttons, tools_and_jobs, sliders, grading, sections, layout_reset):
         part(app, session, hand, found.setdefault(part.__name__, {}))
 
 
@@ -145,6 +145,30 @@ def grading(app: AppState, session: EditSession, hand: Hand, found: dict[str, An
     found["after"] = colourfulness()
     hand.press("Ctrl+Z")
     settle(hand)
+
+
+def layout_reset(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
+    """A closed panel, then all hidden, then all put back."""
+
+    def visible() -> list[str]:
+        hand.frames(4)
+        windows = hello_imgui.get_runner_params().docking_params.dockable_windows
+        return [window.label for window in windows if window.is_visible]
+
+    def click(entry: str) -> None:
+        hand.ctx.set_ref("##MainMenuBar")
+        hand.ctx.menu_click(entry)
+
+    found["all"] = visible()
+    click("Window/Views")
+    found["closed"] = visible()
+    hand.press("H")
+    found["hidden"] = visible()
+    click("Window/Put the panels back")
+    found["back"] = visible()
+    hand.press("H")
+    hand.press("H")
+    found["again"] = visible()
 
 
 def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:

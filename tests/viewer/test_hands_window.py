@@ -61,6 +61,13 @@ def test_grading_a_selection_shows_its_colours(found):
     assert found["preview"] < 0.01
 
 
+def test_putting_panels_back_opens_closed_ones(found):
+    found = found["layout_reset"]
+    assert "Views" in found["all"] and set(found["closed"]) == set(found["all"]) - {"Views"}
+    assert found["hidden"] == ["View"]
+    assert found["back"] == found["again"] == found["all"]
+
+
 def test_highlight_and_handles_go_with_their_sections(found):
     found = found["sections"]
     seen = {name: tuple(found[name]) for name in found if name not in ("detected", "selected", "titles")}
