@@ -13,7 +13,7 @@ from splatview.scene import InputError
 from splatview.scene.demo import demo_camera
 from splatview.scene.formats import is_camera_list
 from splatview.scene.framing import frame_camera
-from splatview.viewer.camera import open_camera_list
+from splatview.viewer.camera import CameraLists
 from splatview.viewer.loading import Examination, LoadedScene, load_demo, load_files
 from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.preferences import load_bookmarks, with_recent, without_missing
@@ -28,7 +28,7 @@ def open_paths(app: AppState, paths: Sequence[Path]) -> None:
     scenes = []
     for path in paths:
         if is_camera_list(path):
-            open_camera_list(app, path)
+            app.feature(CameraLists).open(path)
         else:
             scenes.append(path)
     if scenes:

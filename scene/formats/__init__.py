@@ -153,7 +153,10 @@ def check_saving(path: Path) -> None:
 
 
 def load_cameras(
-    path: str | os.PathLike[str], *, on_note: Callable[[str], None] | None = None
+    path: str | os.PathLike[str],
+    *,
+    on_note: Callable[[str], None] = lambda note: None,
+    progress: Progress = NO_PROGRESS,
 ) -> list[Camera]:
     """The cameras in a file or folder, at least one.
 
@@ -163,8 +166,9 @@ def load_cameras(
 
     Raises:
         InputError: the file is missing, damaged or of another kind.
+        Cancelled: nobody waits for it any more.
     """
-    return read_cameras_file(Path(path), on_note or (lambda note: None))
+    return read_cameras_file(Path(path), on_note, progress)
 
 
 def save_camera(camera: Camera, path: str | os.PathLike[str]) -> None:
