@@ -19,6 +19,9 @@ from splatview.scene.progress import Progress
 MAX_SIDE = 1 << 16
 """Pixels; a larger picture fits in no memory."""
 
+PARSING = 0.2
+"""Share of the time that a list of cameras takes which is spent on its JSON."""
+
 INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
@@ -84,7 +87,8 @@ def is_orthographic(entry: dict[str, Any], where: str) -> bool:
 
 
 def _load_json(path: Path, progress: Progress) -> list[Camera]:
-    content = read_json(path, what="camera file")
+    content = read_json(path, what="camera file", progress=progress.part(0.0, PARSING))
+    progress = progress.part(PARSING, 1.0)
     if isinstance(content, dict) and "frames" in content and "world_to_camera" not in content:
         raise InputError(f"{path}: is a capture's transforms.json, not a list of cameras")
     entries = content if isinstance(content, list) else [content]

@@ -267,7 +267,7 @@ def test_a_camera_list_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_p
     reading = lists.reading
     assert begun.wait(60)
     lists.before_frame(app)
-    assert app.waiting and reading.progress == pytest.approx(0.25)
+    assert app.waiting and reading.progress == pytest.approx(0.2 + 0.8 / 4)
     COMMANDS["cancel"].run(app)
     assert not app.waiting
     go_on.set()
