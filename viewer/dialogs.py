@@ -14,7 +14,6 @@ from imgui_bundle import portable_file_dialogs as pfd
 from splatview.scene.formats import name_patterns
 from splatview.viewer import save as saving
 from splatview.viewer import theme
-from splatview.viewer.camera import CameraLists
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, MOUSE
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
@@ -37,8 +36,8 @@ LOADING_SHOWN_AFTER = 0.3
 
 
 def loading(app: AppState) -> None:
-    """Progress of the scene or the cameras on their way, with a button to stop it."""
-    reading = app.loading or app.feature(CameraLists).reading
+    """Progress of the scene or another file on its way, with a button to stop it."""
+    reading = app.loading or next((f.reading for f in app.features.values() if f.reading is not None), None)
     if reading is None or app.now() - reading.began < LOADING_SHOWN_AFTER:
         return
     centred(24)

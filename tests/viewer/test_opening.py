@@ -8,14 +8,17 @@ import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatview.scene import look_at
+from splatview.scene.background import Panorama
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import cameras as cameras_module
 from splatview.scene.formats import save_camera, save_scene
 from splatview.scene.progress import Cancelled
-from splatview.viewer import loading
+from splatview.viewer import background, loading
 from splatview.viewer import open as opening
+from splatview.viewer.background import WindowBackground
 from splatview.viewer.camera import CameraLists, camera_text, common_up
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.navigation import orbit
@@ -276,6 +279,26 @@ def test_a_camera_list_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_p
     open_paths(app, [tmp_path / "many.json"])
     read_cameras(app)
     assert len(app.cameras) == 40
+
+
+def test_a_background_picture_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_path, monkeypatch):
+    path, go_on = tmp_path / "sky.png", threading.Event()
+    Image.new("RGB", (8, 4), "blue").save(path)
+    load = background.load_panorama
+    monkeypatch.setattr(background, "load_panorama", lambda path: go_on.wait(60) and load(path))
+    behind = app.feature(WindowBackground)
+    behind.choose(app, path)
+    behind.before_frame(app)
+    assert app.waiting and app.preferences.background_kind == "colour"
+    COMMANDS["cancel"].run(app)
+    assert not app.waiting
+    go_on.set()
+    behind.choose(app, path)
+    behind.reading.join()
+    behind.before_frame(app)
+    behind.follow(app)
+    assert isinstance(app.settings.background, Panorama) and not app.waiting
+    assert app.preferences.panorama == str(path)
 
 
 def test_a_dropped_camera_is_gone_to(app, ply, wait_for_loading, tmp_path):
