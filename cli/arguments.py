@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from splatview.cli.main import did_you_mean
 from splatview.measure.knobs import KNOBS, Plan, apply_choices
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.background import Background, Colour, Gradient
@@ -41,7 +42,9 @@ class Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message} (see {self.prog} --help)")
+        wrong = re.search(r"^unrecognized arguments: .*?(--[^\s=]+)", message)
+        meant = did_you_mean(wrong[1], self._option_string_actions) if wrong else ""
+        raise InputError(f"{message}{meant} (see {self.prog} --help)")
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace | None:
         """The options, or None where help was asked for and printed.

@@ -77,7 +77,7 @@ def installed(name: str) -> str | None:
 
 def gl_context() -> dict[str, Any]:
     """What OpenGL without a window offers."""
-    from splatview.renderers.gl.context import create_headless_context, describe
+    from splatview.renderers.gl.context import create_headless_context, describe, discard
     from splatview.renderers.gl.resolve import float16_blending_truncates
     from splatview.renderers.precompile import probe_cache
 
@@ -92,7 +92,7 @@ def gl_context() -> dict[str, Any]:
         ahead = {"works": probe.works, "why": probe.why}
     except Exception as error:  # as below
         ahead = {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
-    ctx.release()
+    discard(ctx)
     return {
         "works": True,
         "renderer": info.renderer,

@@ -374,10 +374,10 @@ def chosen_renderers(given: str | None) -> list[str]:
     first, why = automatic_choice()
     others = [name for name in measured if name != first]
     if first == "cpu":
-        from splatview.renderers.gl.context import create_headless_context
+        from splatview.renderers.gl.context import create_headless_context, discard
 
         try:
-            create_headless_context().release()
+            discard(create_headless_context())
         except InputError as error:
             print(f"splatview: only cpu is measured: {error} ({why})", file=sys.stderr)
             return [first]

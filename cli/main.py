@@ -6,11 +6,12 @@ Nothing heavy is imported here: each command is a module of `commands`, imported
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from typing import Any, TextIO
 
@@ -39,7 +40,7 @@ usage: splatview [SCENE ...]          open a window (no scene: the bundled demo)
 commands:
 {commands}
 options of the window:
-  --renderer auto|quads|cpu           what draws (default: auto)
+  --renderer {renderers:24} what draws (default: auto)
   -o, --output FILE.png               where there is no display: name of the preview written instead
   --version                           print the version
 
@@ -126,17 +127,27 @@ class TolerantStream:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a message about a `word` that is none of `known`; "" where none is like it."""
+    like = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {like[0]}?" if like else ""
+
+
 def _dispatch(arguments: list[str], on_loaded: Callable[[], None]) -> int:
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help", "help"):
         commands = "".join(f"  {name:34}  {summary}\n" for name, summary in COMMANDS.items())
-        print(USAGE.format(commands=commands))
+        from splatview.renderers import choices
+
+        print(USAGE.format(commands=commands, renderers="|".join(("auto", *choices("window")))))
         return 0
     if first == "--version":
         print("splatview", version("splatview"))
         return 0
     if first in COMMANDS:
         name, arguments = MODULES.get(first, first), arguments[1:]
+    elif first.isalpha() and not os.path.lexists(first) and (meant := did_you_mean(first, COMMANDS)):
+        raise InputError(f"{first}: no such file, nor a command{meant}")
     else:
         name = "window"
     command = importlib.import_module(f"splatview.cli.{name}")

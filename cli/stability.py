@@ -90,7 +90,7 @@ def describe_gl() -> dict[str, str]:
     """Vendor, renderer and version of the OpenGL that is tested. Raises InputError where there is none."""
     ctx = context.create_headless_context()
     info = context.describe(ctx)
-    ctx.release()
+    context.discard(ctx)
     return {"vendor": info.vendor, "renderer": info.renderer, "version": info.version}
 
 

@@ -78,15 +78,28 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius or 1.0
 
 
+def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3): as wide
+    along each axis as all would be were they spread as the middle ones are, and no wider than they are."""
+    least, low, high, greatest = _percentiles(means)
+    margin = (high - low) * OUTLIERS / (100 - 2 * OUTLIERS)
+    return np.maximum(low - margin, least), np.minimum(high + margin, greatest)
+
+
 def _bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     """As `robust_bounds`, with a radius of 0 where no two splats are apart."""
+    _, low, high, _ = _percentiles(means)
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+
+
+def _percentiles(means: np.ndarray) -> np.ndarray:
+    """(4, 3) float64: the least x, y, z, those of OUTLIERS percent from either end, and the greatest."""
     with np.errstate(invalid="ignore"):
         finite = means[(np.abs(means) <= FLOAT32_MAX).all(axis=1)]
     if not len(finite):
-        return np.zeros(3), 0.0
+        return np.zeros((4, 3))
     sample = finite[:: _stride(len(finite))].astype(np.float64)
-    low, high = np.percentile(sample, [OUTLIERS, 100 - OUTLIERS], axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+    return np.percentile(sample, [0, OUTLIERS, 100 - OUTLIERS, 100], axis=0)
 
 
 def _stride(count: int) -> int:

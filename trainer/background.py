@@ -60,6 +60,8 @@ class Snapshot:
     """(N,) int64: numbers of the splats, see `Splats.ids`."""
     iteration: int
     seconds: float
+    exposures_differ: bool = False
+    """Whether photos are measured at the exposures that fit, see `evaluate`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -464,6 +466,7 @@ class BackgroundTraining:
                 ids=trainer.splats.ids,
                 iteration=counters.iteration,
                 seconds=counters.seconds,
+                exposures_differ=trainer.exposures.is_on,
             )
         )
         self._unseen = False

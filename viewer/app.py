@@ -21,6 +21,7 @@ from splatview.scene.user_dirs import cache_folder, config_folder
 from splatview.viewer import commands, layout, theme
 from splatview.viewer import open as opening
 from splatview.viewer.background import WindowBackground
+from splatview.viewer.camera import CameraLists
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
@@ -33,7 +34,15 @@ from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
-FEATURES: tuple[type[Feature], ...] = (DepthOfField, WindowBackground, Editing, Restoring, Accuracy, Effects)
+FEATURES: tuple[type[Feature], ...] = (
+    CameraLists,
+    DepthOfField,
+    WindowBackground,
+    Editing,
+    Restoring,
+    Accuracy,
+    Effects,
+)
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
 

@@ -36,13 +36,14 @@ LOADING_SHOWN_AFTER = 0.3
 
 
 def loading(app: AppState) -> None:
-    """Progress of the scene on its way, with a button to stop it."""
-    if app.loading is None or app.now() - app.loading.began < LOADING_SHOWN_AFTER:
+    """Progress of the scene or another file on its way, with a button to stop it."""
+    reading = app.loading or next((f.reading for f in app.features.values() if f.reading is not None), None)
+    if reading is None or app.now() - reading.began < LOADING_SHOWN_AFTER:
         return
     centred(24)
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
-    imgui.text_unformatted(f"{app.loading.stage} {app.loading.name}")
-    progress = app.loading.progress
+    imgui.text_unformatted(f"{reading.stage} {reading.name}")
+    progress = reading.progress
     share, text = (-imgui.get_time(), "") if progress < 0 else (progress, f"{progress:.0%}")
     imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
     widgets.command_button(app, "Cancel", "cancel")

@@ -20,7 +20,7 @@ from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
 from splatview.scene.progress import Cancelled, Progress
 from splatview.viewer.picture import EMPTY
-from splatview.viewer.tasks import Task
+from splatview.viewer.tasks import Result, Task
 
 Stamp = tuple[int, int, int]
 """Inode, size and time of a file, which tell whether it is still the one that was read."""
@@ -76,23 +76,19 @@ EMPTY_SCENE = LoadedScene(
 """The scene of a window in which nothing is open."""
 
 
-class Loading(Task[LoadedScene]):
-    """One load under way. `read` makes the scene; it is called in the thread with `progress(0..1)` and
-    `cancelled()`."""
+class Reading(Task[Result]):
+    """Files under way: `read(progress)` in a thread."""
 
-    def __init__(
-        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], *, stage: str = "Reading"
-    ):
+    def __init__(self, name: str, read: Callable[[Progress], Result], *, stage: str = "Reading"):
         self.name = name
         self.stage = stage
         self.began = time.monotonic()
-        self._paths = tuple(paths)
-        self._read = read
-        super().__init__(self._load, name="splatview-load")
+        progress = Progress(report=self._advance, cancelled=lambda: self.cancelled)
+        super().__init__(lambda _: read(progress), name="splatview-load")
 
     @property
     def problem(self) -> str | None:
-        """Error of the load in one line; None where it was cancelled."""
+        """Error in one line; None where it was cancelled."""
         error = self.error
         if error is None or isinstance(error, Cancelled):
             return None
@@ -106,12 +102,22 @@ class Loading(Task[LoadedScene]):
     def _advance(self, share: float) -> None:
         self.progress = min(max(share, self.progress, 0.0), 1.0)
 
-    def _load(self, task: Task[LoadedScene]) -> LoadedScene:
+
+class Loading(Reading[LoadedScene]):
+    """A scene under way, which `read(progress=...)` makes."""
+
+    def __init__(
+        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], *, stage: str = "Reading"
+    ):
+        self._paths = tuple(paths)
+        self._read = read
+        super().__init__(name, self._load, stage=stage)
+
+    def _load(self, progress: Progress) -> LoadedScene:
         began = time.perf_counter()
         stamps = stamps_of(self._paths)
-        gaussians = self._read(progress=Progress(report=self._advance, cancelled=lambda: self.cancelled))
-        if self.cancelled:
-            raise Cancelled
+        gaussians = self._read(progress=progress)
+        progress.check()
         centre, radius = robust_bounds(gaussians.means)
         return LoadedScene(
             gaussians=gaussians,

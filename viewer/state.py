@@ -23,7 +23,7 @@ from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects.overrides import followed
-from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
+from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading, Reading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
 from splatview.viewer.picture import NullPicture, Picture
@@ -59,6 +59,9 @@ class Palette:
 class Feature:
     """One subject of the window with a state of its own, such as editing or depth of field. `viewer.app`
     registers them; all methods run on the GL thread, between two frames."""
+
+    reading: Reading[Any] | None = None
+    """A file on its way, to be told of with its progress; `cancel` ends it."""
 
     @property
     def edits(self) -> SceneEdits | None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
+from splatview.scene.formats.colmap import find_model, is_colmap
 from splatview.scene.formats.io import CONVERT, open_scene
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.progress import NO_PROGRESS, Progress
+from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +55,9 @@ FORMATS = {
 SNIFFED = 8
 """Bytes that tell a format."""
 
+CHECKED_BYTES = 1 << 20
+"""Camera lists up to this size are looked through before a window is opened for them."""
+
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
 
 
@@ -66,6 +71,22 @@ def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS
     path = Path(path)
     with open_scene(path) as file:
         return _reader(file, path)(file, path, progress)
+
+
+def is_camera_list(path: Path) -> bool:
+    """Whether `path` is that of cameras rather than of a scene, by its name."""
+    return is_colmap(path) or path.suffix.lower() == ".json"
+
+
+def check_opening(path: Path) -> None:
+    """Raises InputError where `path` is neither a scene nor cameras, as far as a moment's look tells."""
+    if not is_camera_list(path):
+        with suppress(Cancelled):
+            load_scene(path, progress=Progress(cancelled=lambda: True))
+    elif path.is_dir():
+        find_model(path)
+    elif not path.is_file() or path.stat().st_size <= CHECKED_BYTES:
+        load_cameras(path)
 
 
 def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
@@ -135,7 +156,10 @@ def check_saving(path: Path) -> None:
 
 
 def load_cameras(
-    path: str | os.PathLike[str], *, on_note: Callable[[str], None] | None = None
+    path: str | os.PathLike[str],
+    *,
+    on_note: Callable[[str], None] = lambda note: None,
+    progress: Progress = NO_PROGRESS,
 ) -> list[Camera]:
     """The cameras in a file or folder, at least one.
 
@@ -145,8 +169,9 @@ def load_cameras(
 
     Raises:
         InputError: the file is missing, damaged or of another kind.
+        Cancelled: nobody waits for it any more.
     """
-    return read_cameras_file(Path(path), on_note or (lambda note: None))
+    return read_cameras_file(Path(path), on_note, progress)
 
 
 def save_camera(camera: Camera, path: str | os.PathLike[str]) -> None:

@@ -75,19 +75,21 @@ def is_colmap(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in (".bin", ".txt")
 
 
-def load_colmap_cameras(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
+def load_colmap_cameras(path: Path, on_note: Callable[[str], None], progress: Progress) -> list[Camera]:
     """A camera for each image, sorted by name. `path`: see `is_colmap`.
 
     `on_note` gets a line about each lens that is no pinhole.
 
     Raises:
         InputError: a file is missing, truncated or holds an unknown camera model.
+        Cancelled: nobody waits for it any more.
     """
     cameras_path, images_path = find_model(path)
     intrinsics = read_cameras(cameras_path)
     images = read_images(images_path)
     cameras = []
-    for image in images:
+    for i, image in enumerate(images):
+        progress.step(i / len(images))
         lens = image_lens(image, intrinsics, (cameras_path, images_path))
         cameras.append(image_camera(image, lens, images_path))
     for note in _distortion_notes(intrinsics, images):

@@ -8,6 +8,7 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import stat
 import time
@@ -19,6 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from splatview.scene.errors import InputError
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -196,19 +198,41 @@ MAX_JSON_BYTES = 1 << 26
 with a larger limit a damaged file could take all memory."""
 
 
-def read_json(path: Path, *, what: str) -> Any:
-    """The content of `path`. Raises InputError; `what` says what the file should have been."""
+def read_json(path: Path, *, what: str, progress: Progress = NO_PROGRESS) -> Any:
+    """The content of `path`. Raises InputError and Cancelled; `what` says what the file should have been."""
     try:
         require_regular_file(path)
         if path.stat().st_size > MAX_JSON_BYTES:
             raise InputError(f"{path}: is too large for a {what}")
-        return json.loads(path.read_bytes())
+        return _parsed(path.read_bytes(), progress)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: is no {what}: not JSON ({error})") from None
+
+
+_SPACE = re.compile(r"[ \t\n\r]*")
+
+
+def _parsed(data: bytes, progress: Progress) -> Any:
+    """As json.loads, but a list entry by entry: one call for all would hold up every other thread."""
+    text = data.decode(json.detect_encoding(data), "surrogatepass")
+    after = lambda place: _SPACE.match(text, place).end()  # noqa: E731 # pyright: ignore
+    place, entries, decoder = after(0), [], json.JSONDecoder()
+    if text[place : place + 1] != "[":
+        return json.loads(text)
+    while text[place : place + 1] == ("," if entries else "["):
+        progress.step(place / len(text))
+        try:
+            entry, place = decoder.raw_decode(text, after(place + 1))
+        except ValueError:
+            break
+        entries.append(entry)
+        place = after(place)
+    # What is empty or wrong json.loads knows best.
+    return entries if entries and text[place:].rstrip(" \t\n\r") == "]" else json.loads(text)
 
 
 def _value(entry: Mapping[str, Any], key: str, where: str) -> Any:

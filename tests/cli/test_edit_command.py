@@ -87,7 +87,7 @@ def test_a_dry_run_tells_and_writes_nothing(scene, splatview, tmp_path):
     code, out, _ = splatview("edit", scene, "--recipe", path, "--dry-run")
     assert code == 0
     assert out.splitlines() == [
-        "step 1 of 2: Select by runs: 9 splats",
+        "step 1 of 2: Select by runs: 9 selected",
         "step 2 of 2: Split 9 splats to part.ply",
         "291 of 300 splats would be written",
     ]

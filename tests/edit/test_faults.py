@@ -37,6 +37,7 @@ FIELDS: dict[str, dict[str, Any]] = {
     "size": {"value": 0.1, "how": "set", "scope": "scene"},
     "opacity": {"value": 0.5},
     "grade": {"grade": {"contrast": 2}},
+    "select_detected": {"by": {"kind": "faint"}, "threshold": 3},
     "prune": {"by": {"kind": "faint"}, "threshold": 3},
     "decimate": {"keep": 25},
     "repair": {"finding": "quaternion lengths"},

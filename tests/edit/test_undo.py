@@ -124,11 +124,17 @@ OPERATION_STEPS = {
     ),
     "merge": steps("merge", path=st.just("other.ply")),
     "split": steps("split", path=st.just("part.ply")),
+    "select_detected": steps(
+        "select_detected",
+        by=st.fixed_dictionaries({"kind": st.just("faint")}),
+        threshold=st.floats(0, 1),
+        mode=st.sampled_from(["set", "add", "remove", "intersect"]),
+    ),
     "prune": steps(
         "prune",
-        by=st.just({"kind": "faint"}),
+        by=st.fixed_dictionaries({"kind": st.just("faint")}),
         threshold=st.floats(0, 1),
-        cameras=st.just([]),
+        cameras=st.builds(list),
     ),
 }
 

@@ -302,6 +302,22 @@ def test_bounds_follow_what_is_moved_and_leave_out_what_is_deleted(app, open_sce
     np.testing.assert_allclose(left[0], robust_bounds(means[200:])[0], atol=1e-4)
 
 
+@pytest.mark.parametrize("shape", ["box", "sphere"])
+def test_a_new_crop_fits_what_is_shown(app, open_scene, random_gaussians, shape) -> None:
+    scene = random_gaussians(2000)
+    means = scene.means * np.float32([1, 0.2, 0]) + np.float32([5, 0, 0])
+    means[:20] += 1000  # floaters
+    session = open_scene(replace(scene, means=means))
+    COMMANDS[f"add_{shape}"].run(app)
+    (crop,) = session.document.crops
+    np.testing.assert_allclose(crop.centre, (5, 0, 0), atol=0.1)
+    expected = (0.8, 0.16, 0) if shape == "box" else (0.8, 0.8, 0.8)
+    np.testing.assert_allclose(crop.half_extents, expected, atol=0.05)
+    assert min(crop.half_extents) > 0
+    inside = means[session.document.cropped_in()]
+    assert 0.75 * len(means) < len(inside) < 1980, "most of it, and no floaters"
+
+
 def test_framing_shows_the_selection_else_everything(app, open_scene, random_gaussians) -> None:
     session = open_scene(random_gaussians(400))
     COMMANDS["frame_selection"].run(app)

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
 
+LOOK = "look"
+"""Section whose previews change opacity, size and colour."""
+
 BRUSH_RADIUS = 24.0
 """px of the picture."""
 
@@ -68,7 +71,6 @@ class EditSession:
     """Edits of the open scene. Panels read it freely; what changes the document runs between frames."""
 
     document: Document
-    highlight: Highlight = field(default_factory=Highlight)
     tool: ToolName = "none"
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
@@ -78,6 +80,8 @@ class EditSession:
     forms: Forms = field(default_factory=Forms)
     preview_mask: np.ndarray | None = None
     """(N,) bool: splats that a tool would take, highlighted until the next edit; never written to."""
+    preview_of: str = ""
+    """Title of the section that the highlight belongs to and is seen with; "" where it is always seen."""
     target: EditTarget = field(default_factory=SceneTarget)
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
@@ -131,12 +135,30 @@ class EditSession:
         if mask is None or self._previewed_at != versions:
             self.preview_mask = self._previewed = None
             return edits
+        if self.preview_of and self.preview_of not in self.forms.sections:
+            return edits
         key = (versions, id(mask))
         if self._shown is None or self._shown[0] != key:
             marks = edits.marks | np.where(mask, np.uint32(PREVIEW), np.uint32(0))
             lit = replace(edits, marks=marks, changes=(), flags=edits.flags | PREVIEW)
             self._shown = (key, lit)
         return self._shown[1]
+
+    @property
+    def highlight(self) -> Highlight:
+        """Tints of the picture: none of the selection while its look is changed, which they would hide."""
+        tinted = Highlight()
+        return replace(tinted, selected=(0, 0, 0, 0)) if self.forms.previewing == LOOK else tinted
+
+    @property
+    def handles(self) -> str:
+        """Title of the section whose handles are on the picture; "" where there are none."""
+        forms, document = self.forms, self.document
+        movable = forms.scope != "selection" or document.counts.selected > 0
+        if forms.move.gizmo and movable and "Move" in forms.sections:
+            return "Move"
+        chosen = 0 <= forms.crop < len(document.crops)
+        return "Crop" if chosen and "Crop" in forms.sections else ""
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
@@ -234,7 +256,9 @@ class EditSession:
         self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
-        """Called every frame: ends a job that is done."""
+        """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended."""
+        if self.document.previewed is None:
+            self.forms.previewing = ""
         job = self.job
         if job is None or not job.done:
             return
@@ -345,6 +369,7 @@ class Editing(Feature):
         session = self.session
         if session is None:
             return
+        session.forms.sections, session.forms.drawn = frozenset(session.forms.drawn), set()
         session.advance()
         load_changed_scene(app, session)
         if session.journal is not None and session.journal.problem is not None:

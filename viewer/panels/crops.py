@@ -130,19 +130,20 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     if handle is not None:
         session.forms.crop_handles = KINDS.index(handle)
     change(app, session, index, new, settled=settled)
-    by = volume(crop)
-    imgui.begin_disabled(by is None)
-    if imgui.button("Select inside") and by is not None:
-        io = imgui.get_io()
-        post_edit(app, EditSession.apply, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
-    widgets.tooltip(
-        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
+    by, io = volume(crop), imgui.get_io()
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    widgets.button(
+        "Select inside",
+        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it.",
+        lambda: post_edit(app, EditSession.apply, Select(by=by, mode=mode)),
+        lacks="" if by is not None else "A sphere that is stretched cannot: give its half sizes one value",
     )
-    imgui.end_disabled()
     widgets.beside("Remove")
-    if imgui.button("Remove"):
-        post_edit(app, EditSession.apply, RemoveCrop(index=index))
-    widgets.tooltip("Removes this crop; what it cut away is back.")
+    widgets.button(
+        "Remove",
+        "Removes this crop; what it cut away is back.",
+        partial(post_edit, app, EditSession.apply, RemoveCrop(index=index)),
+    )
     if not session.target.at_rest:
         widgets.button(
             "No growth inside",
@@ -168,10 +169,6 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
         post_edit(app, EditSession.commit_preview)
 
 
-def has_handles(session: EditSession) -> bool:
-    return 0 <= session.forms.crop < len(session.document.crops) and not session.forms.move.gizmo
-
-
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
     for index, crop in enumerate(session.document.crops):
@@ -180,7 +177,7 @@ def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) ->
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
         draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
-    if has_handles(session):
+    if session.handles == "Crop":
         drag_handles(app, session, camera, corner)
 
 

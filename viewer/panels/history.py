@@ -25,13 +25,9 @@ def show(app: AppState) -> None:
     history = session.document.history
     if not session.target.at_rest:
         widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
-    imgui.begin_disabled(not history.can_undo)
     widgets.command_button(app, "Undo", "undo")
-    imgui.end_disabled()
     imgui.same_line()
-    imgui.begin_disabled(not history.can_redo)
     widgets.command_button(app, "Redo", "redo")
-    imgui.end_disabled()
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
     used = f"{number}, {memory(history.nbytes)}"
     widgets.beside(used)

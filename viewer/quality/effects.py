@@ -26,6 +26,10 @@ EDITS_SHARE = 50
 would be looked at in every frame."""
 
 
+MOVING_SECONDS = 1.0
+"""How long a view counts as moving after it has moved: a hand that turns it leaves frames out."""
+
+
 @dataclass(eq=False, kw_only=True)
 class Effects(Feature):
     """Effects of the picture that is shown, and their prices; for the GL thread."""
@@ -44,8 +48,11 @@ class Effects(Feature):
     _own: tuple[Examination, tuple[Adjustment, ...], RenderSettings, list[Effect]] | None = None
     _edited: tuple[Gaussians, SceneEdits | None, list[Effect]] | None = None
     _edits_due: float = 0.0
-    _cameras: tuple[Camera | None, Camera | None] = (None, None)
-    """Of the frame before, and of this one."""
+    _camera: Camera | None = None
+    """Of the latest frame."""
+    _before: Camera | None = None
+    """The one before the view last moved, for a while; then the latest."""
+    _moved: float = 0.0
 
     def receipt(self, app: AppState) -> tuple[Effect, ...]:
         """Every effect of the picture that is shown, as far as the scene has been looked through."""
@@ -63,7 +70,7 @@ class Effects(Feature):
             lens_effect(app.camera),
             background_effect(app.settings),
             *self._edit_effects(app, scene.gaussians),
-            redrawing_effect(app.camera, self._cameras[0]),
+            redrawing_effect(app.camera, self._before),
         )
 
     def _edit_effects(self, app: AppState, gaussians: Gaussians) -> list[Effect]:
@@ -109,7 +116,11 @@ class Effects(Feature):
 
     def before_frame(self, app: AppState) -> None:
         """Takes over what was measured."""
-        self._cameras = self._cameras[1], app.camera
+        camera, now = app.camera, app.now()
+        if self._camera is None or not camera.same_view(self._camera):
+            self._before, self._camera, self._moved = self._camera, camera, now
+        elif now - self._moved > MOVING_SECONDS:
+            self._before = camera
         gaussians = app.scene.gaussians
         if self._priced is not gaussians:
             self._priced, self.prices = gaussians, {}

@@ -151,6 +151,16 @@ class LiveTraining(Feature):
         evaluation = self.status.evaluation
         return {} if evaluation is None else {score.name: score.psnr for score in evaluation.scores}
 
+    def score_text(self) -> str:
+        """PSNR of the compared photo: that of the list where it was held out, else that of the pictures."""
+        if self.photo.name in self.scores:
+            return f"{self.scores[self.photo.name]:.2f} dB at step {self.status.evaluated_at:,}"
+        comparison = self.comparer.latest
+        if comparison is None or comparison.request.shot is not self.photo.shot:
+            return ""
+        height, width = comparison.photo.shape[:2]
+        return f"{comparison.psnr:.2f} dB at {width} x {height}"
+
     def start(self, app: AppState, *, on_change: Callable[[], object] = lambda: None) -> None:
         """The window is there: shows the first snapshot and begins. `on_change` wakes the window."""
         self.app = app

@@ -94,7 +94,7 @@ class TrainingEdits:
         if target is None:
             return
         new = self._session(app, snapshot)
-        new.tool, new.depth, new.highlight = old.tool, old.depth, old.highlight
+        new.tool, new.depth = old.tool, old.depth
         new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
         new.news, new.problem = old.news, old.problem
         document, marks = new.document, old.document.marks
