@@ -280,8 +280,6 @@ class TilesBlendPass(BlendPass):
             given = (mode, target, scene, projector, uniforms, edits)
             super().draw(*given, early_stop=early_stop, stochastic=stochastic, weights=weights)
             return
-        target.framebuffer.use()
-        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         rounds = self.pairs.count(projector, uniforms, target.size)
         values = {**uniforms, "u_tiles": self.pairs.tiles, "u_early_stop": early_stop}
         for index in range(rounds):
@@ -289,9 +287,11 @@ class TilesBlendPass(BlendPass):
             program = self._ready(False, target, edits, {**values, "u_round": index, "u_pixel": 0}, by_pixel)
             bind(tiles, splats, *records(projector))
             self._bind_more(projector, uniforms, by_pixel)
-            for _ in self._parts(program, projector):
+            for first in self._parts(program, projector):
+                # Not cleared as a framebuffer: zink defers that beyond the dispatch.
+                set_uniforms(program, {"u_starts": index == first == 0})
                 program.run(*self.pairs.tiles, self._pixels if by_pixel else 1)
-        program = self._ready(True, target, edits, values, by_pixel)
+        program = self._ready(True, target, edits, {**values, "u_starts": False}, by_pixel)
         bind(projector.order, projector.order, *records(projector))
         self._bind_more(projector, uniforms, by_pixel)
         for pixel in range(self._pixels if by_pixel else 1):
@@ -314,7 +314,7 @@ class TilesBlendPass(BlendPass):
         """Sets `program` up for each part of a tile's splats, which are at most as many as the scene's."""
         self.pairs.plan.bind_to_storage_buffer(6)
         most = self.tuning.most_walked or max(projector.splats, 1)
-        for first in range(0, projector.splats, most):
+        for first in range(0, max(projector.splats, 1), most):
             set_uniforms(program, {"u_first": first, "u_most": most})
             yield first
             self._ctx.memory_barrier()

@@ -18,6 +18,7 @@ layout(rgba32f, binding = 0) uniform image2D u_accumulation;                    
 uniform uint u_round;
 uniform uint u_first;  // range of the tile's splats: the first, and the greatest count
 uniform uint u_most;
+uniform bool u_starts;  // nothing is drawn yet, whatever the target holds
 uniform float u_max_alpha;
 uniform float u_early_stop;
 
@@ -39,6 +40,12 @@ shared uint open_pixels;
 const uint WORDS = uint(BATCH) / 32u;
 shared uint hits[WORDS];
 #endif
+
+// rgb and T of a pixel so far; outside the picture it is opaque.
+vec4 drawn_at(ivec2 pixel) {
+    if (!all(lessThan(pixel, imageSize(u_accumulation)))) return vec4(0.0);
+    return u_starts ? vec4(0.0, 0.0, 0.0, 1.0) : imageLoad(u_accumulation, pixel);
+}
 
 // The first pair of `tile` or a later one.
 uint first_pair(uint tile) {

@@ -1,5 +1,5 @@
-// Blends a tile's splats into the picture, front to back, a batch at a time; one work group per tile. It starts
-// from the target's content, so one picture may take several of these, nearer splats first.
+// Blends a tile's splats into the picture, front to back, a batch at a time; one work group per tile. All but
+// the first start from the target's content, so one picture may take several of these, nearer splats first.
 // Flags: those of batches.
 #include "tiles/batches.glsl"
 #define PIXELS (TILE * TILE / WORKGROUP)
@@ -14,13 +14,10 @@ void main() {
     uint me = gl_LocalInvocationID.x;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
     uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
-    if (range.x == range.y) return;
+    if (range.x == range.y && !u_starts) return;
     ivec2 size = imageSize(u_accumulation), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T
-    for (int i = 0; i < PIXELS; i++) {
-        ivec2 pixel = own + step_to(i);
-        sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // outside it: opaque
-    }
+    for (int i = 0; i < PIXELS; i++) sums[i] = drawn_at(own + step_to(i));
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
         if (me == 0u) open_pixels = 0u;
         memoryBarrierShared(); barrier();

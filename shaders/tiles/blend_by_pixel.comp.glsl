@@ -13,10 +13,10 @@ void main() {
     int me = int(gl_LocalInvocationID.x), index = int(u_pixel + gl_WorkGroupID.z) * WORKGROUP + me;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
     uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
-    if (range.x == range.y) return;
+    if (range.x == range.y && !u_starts) return;
     ivec2 pixel = tile * TILE + ivec2(index % TILE, index / TILE);
     bool inside = all(lessThan(pixel, imageSize(u_accumulation)));
-    vec4 sum = inside ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // rgb, T; outside the picture: opaque
+    vec4 sum = drawn_at(pixel);  // rgb, T
     // The buffer, nearest first; its empty places are before all, with an alpha of 0.
     float depths[NEAREST];
     vec4 held[NEAREST];  // rgb, alpha

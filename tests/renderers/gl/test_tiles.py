@@ -112,6 +112,21 @@ def test_early_stop_costs_at_most_its_transmittance(any_renderer, random_gaussia
         assert largest_error(image, exact) > 0
 
 
+@pytest.mark.parametrize("order", ["32-bit", "per-pixel"])
+def test_what_the_target_held_is_of_no_account(renderer, random_gaussians: Make, order, monkeypatch):
+    # Nor is it cleared as a framebuffer: zink defers that beyond the dispatches, and the picture is blank.
+    scene, settings = random_gaussians(300), replace(EXACT, order=order)
+    for count in (300, 2, 0):  # tiles without splats, too
+        few = scene.take(np.arange(count))
+        views = [FrameRequest(few, camera_at(0, 0, eye), settings) for eye in (3, 2.5)]
+        truth = renderer.render(views[0])
+        renderer.render(views[1])
+        renderer._targets.accumulation.texture.write(np.full((45, 70, 4), 0.7, np.float32))
+        with monkeypatch.context() as patch:
+            patch.setattr(moderngl.Framebuffer, "clear", lambda *values, **more: None)
+            assert np.array_equal(renderer.render(views[0]), truth)
+
+
 @pytest.mark.parametrize("tile", [8, 32])
 def test_tiles_of_other_sizes(ctx, random_gaussians: Make, tile):
     other = TilesRenderer(ctx, tuning=TileTuning(tile=tile, workgroup=32, batch=32))
