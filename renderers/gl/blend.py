@@ -17,7 +17,7 @@ import numpy as np
 
 from splatview.renderers.gl.context import reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import Variants, load_compute
+from splatview.renderers.gl.programs import Variants, load_compute, run_groups
 from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector
 from splatview.renderers.gl.scene_buffers import SceneBuffers
 from splatview.renderers.gl.targets import ColourTarget
@@ -64,7 +64,7 @@ class OcclusionPass:
         self._closed.bind_to_storage_buffer(0)
         grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_accumulation": 0}
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})
-        self._close.run(-(-self._blocks // 8))
+        run_groups(self._close, -(-self._blocks // 8))
         self._ctx.memory_barrier()
         buffers = (
             *(projector.order, projector.slab_starts, projector.shapes, projector.bounds),
@@ -74,7 +74,7 @@ class OcclusionPass:
             buffer.bind_to_storage_buffer(slot)
         size = {"u_size": (float(self._size[0]), float(self._size[1]))}
         set_uniforms(self._hide, {**grid, **size, "u_slab": slab})
-        self._hide.run(projector.most_in_slab(slab) // HIDE_GROUP + 1)
+        run_groups(self._hide, -(-projector.most_in_slab // HIDE_GROUP))
         self._ctx.memory_barrier()
         return projector.drawn
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import moderngl
 
 from splatview.renderers.gl.context import describe, reserve
-from splatview.renderers.gl.programs import load_compute
+from splatview.renderers.gl.programs import load_compute, most_groups
 from splatview.scene import InputError
 
 KEY_BITS = 32
@@ -78,6 +78,7 @@ class RadixSort:
             "DIGIT_BITS": self.tuning.digit_bits,
             "WORKGROUP": self.tuning.workgroup,
             "KEYS_PER_INVOCATION": self.tuning.keys_per_invocation,
+            "MOST_GROUPS": most_groups(ctx),
         }
         self._make_plan, self._count, self._scan, self._scatter = (
             load_compute(ctx, f"sort/{name}.comp.glsl", flags)

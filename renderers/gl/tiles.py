@@ -14,7 +14,7 @@ import moderngl
 from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.context import describe, has_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute
+from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute, run_groups
 from splatview.renderers.gl.project import Projector, VisibleCount
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
@@ -130,7 +130,7 @@ class TilePairs:
         if blocks:
             bind(projector.order, projector.visible.buffer, *records(projector), ends, starts)
             set_uniforms(self._count, self._uniforms)
-            self._count.run(blocks)
+            run_groups(self._count, blocks)
             self._ctx.memory_barrier()
         bind(starts, self.found.buffer)
         set_uniforms(self._scan, {"u_blocks": blocks})
@@ -178,8 +178,7 @@ class TilePairs:
             "u_room": self._room,
         }
         set_uniforms(self._emit, {**self._uniforms, **place})
-        if blocks:
-            self._emit.run(blocks)
+        run_groups(self._emit, blocks)
         nowhere = self.tiles[0] * self.tiles[1]
         return self._sorter.sort(
             *self._pairs, self.plan, ROUND_PAIRS_OFFSET + 4 * index, key_bits=nowhere.bit_length()

@@ -1,5 +1,6 @@
 // Culls the splats of one slab that lie wholly within opaque blocks. Flags: BLOCK, SLABS.
 #include "quads/culled.glsl"
+#include "common/groups.glsl"
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Order { uint order[]; };
@@ -30,7 +31,7 @@ bool is_occluded(uint splat) {
 }
 
 void main() {
-    uint slot = slab_starts[u_slab] + gl_GlobalInvocationID.x;
+    uint slot = slab_starts[u_slab] + group_number() * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
     if (slot >= slab_starts[u_slab + 1u]) return;
     uint splat = order[slot];
     drawn[slot] = is_occluded(splat) ? CULLED : splat;

@@ -2,6 +2,7 @@
 // Flags: GROUP_SIZE, WIDE, SH_DEGREE, ANTIALIASED, and those of attributes, harmonics and edits.
 #include "quads/culled.glsl"
 #include "common/edits.glsl"
+#include "common/groups.glsl"
 #include "common/sh.glsl"
 layout(local_size_x = GROUP_SIZE) in;
 
@@ -31,7 +32,7 @@ uint depth_key(float depth) {
 }
 
 void main() {
-    uint local = gl_GlobalInvocationID.x;
+    uint local = group_number() * uint(GROUP_SIZE) + gl_LocalInvocationID.x;
     if (local >= u_page_count) return;
     uint splat = u_page_first + local;
     depth_keys[splat] = CULLED;

@@ -3,6 +3,7 @@
 // (splats are surfels), SLOPES (depth pixel by pixel), and those of outline.
 #include "tiles/outline.glsl"
 #include "tiles/plan.glsl"
+#include "common/groups.glsl"
 #include "common/falloff.glsl"
 #include "common/tint.glsl"
 #if HAS_DISCS

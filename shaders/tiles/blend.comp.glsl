@@ -13,7 +13,7 @@ ivec2 step_to(int index) { return ivec2(index * WORKGROUP % TILE, index * WORKGR
 void main() {
     uint me = gl_LocalInvocationID.x;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
+    uvec2 range = range_of(group_number());
     if (range.x == range.y && !u_starts) return;
     ivec2 size = imageSize(u_accumulation), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T

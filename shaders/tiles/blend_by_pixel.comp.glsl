@@ -12,7 +12,7 @@ const float BEFORE_ALL = -1e30;
 void main() {
     int me = int(gl_LocalInvocationID.x), index = int(u_pixel + gl_WorkGroupID.z) * WORKGROUP + me;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
+    uvec2 range = range_of(group_number());
     if (range.x == range.y && !u_starts) return;
     ivec2 pixel = tile * TILE + ivec2(index % TILE, index / TILE);
     bool inside = all(lessThan(pixel, imageSize(u_accumulation)));
