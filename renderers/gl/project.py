@@ -12,9 +12,9 @@ from splatview.renderers.gl.context import reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants, load_compute, run_groups
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, storage_limit
+from splatview.renderers.gl.scene_textures import TexelArray
 from splatview.renderers.gl.sort import KEY_BITS, RadixSort
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
-from splatview.scene import InputError
 from splatview.scene.order_reuse import ResortPolicy
 
 # An order by depth that serves more frames than the one it was made for, on the GPU.
@@ -161,6 +161,27 @@ by a depth test instead of blocks 0.93, because llvmpipe blends masked pixels al
 RECORD_BYTES = 16
 """A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
 
+FIRST_RECORD_UNIT = 3
+"""Texture units from here on are those of records, in textures: shapes, bounds, colours, discs, slopes."""
+
+
+class RecordTexture(TexelArray):
+    """Records in a texture, for drivers whose storage buffers are too small: see ``common/records.glsl``."""
+
+    def __init__(self, ctx: moderngl.Context, unit: int, splats: int, what: str) -> None:
+        """Raises InputError where there is no room for it."""
+        super().__init__(ctx, 4, "f4", what)
+        self._unit = unit
+        self.reserve(splats)
+
+    def bind_to_storage_buffer(self, slot: int) -> None:
+        """Binds it to its unit: a buffer would be bound to `slot`."""
+        self.texture.use(self._unit)
+        self.texture.bind_to_image(self._unit, read=False, write=True)
+
+
+Records = moderngl.Buffer | RecordTexture
+
 
 @dataclass(frozen=True, kw_only=True)
 class DepthKeys:
@@ -196,11 +217,13 @@ class Projector:
         self.commands = ctx.buffer(reserve=20 * SLABS)
         """DrawElementsIndirectCommand a slab."""
         self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
-        self.slopes: moderngl.Buffer | None = None
+        self.textured = False
+        """Whether records are in textures."""
+        self.slopes: Records | None = None
         """A record a splat, once pictures in per-pixel order have been drawn."""
-        self.discs: moderngl.Buffer | None = None
+        self.discs: Records | None = None
         """Two records a splat beside the others, once flat splats have been drawn."""
-        self._sized: list[moderngl.Buffer] = []
+        self._sized: list[Records] = []
         self._sorter: RadixSort | None = None
 
     def resize(self, splats: int) -> None:
@@ -210,21 +233,52 @@ class Projector:
             InputError: there is not enough graphics memory; nothing has changed then.
         """
         room, groups = max(1, splats), -(-splats // GROUP_SIZE)
-        sizes = (*[room * RECORD_BYTES] * 3, *[room * 4] * 4, *[max(1, groups) * 4] * 2)
-        made = reserve(self._ctx, sizes, f"{splats:,} splats")
+        sizes = (*[room * 4] * 4, *[max(1, groups) * 4] * 2)
+        textured = room * RECORD_BYTES > storage_limit(self._ctx)
+        made: list[moderngl.Buffer] = []
+        records: list[Records] = []
         try:
+            made = reserve(self._ctx, sizes, f"{splats:,} splats")
+            records = self._make_records(room, 3, "splats", textured=textured)
             sorter = RadixSort(self._ctx, room)
         except BaseException:
-            for buffer in made:
-                buffer.release()
+            for thing in (*made, *records):
+                thing.release()
             raise
         self._release_sized()
-        self._sized, self._sorter = made, sorter
-        self.splats, self._groups = splats, groups
-        self.shapes, self.bounds, self.colours = made[:3]
-        self.depth_keys, self.keys, self.order, self.drawn = made[3:7]
-        self._counts, self._starts = made[7:]
+        self._sized, self._sorter = [*made, *records], sorter
+        self.splats, self._groups, self.textured = splats, groups, textured
+        self.shapes, self.bounds, self.colours = records
+        self.depth_keys, self.keys, self.order, self.drawn = made[:4]
+        self._counts, self._starts = made[4:]
         self._counts.write(np.zeros(max(1, groups), dtype=np.uint32))
+
+    def _make_records(
+        self, count: int, arrays: int, what: str, *, textured: bool, unit: int = FIRST_RECORD_UNIT
+    ) -> list[Records]:
+        """Arrays of `count` records of `what`, in textures from `unit` on or in buffers; all or none."""
+        made: list[Records] = []
+        if not textured:
+            made += reserve(self._ctx, [count * RECORD_BYTES] * arrays, f"{count:,} {what}")
+            return made
+        try:
+            for own in range(unit, unit + arrays):
+                made.append(RecordTexture(self._ctx, own, count, what))
+        except BaseException:
+            for thing in made:
+                thing.release()
+            raise
+        return made
+
+    def _move_to_textures(self) -> None:
+        """What was projected is lost."""
+        made = self._make_records(max(1, self.splats), 3, "splats", textured=True)
+        for thing in (self.shapes, self.bounds, self.colours):
+            self._sized.remove(thing)
+            thing.release()
+        self._sized += made
+        self.shapes, self.bounds, self.colours = made
+        self.textured = True
 
     def project(
         self,
@@ -251,6 +305,7 @@ class Projector:
         if flags["DISCS"]:
             flags["ANTIALIASED"] = False  # of no effect on discs
             self._disc_buffer().bind_to_storage_buffer(9)
+        flags["TEXTURED"] = self.textured
         if slopes:
             flags["SLOPES"] = True
             self.slope_buffer().bind_to_storage_buffer(10)
@@ -288,28 +343,27 @@ class Projector:
         self._ctx.memory_barrier()
         self.visible.frame_done()
 
-    def slope_buffer(self) -> moderngl.Buffer:
+    def slope_buffer(self) -> Records:
         """Slopes of depth, (x, y), and depth, a splat. Raises InputError where there is no room for it."""
         if self.slopes is None:
-            what = f"{self.splats:,} depths along rays"
-            (self.slopes,) = reserve(self._ctx, [max(1, self.splats) * RECORD_BYTES], what)
+            count, unit = max(1, self.splats), FIRST_RECORD_UNIT + 4
+            (self.slopes,) = self._make_records(
+                count, 1, "depths along rays", textured=self.textured, unit=unit
+            )
             self._sized.append(self.slopes)
         return self.slopes
 
-    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[moderngl.Buffer, ...]:
+    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[Records, ...]:
         """What drawing needs besides, where the splats of `view_uniforms` are flat."""
         return (self._disc_buffer(),) if disc_flags(uniforms)["DISCS"] else ()
 
-    def _disc_buffer(self) -> moderngl.Buffer:
+    def _disc_buffer(self) -> Records:
         """Raises InputError where there is no room for it."""
         if self.discs is None:
-            size, what = max(1, self.splats) * 2 * RECORD_BYTES, f"{self.splats:,} discs"
-            if size > storage_limit(self._ctx):
-                raise InputError(
-                    f"{what} need a storage buffer of {size >> 20} MiB, more than this driver allows; "
-                    "use --renderer cpu or --footprint ellipsoid"
-                )
-            (self.discs,) = reserve(self._ctx, [size], what)
+            count, unit = 2 * max(1, self.splats), FIRST_RECORD_UNIT + 3
+            if count * RECORD_BYTES > storage_limit(self._ctx) and not self.textured:
+                self._move_to_textures()
+            (self.discs,) = self._make_records(count, 1, "halves of discs", textured=self.textured, unit=unit)
             self._sized.append(self.discs)
         return self.discs
 

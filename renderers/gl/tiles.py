@@ -15,9 +15,10 @@ from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.context import describe, has_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute, run_groups
-from splatview.renderers.gl.project import Projector, VisibleCount
+from splatview.renderers.gl.project import Projector, Records, VisibleCount
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
+from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.renderers.gl.sort import RadixSort
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, set_uniforms
@@ -68,8 +69,9 @@ class PairTuning:
 class TilePairs:
     """Makes the pairs of one frame, round by round."""
 
-    def __init__(self, ctx: moderngl.Context, *, tile: int, tuning: PairTuning) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants, *, tile: int, tuning: PairTuning) -> None:
         self._ctx = ctx
+        self._variants = variants
         self._tile = tile
         self._tuning = tuning
         flags = {
@@ -79,9 +81,8 @@ class TilePairs:
             "BLOCK": BLOCK,
             "ROUNDS": tuning.most_rounds,
         }
-        self._count, self._make_plan, self._emit = (
-            load_compute(ctx, f"tiles/{name}.comp.glsl", flags) for name in ("count", "plan", "emit")
-        )
+        self._flags = {**flags, "TEXTURE_WIDTH": TEXTURE_WIDTH}
+        self._make_plan = load_compute(ctx, "tiles/plan.comp.glsl", flags)
         self._scan = load_compute(ctx, "tiles/scan.comp.glsl", {"WORKGROUP": SCAN_SIZE})
         self._most = min(tuning.most_pairs, storage_limit(ctx) // 4)
         self.plan = ctx.buffer(reserve=ROUND_PAIRS_OFFSET + 4 * tuning.most_rounds)
@@ -129,8 +130,9 @@ class TilePairs:
         self._uniforms = {**uniforms, "u_tiles": self.tiles}
         if blocks:
             bind(projector.order, projector.visible.buffer, *records(projector), ends, starts)
-            set_uniforms(self._count, self._uniforms)
-            run_groups(self._count, blocks)
+            count = self._program("count", projector)
+            set_uniforms(count, self._uniforms)
+            run_groups(count, blocks)
             self._ctx.memory_barrier()
         bind(starts, self.found.buffer)
         set_uniforms(self._scan, {"u_blocks": blocks})
@@ -147,6 +149,10 @@ class TilePairs:
         self._make_plan.run(1)
         self._ctx.memory_barrier()
         return rounds
+
+    def _program(self, name: str, projector: Projector) -> moderngl.ComputeShader:
+        flags = {**self._flags, "TEXTURED": projector.textured}
+        return self._variants.compute(f"tiles/{name}.comp.glsl", flags)
 
     def _make_room(self, found: int) -> int:
         """Room for `found` pairs and some more, as far as the driver and the tuning allow."""
@@ -177,8 +183,9 @@ class TilePairs:
             "u_capacity": self.capacity,
             "u_room": self._room,
         }
-        set_uniforms(self._emit, {**self._uniforms, **place})
-        run_groups(self._emit, blocks)
+        emit = self._program("emit", projector)
+        set_uniforms(emit, {**self._uniforms, **place})
+        run_groups(emit, blocks)
         nowhere = self.tiles[0] * self.tiles[1]
         return self._sorter.sort(
             *self._pairs, self.plan, ROUND_PAIRS_OFFSET + 4 * index, key_bits=nowhere.bit_length()
@@ -196,16 +203,16 @@ class TilePairs:
         self.start_anew()
         self._release_pairs()
         self.found.release()
-        for thing in (self.plan, self._count, self._scan, self._make_plan, self._emit):
+        for thing in (self.plan, self._scan, self._make_plan):
             thing.release()
 
 
-def records(projector: Projector) -> tuple[moderngl.Buffer, ...]:
+def records(projector: Projector) -> tuple[Records, ...]:
     """What shaders/tiles/outline.glsl reads, for bindings from 2 on."""
     return projector.shapes, projector.bounds, projector.colours
 
 
-def bind(*buffers: moderngl.Buffer) -> None:
+def bind(*buffers: Records) -> None:
     for slot, buffer in enumerate(buffers):
         buffer.bind_to_storage_buffer(slot)
 
@@ -248,7 +255,7 @@ class TilesBlendPass(BlendPass):
     def __init__(self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None) -> None:
         super().__init__(ctx, variants)
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
-        self.pairs = TilePairs(ctx, tile=self.tuning.tile, tuning=self.tuning.pairs)
+        self.pairs = TilePairs(ctx, variants, tile=self.tuning.tile, tuning=self.tuning.pairs)
 
     def start_anew(self) -> None:
         """Another scene is loaded."""
@@ -283,14 +290,16 @@ class TilesBlendPass(BlendPass):
         values = {**uniforms, "u_tiles": self.pairs.tiles, "u_early_stop": early_stop}
         for index in range(rounds):
             tiles, splats = self.pairs.make(projector, index)
-            program = self._ready(False, target, edits, {**values, "u_round": index, "u_pixel": 0}, by_pixel)
+            program = self._ready(
+                False, projector, target, edits, {**values, "u_round": index, "u_pixel": 0}, by_pixel
+            )
             bind(tiles, splats, *records(projector))
             self._bind_more(projector, uniforms, by_pixel)
             for first in self._parts(program, projector):
                 # Not cleared as a framebuffer: zink defers that beyond the dispatch.
                 set_uniforms(program, {"u_starts": index == first == 0})
                 program.run(*self.pairs.tiles, self._pixels if by_pixel else 1)
-        program = self._ready(True, target, edits, {**values, "u_starts": False}, by_pixel)
+        program = self._ready(True, projector, target, edits, {**values, "u_starts": False}, by_pixel)
         bind(projector.order, projector.order, *records(projector))
         self._bind_more(projector, uniforms, by_pixel)
         for pixel in range(self._pixels if by_pixel else 1):
@@ -321,6 +330,7 @@ class TilesBlendPass(BlendPass):
     def _ready(
         self,
         rest: bool,
+        projector: Projector,
         target: ColourTarget,
         edits: EditTextures,
         values: dict[str, Uniform],
@@ -329,6 +339,7 @@ class TilesBlendPass(BlendPass):
         tuning = self.tuning
         flags = {
             "REST": rest,
+            "TEXTURED": projector.textured,
             "TILE": tuning.tile,
             "WORKGROUP": tuning.workgroup,
             "BATCH": tuning.batch,

@@ -13,7 +13,7 @@
 layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
 #if HAS_DISCS
-layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two per splat: rows, plane
+RECORDS_READ(7, 6, Discs, discs);                                               // two per splat: rows, plane
 #endif
 layout(rgba32f, binding = 0) uniform image2D u_accumulation;                       // rgb, T
 uniform uint u_round;
@@ -28,7 +28,7 @@ shared vec4 batch_shapes[BATCH];
 shared float batch_cs[BATCH];
 shared vec4 batch_colours[BATCH];
 #if HAS_SLOPES
-layout(std430, binding = 8) readonly buffer Slopes { vec4 slopes[]; };
+RECORDS_READ(8, 7, Slopes, slopes);
 shared vec4 batch_depths[BATCH];  // slopes and depth of the mean
 #endif
 #if HAS_DISCS
@@ -60,17 +60,17 @@ uint first_pair(uint tile) {
 }
 
 void put(uint place, uint splat) {
-    vec4 colour = colours[splat];
-    batch_shapes[place] = vec4(shapes[splat].xy, shapes[splat].zw * ROOT_HALF_LOG2_E);
-    batch_cs[place] = bounds[splat].x * ROOT_HALF_LOG2_E;
+    vec4 shape = RECORD(shapes, splat), colour = RECORD(colours, splat);
+    batch_shapes[place] = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
+    batch_cs[place] = RECORD(bounds, splat).x * ROOT_HALF_LOG2_E;
     batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
 #if HAS_SLOPES
-    batch_depths[place] = slopes[splat];
+    batch_depths[place] = RECORD(slopes, splat);
 #endif
 #if HAS_DISCS
     if (DISCS) {
-        batch_rows[place] = discs[2u * splat];
-        batch_planes[place] = discs[2u * splat + 1u];
+        batch_rows[place] = RECORD(discs, 2u * splat);
+        batch_planes[place] = RECORD(discs, 2u * splat + 1u);
     }
 #endif
 }

@@ -15,8 +15,10 @@ from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SCAN_SIZE, SLABS
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.sort import RadixSort, SortTuning
 from splatview.renderers.gl.tiles import TilesRenderer
-from splatview.renderers.request import FrameRequest
-from splatview.scene import Gaussians, RenderSettings, look_at
+from splatview.renderers.modes import MODES
+from splatview.renderers.request import FrameRequest, Highlight
+from splatview.scene import Gaussians, ImageModel, InputError, RenderSettings, look_at
+from splatview.scene.edits import SELECTED, SceneEdits
 
 Make = Callable[..., Gaussians]
 
@@ -27,7 +29,7 @@ FEW_GROUPS = 16
 
 
 def many_splats(random_gaussians: Make, count: int = 20_000) -> Gaussians:
-    scene = random_gaussians(count)
+    scene = random_gaussians(count, sh_degree=0)
     return replace(scene, log_scales=scene.log_scales - 1.5, opacity_logits=scene.opacity_logits + 2)
 
 
@@ -79,3 +81,72 @@ def test_slabs_hold_all_splats_beyond_the_whole_numbers_of_float32(ctx: moderngl
     assert (drawn >= np.diff(ends)).all()
     for thing in (scan, *buffers):
         thing.release()
+
+
+VIEW = look_at((0, 0.3, 2), (0, 0, 0), width=64, height=48)
+FLAT = replace(SETTINGS, model=ImageModel().with_footprint("disc"))
+RECORD = 16
+"""Bytes."""
+
+
+def requests(kind: type[QuadsRenderer], scene: Gaussians) -> list[FrameRequest]:
+    """Everything that reads records."""
+    marks = np.where(np.arange(len(scene)) % 3 == 0, SELECTED, 0).astype(np.uint32)
+    edits = SceneEdits(marks=marks, flags=SELECTED)
+    orders = [order for order in kind.capabilities.orders if order not in ("32-bit", "16-bit")]
+    modes = MODES if kind is QuadsRenderer else ("splats",)
+    return [
+        *(FrameRequest(scene, VIEW, SETTINGS, mode=mode) for mode in modes),
+        *(FrameRequest(scene, VIEW, replace(SETTINGS, order=order)) for order in orders),
+        FrameRequest(scene, VIEW, FLAT),
+        FrameRequest(scene, VIEW, SETTINGS, edits=edits, highlight=Highlight()),
+    ]
+
+
+@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer])
+def test_records_that_no_storage_buffer_holds(ctx, limited, random_gaussians: Make, kind):
+    scene = many_splats(random_gaussians, 3000)
+    pictures = []
+    for most in (2 * RECORD * len(scene), RECORD * len(scene) - 1):
+        limited(GL_MAX_SHADER_STORAGE_BLOCK_SIZE=most)
+        renderer = kind(ctx)
+        pictures.append([renderer.render(request) for request in requests(kind, scene)])
+        assert renderer._projector.textured is (most < RECORD * len(scene))
+        assert renderer.memory() > 3 * RECORD * len(scene)
+        renderer.close()
+    for whole, paged in zip(*pictures, strict=True):
+        assert whole[..., :3].std() > 0.02
+        assert np.abs(whole - paged).max() < 1e-6
+
+
+@pytest.mark.parametrize("kind", [QuadsRenderer, TilesRenderer])
+def test_discs_that_no_storage_buffer_holds_beside_records_that_one_does(
+    ctx, limited, random_gaussians: Make, kind
+):
+    scene = many_splats(random_gaussians, 3000)
+    plain, flat = (FrameRequest(scene, VIEW, settings) for settings in (SETTINGS, FLAT))
+    renderer = kind(ctx)
+    expected = [renderer.render(request) for request in (plain, flat)]
+    renderer.close()
+    limited(GL_MAX_SHADER_STORAGE_BLOCK_SIZE=RECORD * len(scene))
+    renderer = kind(ctx)
+    for request, picture in zip((plain, flat, plain), (*expected, expected[0]), strict=True):
+        assert np.abs(renderer.render(request) - picture).max() < 1e-6
+    renderer.load(few := random_gaussians(100, sh_degree=0))
+    assert not renderer._projector.textured  # as before, for another scene
+    renderer.render(FrameRequest(few, VIEW, SETTINGS))
+    renderer.close()
+
+
+def test_more_splats_than_a_storage_buffer_has_keys(ctx, limited, random_gaussians: Make):
+    limited(GL_MAX_SHADER_STORAGE_BLOCK_SIZE=4 * 300)
+    renderer = QuadsRenderer(ctx)
+    few = random_gaussians(10, sh_degree=0)
+    renderer.load(few)
+    with pytest.raises(
+        InputError, match=r"301 splats are more than this OpenGL driver can sort \(300\); use"
+    ):
+        renderer.load(random_gaussians(301, sh_degree=0))
+    renderer.draw(FrameRequest(None, VIEW, RenderSettings()))
+    assert renderer.stats().splats == 10
+    renderer.close()
