@@ -118,10 +118,6 @@ class VisibleCount:
         self._read = 0
         self._latest = 0
 
-    def forget(self) -> None:
-        """What was counted so far is of another scene."""
-        self._written = self._read = self._latest = 0
-
     def frame_done(self) -> None:
         """Keeps this frame's count for a later `read`; call after the scan."""
         self._ctx.copy_buffer(self._ring[self._written % FRAMES_IN_FLIGHT], self.buffer)

@@ -16,6 +16,7 @@ layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         /
 RECORDS_READ(7, 6, Discs, discs);                                               // two per splat: rows, plane
 #endif
 layout(rgba32f, binding = 0) uniform image2D u_accumulation;                       // rgb, T
+layout(std430, binding = 5) writeonly buffer NextParts { uint next_parts[]; };  // three a part: an indirect dispatch
 uniform uint u_round;
 uniform uint u_first;  // range of the tile's splats: the first, and the greatest count
 uniform uint u_most;
@@ -35,6 +36,7 @@ shared vec4 batch_depths[BATCH];  // slopes and depth of the mean
 shared vec4 batch_rows[BATCH];
 shared vec4 batch_planes[BATCH];
 #endif
+bool has_more;  // the tile has splats beyond this part
 shared uint borders[2];
 shared uint open_pixels;
 #if HAS_REST
@@ -110,6 +112,13 @@ uint fill_batch(uint first, uint count, ivec2 tile) {
 }
 #endif
 
+// Has the next part drawn, over all tiles, where this one is not through with its own.
+void call_next_part() {
+    if (!has_more || gl_LocalInvocationID.x != 0u) return;
+    uint part = u_first / u_most;
+    for (int i = 0; i < 3; i++) next_parts[3u * part + uint(i)] = gl_NumWorkGroups[i];
+}
+
 // First and end of the tile's splats in this dispatch; to be called by all of a work group.
 uvec2 range_of(uint number) {
 #if HAS_REST
@@ -119,6 +128,7 @@ uvec2 range_of(uint number) {
     memoryBarrierShared(); barrier();
     uvec2 range = uvec2(borders[0], borders[1]);
 #endif
+    has_more = range.y - range.x > u_first + u_most;
     if (range.y - range.x <= u_first) return uvec2(0u);
     range.x += u_first;
     return uvec2(range.x, range.x + min(range.y - range.x, u_most));

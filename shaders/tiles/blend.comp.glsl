@@ -26,7 +26,10 @@ void main() {
         if (open) atomicOr(open_pixels, 1u);
         uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
         memoryBarrierShared(); barrier();
-        if (open_pixels == 0u) break;
+        if (open_pixels == 0u) {
+            has_more = false;
+            break;
+        }
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
             vec2 offset = vec2(own) + 0.5 - shape.xy;
@@ -54,4 +57,5 @@ void main() {
         ivec2 pixel = own + step_to(i);
         if (all(lessThan(pixel, size))) imageStore(u_accumulation, pixel, sums[i]);
     }
+    call_next_part();
 }

@@ -56,12 +56,12 @@ def test_more_keys_than_one_dispatch_has_groups_for(ctx, limited):
     limited(GL_MAX_COMPUTE_WORK_GROUP_COUNT=(FEW_GROUPS, 65_535, 65_535))
     keys = np.random.default_rng(3).integers(0, 1 << 32, 10_000, dtype=np.uint32)
     sorter = RadixSort(ctx, len(keys), tuning=SortTuning(digit_bits=4, workgroup=16, keys_per_invocation=16))
-    buffers = [ctx.buffer(data) for data in (keys, np.arange(len(keys), dtype=np.uint32))]
+    keyed, values = (ctx.buffer(data) for data in (keys, np.arange(len(keys), dtype=np.uint32)))
     count = ctx.buffer(np.uint32(len(keys)).tobytes())
-    done = [np.frombuffer(buffer.read(), np.uint32) for buffer in sorter.sort(*buffers, count)]
+    done = [np.frombuffer(buffer.read(), np.uint32) for buffer in sorter.sort(keyed, values, count)]
     assert np.array_equal(done[0], np.sort(keys))
     assert np.array_equal(done[1], np.argsort(keys, kind="stable"))
-    for thing in (sorter, count, *buffers):
+    for thing in (sorter, count, keyed, values):
         thing.release()
 
 

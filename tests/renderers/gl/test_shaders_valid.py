@@ -96,7 +96,7 @@ def tiles() -> Iterator[Variant]:
             own = {"WORKGROUP": tuning.workgroup, "BATCH": tuning.batch, "TILE": tuning.tile, "ROUNDS": 16}
             edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
             yield "tiles/blend.comp.glsl", {**own, "REST": rest, **edits}
-        yield "tiles/blend.comp.glsl", {**own, "REST": False, "TEXTURED": True, "DISCS": True, **edits}
+            yield "tiles/blend.comp.glsl", {**own, "REST": rest, "TEXTURED": True, "DISCS": True, **edits}
 
 
 @pytest.mark.parametrize(
