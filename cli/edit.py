@@ -10,7 +10,7 @@ from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
-from splatview.cli.arguments import Parser
+from splatview.cli.arguments import Parser, positive
 from splatview.edit.changes import Change
 from splatview.edit.document import Document, exported
 from splatview.edit.impact import StepImpacts, in_words
@@ -57,6 +57,13 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--force", action="store_true", help="let files that the recipe splits off replace existing ones"
     )
+    parser.add_argument(
+        "--memory",
+        metavar="GIB",
+        type=positive,
+        default=0.0,
+        help="memory that the steps may take beyond SCENE itself (default: half of what is free)",
+    )
     parser.add_argument("--json", action="store_true", help="the report for scripts, on standard output")
     return parser
 
@@ -73,12 +80,18 @@ def run(arguments: list[str]) -> int:
     targets = _split_targets(recipe, args) if args.output is not None else {}
     gaussians = load_scene(args.scene)
     parts: list[tuple[Gaussians, Path]] = []
+
+    def hold(scene: Gaussians, path: Path) -> None:
+        parts.append((scene, path))
+        document.budget -= scene.nbytes
+
     document = Document(
         gaussians,
         name=Path(args.scene).name,
         folder=recipe.folder,
         tools=CpuRenderer(),
-        save=lambda scene, path: parts.append((scene, path)),
+        save=hold,
+        budget=args.memory * 2**30,
     )
     steps: list[dict[str, object]] = []
     prices = None
@@ -99,7 +112,7 @@ def run(arguments: list[str]) -> int:
 
     try:
         check_scene(recipe, document, any_scene=args.any_scene)
-        replay(recipe, document, on_step=report, progress=Progress(report=_printer()))
+        replay(recipe, document, on_step=report, progress=Progress(report=_printer()), undo=False)
         scene = exported(document)
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None

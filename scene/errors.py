@@ -18,6 +18,14 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
+def bytes_in_words(size: float) -> str:
+    """``512 KiB``, ``1.5 MiB``, ``24.0 GiB``."""
+    kib = max(size, 0) / 1024
+    if kib < 1024:
+        return f"{kib:.0f} KiB"
+    return f"{kib / 1024:.1f} MiB" if kib < 10 << 20 else f"{kib / 2**20:,.1f} GiB"
+
+
 def one_line(text: str) -> str:
     """`text` as a terminal can show it: messages quote names and values of files that may hold anything.
 

@@ -62,6 +62,8 @@ class Preferences:
     """Whether training takes all cores while the view is not moved."""
     training_updates: TrainingUpdates = "live"
     """How often the growing scene is shown."""
+    edit_memory_gib: float = 0.0
+    """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
     closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
@@ -73,6 +75,7 @@ RANGES = {
     "fov_y": (5.0, 140.0),
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
+    "edit_memory_gib": (0.0, 1024.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,8 +26,9 @@ class Format:
     """Lower case, with its dot."""
     sniff: Callable[[bytes], bool] = lambda start: False
     """Whether a file with these first SNIFFED bytes is one; never, where they do not tell."""
-    read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
-    """Reader of a file from its start; the path is for messages. None: recognised and refused."""
+    read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians] | None = None
+    """Reader of a file from its start into so many bytes of memory at most; the path is for messages. None:
+    recognised and refused."""
     write: Callable[[Gaussians, Path], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
     article: str = "a"
@@ -56,19 +58,23 @@ SNIFFED = 8
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
 
 
-def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS) -> Gaussians:
-    """The splats in a file; the format is told by its first bytes.
+def load_scene(
+    path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS, room: float = math.inf
+) -> Gaussians:
+    """The splats in a file, in `room` bytes of memory at most; the format is told by its first bytes.
 
     Raises:
-        InputError: the file is missing, damaged or of another kind.
+        InputError: the file is missing, damaged, too large or of another kind.
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
     with open_scene(path) as file:
-        return _reader(file, path)(file, path, progress)
+        return _reader(file, path)(file, path, progress, room)
 
 
-def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
+def _reader(
+    file: io.BufferedReader, path: Path
+) -> Callable[[io.BufferedReader, Path, Progress, float], Gaussians]:
     """The reader of the file's format; `file` is at its start before and after. Raises InputError."""
     start = file.read(SNIFFED)
     file.seek(0)

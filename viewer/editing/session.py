@@ -82,6 +82,8 @@ class EditSession:
     """Stamps of the open files, as they were read or last exported over."""
     pivot: tuple[object, Place] | None = None
     """Centre of transforms, after the scope and versions that it is of."""
+    told_floor: int = 0
+    """Steps that the user knows to be past undoing."""
     seen_position: int = -1
     """Position in the history when its panel was drawn last."""
     loading: tuple[Gaussians, Generator[float]] | None = None
@@ -181,8 +183,12 @@ class EditSession:
 
     def jump(self, position: int) -> None:
         """Undoes or redoes until `position` steps are in force."""
-        if not self._busy() and not self._final():
+        if self._busy() or self._final():
+            return
+        try:
             self.document.jump(position)
+        except InputError as error:
+            self.problem = str(error)
 
     def apply(self, operation: Operation | Planned) -> bool:
         """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
@@ -232,7 +238,12 @@ class EditSession:
         self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
-        """Called every frame: ends a job that is done."""
+        """Called every frame: ends a job that is done, and tells of steps that are past undoing now."""
+        history = self.document.history
+        if history.floor > self.told_floor:
+            self.told_floor = history.floor
+            forgotten = f"undo has used up its memory: the first {history.floor:,} steps are final now"
+            self.news = "; ".join(filter(None, (self.news, forgotten)))
         job = self.job
         if job is None or not job.done:
             return
@@ -324,7 +335,13 @@ class Editing(Feature):
             self.session.close()
         folder = scene.paths[0].parent if scene.paths else None
         try:
-            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=CpuRenderer())
+            document = Document(
+                scene.gaussians,
+                name=scene.name,
+                folder=folder,
+                tools=CpuRenderer(),
+                budget=app.preferences.edit_memory_gib * 2**30,
+            )
         except InputError as error:
             self.session = None
             app.tell(f"{error}; it can be looked at")
