@@ -138,16 +138,17 @@ def _split_targets(recipe: Recipe, args: Namespace) -> dict[Path, Path]:
     """
     targets = {}
     folder = args.output.absolute().parent
+    real_folder = Path(os.path.realpath(folder))
     for number, step in enumerate(recipe.steps, 1):
         if not isinstance(step, Split):
             continue
         where = f"{args.recipe}: step {number} (split): {step.path}"
         target = folder / step.path
-        if not target.resolve().is_relative_to(folder.resolve()):
+        if not Path(os.path.realpath(target)).is_relative_to(real_folder):
             raise InputError(f"{where}: is outside {folder}, where OUT is; name a file in that folder")
-        if target.exists() and Path(args.scene).exists() and target.samefile(args.scene):
+        if os.path.exists(target) and os.path.exists(args.scene) and target.samefile(args.scene):
             raise InputError(f"{where}: is SCENE itself; give another name in the recipe")
-        if target.exists() and not args.force:
+        if os.path.lexists(target) and not args.force:
             raise InputError(f"{where}: exists already in {folder}; remove it, or overwrite it with --force")
         targets[Path(recipe.folder or os.curdir, step.path)] = target
     return targets
@@ -156,7 +157,7 @@ def _split_targets(recipe: Recipe, args: Namespace) -> dict[Path, Path]:
 def _write(scene: Gaussians, output: Path, parts: list[tuple[Gaussians, Path]]) -> None:
     """All files, only now that nothing can go wrong with the steps any more."""
     paths = [output, *(path for _, path in parts)]
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError(f"{output}: two of the recipe's files would have one name")
     for path in paths:
         check_saving(path)

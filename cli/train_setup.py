@@ -215,7 +215,7 @@ def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) 
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
-    scene = output or Path(f"{Path(capture).resolve().name or 'scene'}.ply")
+    scene = output or Path(f"{os.path.basename(os.path.realpath(capture)) or 'scene'}.ply")
     return Outputs(
         scene=scene,
         checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
@@ -315,7 +315,7 @@ def lock_run(path: Path) -> None:
     Raises:
         InputError: another process of this user's has it.
     """
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()[:16]
     mark = cache_folder() / "claims" / f"{name}.lock"
     if mark in _held:
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -37,7 +38,7 @@ def stamp_of(path: Path) -> Stamp | None:
 
 def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
     """Stamps of `paths`, by the files that links lead to."""
-    found = {path.resolve(): stamp_of(path) for path in paths}
+    found = {Path(os.path.realpath(path)): stamp_of(path) for path in paths}
     return {path: stamp for path, stamp in found.items() if stamp is not None}
 
 
@@ -145,7 +146,7 @@ class Examination(Task[None]):
 
 def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
     """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
-    sizes = [path.stat().st_size if path.is_file() else 0 for path in paths]
+    sizes = [os.path.getsize(path) if os.path.isfile(path) else 0 for path in paths]
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,7 +30,7 @@ def open_paths(app: AppState, paths: Sequence[Path]) -> None:
     """Opens what was dropped or chosen: scenes (several are merged), camera lists, a COLMAP folder."""
     scenes = []
     for path in paths:
-        if path.suffix.lower() in CAMERA_SUFFIXES or path.is_dir():
+        if path.suffix.lower() in CAMERA_SUFFIXES or os.path.isdir(path):
             open_camera_list(app, path)
         else:
             scenes.append(path)

@@ -178,7 +178,7 @@ def find_photo(folder: Path, name: str) -> Path | None:
     """The photo `name` in `folder`, its suffix added where it has none; None where there is none."""
     path = folder / name.replace("\\", "/")
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in SUFFIXES)]
-    return next((candidate for candidate in candidates if _is_file(candidate)), None)
+    return next(filter(os.path.isfile, candidates), None)
 
 
 def find_mask(capture: Path, name: str) -> Path | None:
@@ -194,15 +194,7 @@ def find_mask(capture: Path, name: str) -> Path | None:
         path.with_name(path.name + ".png"),
         *(path.with_suffix(suffix) for suffix in SUFFIXES),
     ]
-    return next((candidate for candidate in candidates if _is_file(candidate)), None)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        # A name that no file can have (too long, a zero byte) is the name of none.
-        return False
+    return next(filter(os.path.isfile, candidates), None)
 
 
 def tidy_name(name: str) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
-from splatview.scene.formats.io import CONVERT, open_scene
+from splatview.scene.formats.io import CONVERT, open_regular, target_of
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -68,7 +68,7 @@ def load_scene(
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
-    with open_scene(path) as file:
+    with open_regular(path, folder="is a folder, not a scene; name the .ply file in it") as file:
         return _reader(file, path)(file, path, progress, room)
 
 
@@ -125,16 +125,7 @@ def check_format(path: Path) -> Callable[[Gaussians, Path], None]:
 def check_saving(path: Path) -> None:
     """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
     check_format(path)
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        folder = path.resolve().parent
-        if not folder.is_dir():
-            raise InputError(f"{path}: the folder {folder} does not exist; make it first")
-        if not os.access(folder, os.W_OK):
-            raise InputError(f"{path}: the folder {folder} cannot be written to")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    target_of(path)
 
 
 def load_cameras(

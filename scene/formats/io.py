@@ -26,10 +26,35 @@ Ghostscript on PostScript."""
 
 
 def open_image(path: Path) -> Image.Image:
-    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises."""
+    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises, and InputError
+    for what is no file."""
     from PIL import Image
 
+    require_regular_file(path)
     return Image.open(path, formats=IMAGE_FORMATS)
+
+
+def target_of(path: Path) -> Path:
+    """The file behind all links that is written for `path`.
+
+    Raises:
+        InputError: there can be none: its folder is missing or out of reach, or something else is there.
+    """
+    target = Path(os.path.realpath(path))
+    try:
+        mode = target.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise InputError(f"{path}: is a folder; name a file in it")
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
+    except FileNotFoundError:
+        if not os.path.isdir(target.parent):
+            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {target.parent} cannot be written to")
+    return target
 
 
 @contextmanager
@@ -42,16 +67,11 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     Raises:
         InputError: the operating system refuses, be it the folder's permissions or a full disk.
     """
+    target = target_of(path)
     try:
-        target = path.resolve()
-        if target.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        if target.exists() and not target.is_file():
-            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
-        if not target.parent.is_dir():
-            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first")
         # In the same folder, for a rename between file systems would be a copy.
-        temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
+        name = target.name if len(os.fsencode(target.name)) <= 200 else target.name[:50]
+        temporary = target.parent / f".{name}.{secrets.token_hex(4)}.tmp"
         try:
             with open(temporary, "xb") as file:
                 yield file
@@ -80,21 +100,28 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def open_scene(path: Path) -> Iterator[io.BufferedReader]:
-    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError."""
+def open_regular(path: Path, *, folder: str = "is a folder, not a file") -> Iterator[io.BufferedReader]:
+    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError, as are
+    folders, devices and pipes, which may never end; `folder` is what to say about those."""
     try:
         with open(path, "rb", opener=_open_regular) as file:
             yield file
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+        raise InputError(f"{path}: {folder}") from None
     except PermissionError:
         raise InputError(f"{path}: may not be read; check its permissions") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def require_regular_file(path: Path) -> None:
+    """Raises InputError where `open_regular` would."""
+    with open_regular(path):
+        pass
 
 
 def _open_regular(name: str, flags: int) -> int:
@@ -158,18 +185,13 @@ with a larger limit a damaged file could take all memory."""
 
 def read_json(path: Path, *, what: str) -> Any:
     """The content of `path`. Raises InputError; `what` says what the file should have been."""
+    with open_regular(path) as file:
+        text = file.read(MAX_JSON_BYTES + 1)
+    if len(text) > MAX_JSON_BYTES:
+        raise InputError(f"{path}: is too large for a {what}")
     try:
-        # A device or a pipe may never end: only files are opened.
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: is too large for a {what}")
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{path}: is no {what}: not JSON ({error})") from None
 
 
