@@ -28,6 +28,7 @@ from splatview.cli.arguments import (
     count,
     positive,
 )
+from splatview.cli.main import make_console
 from splatview.cli.render import check_output
 from splatview.cli.train_setup import ready_kernels
 from splatview.measure.knobs import KNOBS, Plan, knob
@@ -83,7 +84,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     Raises:
         InputError: the capture is at fault, or has no held-out photos.
     """
-    console = Console(stderr=True)
+    console = make_console()
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
@@ -116,7 +117,9 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
         print(json.dumps({**about, "seeds": seeds, "rungs": training_as_json(trained)}))
     else:
         print_training_ladder(
-            Console(), trained, f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds"
+            make_console(stderr=False),
+            trained,
+            f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds",
         )
     return 0
 
@@ -305,7 +308,7 @@ def run(arguments: list[str]) -> int:
     gaussians = load_scene(args.scene)
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
-    console = Console(stderr=True)
+    console = make_console()
     scenes = [HeadlessScene(make_headless(name), gaussians, orbit.turned_from) for name in names]
     views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
     with console.status("Drawing the truth in float64"):
@@ -336,7 +339,12 @@ def run(arguments: list[str]) -> int:
     if args.json:
         print(json.dumps(as_json(ladder, about)))
     else:
-        print_ladder(Console(), ladder, f"{Path(args.scene).name}, {len(gaussians):,} splats, {size}", apart)
+        print_ladder(
+            make_console(stderr=False),
+            ladder,
+            f"{Path(args.scene).name}, {len(gaussians):,} splats, {size}",
+            apart,
+        )
     if args.plot is not None:
         plot(ladder, args.plot, title=f"{Path(args.scene).name}, {len(gaussians):,} splats at {size}")
         print(f"{args.plot}: the plot", file=sys.stderr)
@@ -451,8 +459,8 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         highlight=False,
     )
     for line in bargains(ladder):
-        console.print(line, highlight=False, style="bold")
+        console.print(line, style="bold")
     if ladder.left_out:
-        console.print(left_out_text(ladder), highlight=False)
+        console.print(left_out_text(ladder))
     if not ladder.complete:
-        console.print("Stopped early: fewer pairs than planned.", highlight=False)
+        console.print("Stopped early: fewer pairs than planned.")

@@ -63,9 +63,9 @@ OF_THE_CHECKPOINT = [
 """Options that a resumed run takes from where it was."""
 
 
-def say(console: Console, text: str) -> None:
+def say(console: Console, text: str, style: str | None = None) -> None:
     """Prints a line as it is, however long."""
-    console.print(text, highlight=False, soft_wrap=True)
+    console.print(text, style=style, soft_wrap=True)
 
 
 class ToldElsewhere(Exception):
@@ -149,7 +149,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
-        say(console, f"[yellow]{warning}")
+        say(console, warning, "yellow")
     if checkpoint is None:
         trainer = _new_trainer(capture, views, seed, batch, options, group)
         if options.iterations is None and automatic_steps(len(views)) is not None:

@@ -16,6 +16,7 @@ from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects
+from splatview.scene.errors import printable
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
@@ -160,7 +161,7 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
     if added_to and not added_to.paths:
         name = f"{added_to.name} and {name}"
-    return Loading(name, all_paths, read)
+    return Loading(printable(name), all_paths, read)
 
 
 def load_demo() -> Loading:

@@ -14,6 +14,7 @@ from splatview.viewer.camera import UP_NAMES, set_up, up_name
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
+from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -53,10 +54,9 @@ def recent_files(app: AppState) -> None:
     if not imgui.begin_menu("Recent", bool(app.preferences.recent)):
         return
     for name in app.preferences.recent:
-        if imgui.menu_item(f"{Path(name).name}##{name}", "", False)[0]:
+        if imgui.menu_item(widgets.item(Path(name).name, name), "", False)[0]:
             app.post(opening.open_paths, [Path(name)])
-        if imgui.is_item_hovered():
-            imgui.set_tooltip(name)
+        widgets.tooltip(name)
     imgui.separator()
     if imgui.menu_item("Forget these", "", False)[0]:
         app.prefer(recent=())

@@ -22,6 +22,7 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
+from splatview.scene.errors import printable
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -195,12 +196,12 @@ class AppState:
 
     def tell(self, text: str) -> None:
         """One line into the messages panel and the status bar."""
-        self.messages.append(Message(text=text, error=False, at=time.time()))
+        self.messages.append(Message(text=printable(text), error=False, at=time.time()))
 
     def complain(self, text: str) -> None:
         """One line that the user must not miss: a dialog, and the messages panel."""
-        self.messages.append(Message(text=text, error=True, at=time.time()))
-        self.problem = text
+        self.problem = printable(text)
+        self.messages.append(Message(text=self.problem, error=True, at=time.time()))
 
     def go_to(self, view: View, *, smooth: bool = True) -> None:
         """Changes the view, as a short motion where the user likes that."""

@@ -12,6 +12,7 @@ from splatview.edit.operations.base import Operation
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
+from splatview.scene.errors import printable
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 MARK_BYTES = 4
@@ -32,7 +33,7 @@ class Merge(Operation):
         # The scene of both is made while the file's splats are held: two copies of those.
         other = state.load(state.path(self.path), room=state.room / 2)
         marks = np.full(len(other), SELECTED, np.uint32)
-        title = f"Merge {splats_in_words(len(other))} of {state.path(self.path).name}"
+        title = f"Merge {splats_in_words(len(other))} of {printable(state.path(self.path).name)}"
         return _appended(state, other, marks, title)
 
 
@@ -72,7 +73,7 @@ class Split(Operation):
         target = state.path(self.path)
         scene = bake(state.gaussians, edits, hidden=True)
         return Change(
-            title=f"Split {splats_in_words(len(splats))} to {target.name}",
+            title=f"Split {splats_in_words(len(splats))} to {printable(target.name)}",
             count=len(splats),
             parts=(SaveOnce(state.save, target, scene), Toggle(splats, SELECTED | DELETED)),
         )

@@ -24,6 +24,7 @@ from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, Crop, SceneEdits
+from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
@@ -51,7 +52,7 @@ class Job(Task[Any]):
         *,
         yields: bool = False,
     ):
-        self.title = title
+        self.title = printable(title)
         self.finish = finish
         self.yields = yields
         """Whether it is dropped where the user edits: the user did not ask for it."""

@@ -7,7 +7,7 @@ from functools import partial
 from imgui_bundle import ImVec2, imgui
 
 from splatview.edit.journal import AbandonedJournal
-from splatview.scene.errors import bytes_in_words
+from splatview.scene.errors import bytes_in_words, printable
 from splatview.viewer import theme
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.editing import commands
@@ -69,7 +69,7 @@ def show(app: AppState) -> None:
         imgui.begin_disabled(position < history.floor)
         if waiting:
             imgui.push_style_color(imgui.Col_.text, theme.QUIET)
-        clicked, _ = imgui.selectable(f"{title}##{position}", position == history.position)
+        clicked, _ = imgui.selectable(widgets.item(title, position), position == history.position)
         imgui.end_disabled()
         if waiting:
             imgui.pop_style_color()
@@ -90,14 +90,14 @@ def show_restore(app: AppState) -> None:
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
     for journal in tuple(restoring.abandoned):
-        imgui.push_id(str(journal.file))
+        imgui.push_id(journal.file.name)
         widgets.button(
             "Restore", "Opens the scene and does its steps again.", partial(_restore, app, journal)
         )
         imgui.same_line()
         widgets.button("Discard", "Forgets these steps for good.", partial(_discard, app, journal))
         imgui.same_line()
-        imgui.text_unformatted(described(journal))
+        imgui.text_unformatted(printable(described(journal)))
         widgets.tooltip(str(journal.scene))
         imgui.pop_id()
     widgets.button("Later", "Asks again at the next start.", partial(_close, app))
