@@ -29,6 +29,7 @@ from splatview.cli.arguments import (
     orbit_of,
     positive,
 )
+from splatview.cli.main import make_console
 from splatview.cli.render import check_output
 from splatview.cli.train_setup import ready_kernels
 from splatview.measure.knobs import KNOBS, Plan, knob
@@ -86,7 +87,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     Raises:
         InputError: the capture is at fault, or has no held-out photos.
     """
-    console = Console(stderr=True)
+    console = make_console()
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
@@ -120,7 +121,9 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
         print(json.dumps({**about, "seeds": seeds, "rungs": training_as_json(trained)}))
     else:
         print_training_ladder(
-            Console(), trained, f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds"
+            make_console(stderr=False),
+            trained,
+            f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds",
         )
     return 0
 
@@ -314,7 +317,7 @@ def run(arguments: list[str]) -> int:
     gaussians = load_scene(args.scene)
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
-    console = Console(stderr=True)
+    console = make_console()
     count_of_views = args.views or (2 if args.camera is None and args.eye is None else 1)
     views = [orbit.camera, *(orbit.turned(VIEW_TURN * number) for number in range(1, count_of_views))]
     centre, _ = robust_bounds(gaussians.means)
@@ -355,7 +358,7 @@ def run(arguments: list[str]) -> int:
     if args.json:
         print(json.dumps(as_json(ladder, about)))
     else:
-        print_ladder(Console(), ladder, title, apart)
+        print_ladder(make_console(stderr=False), ladder, title, apart)
     if args.plot is not None:
         plot(ladder, args.plot, title=title)
         print(f"{args.plot}: the plot", file=sys.stderr)
@@ -470,8 +473,8 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         highlight=False,
     )
     for line in bargains(ladder):
-        console.print(line, highlight=False, style="bold")
+        console.print(line, style="bold")
     if ladder.left_out:
-        console.print(left_out_text(ladder), highlight=False)
+        console.print(left_out_text(ladder))
     if not ladder.complete:
-        console.print("Stopped early: fewer pairs than planned.", highlight=False)
+        console.print("Stopped early: fewer pairs than planned.")

@@ -13,9 +13,14 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from splatview.scene import InputError
+from splatview.scene.errors import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
 
 COMMANDS = {
     "render": "a scene to a picture file, without a window",
@@ -86,7 +91,8 @@ def main(argv: Sequence[str] | None = None, *, on_loaded: Callable[[], None] = l
 
 
 class TolerantStream:
-    """A standard stream to which writing never fails: work is worth more than what is said about it.
+    """A standard stream to which writing never fails: work is worth more than what is said about it. Lines
+    are shown as they are: what a terminal would obey is written as escapes.
 
     A reader that has gone (``| head``), a full disk under a log and a stream that was closed from the start
     are noted once, in `failure`; what is written after that goes nowhere. Characters that the stream's
@@ -101,8 +107,12 @@ class TolerantStream:
             stream.reconfigure(errors="backslashreplace")
 
     def write(self, text: str) -> int:
-        self._try(lambda stream: stream.write(text))
+        self.write_styled(printable(text, keep="\n\t"))
         return len(text)
+
+    def write_styled(self, text: str) -> None:
+        """Writes `text` with what the terminal shall obey."""
+        self._try(lambda stream: stream.write(text))
 
     def flush(self) -> None:
         self._try(lambda stream: stream.flush())
@@ -125,6 +135,32 @@ class TolerantStream:
             with contextlib.suppress(OSError, ValueError):
                 # What is still buffered must go somewhere when the interpreter flushes it.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+
+class _Styled:
+    """A `TolerantStream` to which a library writes its own colours and moves of the cursor."""
+
+    def __init__(self, stream: TolerantStream) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        self._stream.write_styled(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def make_console(*, stderr: bool = True, quiet: bool = False) -> Console:
+    """A console for tables and bars. Texts are shown as they are: nothing in them is markup, or obeyed."""
+    from rich.console import Console
+
+    class PlainConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(printable(text, keep="\n\t"), **options)
+
+    stream = sys.stderr if stderr else sys.stdout
+    file: Any = _Styled(stream) if isinstance(stream, TolerantStream) else stream
+    return PlainConsole(file=file, quiet=quiet, markup=False, emoji=False, highlight=False)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -64,9 +64,9 @@ OF_THE_CHECKPOINT = [
 """Options that a resumed run takes from where it was."""
 
 
-def say(console: Console, text: str) -> None:
+def say(console: Console, text: str, style: str | None = None) -> None:
     """Prints a line as it is, however long."""
-    console.print(text, highlight=False, soft_wrap=True)
+    console.print(text, style=style, soft_wrap=True)
 
 
 class ToldElsewhere(Exception):
@@ -154,7 +154,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
-        say(console, f"[yellow]{warning}")
+        say(console, warning, "yellow")
     if checkpoint is None:
         trainer = _new_trainer(capture, views, centre, seed, batch, options, group)
         if options.iterations is None and automatic_steps(len(views)) is not None:
@@ -227,7 +227,7 @@ def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) 
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
-    scene = output or Path(f"{Path(capture).resolve().name or 'scene'}.ply")
+    scene = output or Path(f"{os.path.basename(os.path.realpath(capture)) or 'scene'}.ply")
     return Outputs(
         scene=scene,
         checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
@@ -337,7 +337,7 @@ def lock_run(path: Path) -> None:
     Raises:
         InputError: another process of this user's has it.
     """
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()[:16]
     mark = cache_folder() / "claims" / f"{name}.lock"
     if mark in _held:
         return

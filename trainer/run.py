@@ -22,7 +22,8 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
-from splatview.scene.formats import check_format, save_scene
+from splatview.scene.formats import check_saving, save_scene
+from splatview.scene.formats.io import target_of
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.distributed import PeerLost
@@ -60,12 +61,13 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
-        check_format(self.scene)
+        check_saving(self.scene)
+        target_of(self.checkpoint)
         for path in (self.scene, self.checkpoint):
             check_writable(path)
         if self.metrics is not None:
             check_metrics(self.metrics)
-        if self.pictures.exists() and not self.pictures.is_dir():
+        if os.path.lexists(self.pictures) and not os.path.isdir(self.pictures):
             raise InputError(f"{self.pictures}: is in the way of the folder for pictures; move it")
 
 
@@ -80,15 +82,16 @@ class RunProgress(NamedTuple):
 
 def check_writable(path: Path) -> None:
     """Makes a file beside `path` and removes it. Raises InputError where the system refuses."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; name a file in it")
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
     try:
-        with tempfile.TemporaryFile(dir=path.resolve().parent, prefix=".splatview-") as file:
+        folder = os.path.dirname(os.path.realpath(path))
+        with tempfile.TemporaryFile(dir=folder, prefix=".splatview-") as file:
             file.write(bytes(4096))
             file.flush()
-        if path.exists():
+        if os.path.isfile(path):
             with open(path, "ab"):
                 pass
     except OSError as error:

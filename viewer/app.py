@@ -17,7 +17,8 @@ from imgui_bundle import hello_imgui, imgui, implot
 
 from splatview.renderers.gl.context import describe
 from splatview.renderers.precompile import ShaderPrecompiler
-from splatview.scene.user_dirs import cache_folder, config_folder
+from splatview.scene import InputError
+from splatview.scene.user_dirs import cache_folder
 from splatview.viewer import commands, layout, theme
 from splatview.viewer import open as opening
 from splatview.viewer.background import WindowBackground
@@ -276,8 +277,8 @@ class Window:
         self._saved = self.app.preferences
         try:
             save_preferences(self._saved)
-        except OSError as error:
-            return f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+        except InputError as error:
+            return f"the preferences cannot be saved: {error}"
         return None
 
 

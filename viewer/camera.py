@@ -338,7 +338,7 @@ def keep_bookmarks(app: AppState) -> None:
         ]
         path = save_bookmarks(app.scene_path, app.bookmarks)
         app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
-    except (OSError, InputError) as error:
+    except InputError as error:
         app.complain(f"The bookmarks cannot be saved: {error}")
         return
     app.tell(f"Bookmarks saved in {path}")

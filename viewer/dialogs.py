@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable
@@ -206,6 +207,8 @@ class FileDialogs:
             return
         self._title, self._done, self._saving = title, done, kind.startswith("save")
         proposal = str((self.folder or Path.cwd()) / name) if name else str(self.folder or Path.cwd())
+        if any("\ud800" <= one <= "\udfff" for one in proposal):
+            proposal = name  # no dialog takes names that are no text
         if not has_native_dialogs():
             self._typed, self._fresh = (proposal if self._saving else ""), True
         elif self._saving:
@@ -256,7 +259,7 @@ class FileDialogs:
 
     def _finish(self, names: list[str]) -> None:
         done, self._done, self._typed = self._done, None, None
-        paths = [Path(name).expanduser() for name in names if name]
+        paths = [Path(os.path.expanduser(name)) for name in names if name]
         if paths and done is not None:
             self.folder = paths[0].parent
             done(paths)

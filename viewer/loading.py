@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects
+from splatview.scene.errors import printable
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
@@ -37,7 +39,7 @@ def stamp_of(path: Path) -> Stamp | None:
 
 def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
     """Stamps of `paths`, by the files that links lead to."""
-    found = {path.resolve(): stamp_of(path) for path in paths}
+    found = {Path(os.path.realpath(path)): stamp_of(path) for path in paths}
     return {path: stamp for path, stamp in found.items() if stamp is not None}
 
 
@@ -151,7 +153,7 @@ class Examination(Task[None]):
 
 def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
     """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
-    sizes = [path.stat().st_size if path.is_file() else 0 for path in paths]
+    sizes = [os.path.getsize(path) if os.path.isfile(path) else 0 for path in paths]
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 
@@ -165,7 +167,7 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
     if added_to and not added_to.paths:
         name = f"{added_to.name} and {name}"
-    return Loading(name, all_paths, read)
+    return Loading(printable(name), all_paths, read)
 
 
 def load_demo() -> Loading:

@@ -56,10 +56,9 @@ def recent_files(app: AppState) -> None:
     if not imgui.begin_menu("Recent", bool(app.preferences.recent)):
         return
     for name in app.preferences.recent:
-        if imgui.menu_item(f"{Path(name).name}##{name}", "", False)[0]:
+        if imgui.menu_item(widgets.item(Path(name).name, name), "", False)[0]:
             app.post(opening.open_paths, [Path(name)])
-        if imgui.is_item_hovered():
-            imgui.set_tooltip(name)
+        widgets.tooltip(name)
     imgui.separator()
     if imgui.menu_item("Forget these", "", False)[0]:
         app.prefer(recent=())

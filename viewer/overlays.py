@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.renderers import MODES
 from splatview.scene import Camera
+from splatview.scene.errors import printable
 from splatview.scene.image_model import NEAR
 from splatview.viewer import theme
 from splatview.viewer.camera import go_to_camera
@@ -160,7 +161,7 @@ def show_frusta(app: AppState, corner: ImVec2) -> None:
         return
     index = drawn[under][0] * step
     held_out = " (held out)" if training is not None and training.photos[index].held_out else ""
-    imgui.set_tooltip(f"{app.cameras[index].name or f'Camera {index + 1}'}{held_out}")
+    imgui.set_tooltip(printable(f"{app.cameras[index].name or f'Camera {index + 1}'}{held_out}"))
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     if imgui.is_mouse_released(imgui.MouseButton_.left) and not (dragged.x or dragged.y):
         app.post(go_to_camera, index)

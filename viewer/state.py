@@ -23,6 +23,7 @@ from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects.overrides import followed
+from splatview.scene.errors import printable
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading, Reading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -200,12 +201,12 @@ class AppState:
 
     def tell(self, text: str) -> None:
         """One line into the messages panel and the status bar."""
-        self.messages.append(Message(text=text, error=False, at=time.time()))
+        self.messages.append(Message(text=printable(text), error=False, at=time.time()))
 
     def complain(self, text: str) -> None:
         """One line that the user must not miss: a dialog, and the messages panel."""
-        self.messages.append(Message(text=text, error=True, at=time.time()))
-        self.problem = text
+        self.problem = printable(text)
+        self.messages.append(Message(text=self.problem, error=True, at=time.time()))
 
     def call_for(self, wanted: RenderSettings) -> None:
         """Has the scene call for `wanted`: settings follow, where the user has not set them otherwise."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from splatview.edit import detectors as detecting
 from splatview.edit.changes import Change, Part, Rewrite, splats_in_words
-from splatview.edit.operations.base import Operation, deleting
+from splatview.edit.operations.base import Operation, deleting, require_rewrite
 from splatview.edit.operations.select import MODES, VERBS, Mode, kind_of, one_of, selection
 from splatview.edit.selectors.base import finding_mask
 from splatview.edit.serialization import to_json
@@ -148,6 +148,7 @@ class Repair(Operation):
         if REPAIRS[self.finding].endswith("deleted"):
             return deleting(state, invalid, title)
         at = np.flatnonzero(invalid)
+        require_rewrite(state, "sh" if "SH" in self.finding else "quats", len(at))
         attribute, values = self._repaired(state, at)
         before = getattr(state.gaussians, attribute)[at]
         parts: tuple[Part, ...] = ()

@@ -56,12 +56,12 @@ POSES = 0.05
 def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     """The folder of the capture and what it says. COLMAP first: of several models in one folder it is the
     one that has points."""
-    if path.is_file() and path.suffix.lower() == ".json":
+    if os.path.isfile(path) and path.suffix.lower() == ".json":
         if path.name == FILE_NAME:
             return path.parent, read_camera_list(path.parent, path)
         return path.parent, read_transforms(path.parent, [(path, None)], progress)
-    if not path.is_dir():
-        problem = "is no capture; name its folder" if path.exists() else "no such folder"
+    if not os.path.isdir(path):
+        problem = "is no capture; name its folder" if os.path.lexists(path) else "no such folder"
         raise InputError(f"{path}: {problem}")
     model = find_colmap(path)
     if model is not None:
@@ -69,7 +69,7 @@ def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     transforms = find_transforms(path)
     if transforms:
         return path, read_transforms(path, transforms, progress)
-    if (path / FILE_NAME).is_file():
+    if os.path.isfile(path / FILE_NAME):
         return path, read_camera_list(path, path / FILE_NAME)
     raise InputError(
         f"{path}: holds no capture: neither a COLMAP model (sparse/0) nor transforms.json, "

@@ -6,6 +6,7 @@ nothing about single photos and are not read.
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -30,7 +31,7 @@ _POINT = np.dtype(
 def find_colmap(folder: Path) -> Path | None:
     """The folder of the model in a capture's folder; None where there is none."""
     for name in MODEL_FOLDERS:
-        if any((folder / name / f"images{suffix}").is_file() for suffix in (".bin", ".txt")):
+        if any(os.path.isfile(folder / name / f"images{suffix}") for suffix in (".bin", ".txt")):
             return folder / name
     return None
 
@@ -93,7 +94,7 @@ def _photo_folder(folder: Path, model: Path, names: list[str], progress: Progres
 def _held_out_names(model: Path) -> set[str] | None:
     """Of ``test.txt`` beside the model: one photo a line, held out instead of every 8th."""
     path = model / "test.txt"
-    if not path.is_file():
+    if not os.path.isfile(path):
         return None
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -106,7 +107,7 @@ def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
     """``points3D`` as (P, 3) float64 and (P, 3) uint8; empty where the model has none. Raises InputError."""
     for suffix, parse in ((".bin", _points_binary), (".txt", _points_text)):
         path = model / f"points3D{suffix}"
-        if path.is_file():
+        if os.path.isfile(path):
             try:
                 return parse(path)
             except OSError as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -50,11 +51,11 @@ DEFAULT_POINTS = ("sparse_pc.ply", "points3d.ply")
 def find_transforms(folder: Path) -> list[Frames]:
     """The files that make up the capture in `folder`; none where there is none."""
     train, *others = (folder / f"transforms_{part}.json" for part in ("train", "test", "val"))
-    if train.is_file():
-        held_out = next((other for other in others if other.is_file()), None)
+    if os.path.isfile(train):
+        held_out = next(filter(os.path.isfile, others), None)
         return [(train, None)] if held_out is None else [(train, False), (held_out, True)]
     single = folder / "transforms.json"
-    return [(single, None)] if single.is_file() else []
+    return [(single, None)] if os.path.isfile(single) else []
 
 
 def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> PosedPhotos:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,7 +14,7 @@ from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
 from splatview.scene.formats.colmap import find_model, is_colmap
-from splatview.scene.formats.io import CONVERT, open_scene
+from splatview.scene.formats.io import CONVERT, open_regular, target_of
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
@@ -27,8 +28,9 @@ class Format:
     """Lower case, with its dot."""
     sniff: Callable[[bytes], bool] | None = None
     """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
-    read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
-    """Reader of a file from its start; the path is for messages. None: recognised and refused."""
+    read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians] | None = None
+    """Reader of a file from its start into so many bytes of memory at most; the path is for messages. None:
+    recognised and refused."""
     write: Callable[[Gaussians, Path], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
     article: str = "a"
@@ -61,16 +63,18 @@ CHECKED_BYTES = 1 << 20
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
 
 
-def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS) -> Gaussians:
-    """The splats in a file; the format is told by its first bytes.
+def load_scene(
+    path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS, room: float = math.inf
+) -> Gaussians:
+    """The splats in a file, in `room` bytes of memory at most; the format is told by its first bytes.
 
     Raises:
-        InputError: the file is missing, damaged or of another kind.
+        InputError: the file is missing, damaged, too large or of another kind.
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
-    with open_scene(path) as file:
-        return _reader(file, path)(file, path, progress)
+    with open_regular(path, folder="is a folder, not a scene; name the .ply file in it") as file:
+        return _reader(file, path)(file, path, progress, room)
 
 
 def is_camera_list(path: Path) -> bool:
@@ -89,7 +93,9 @@ def check_opening(path: Path) -> None:
         load_cameras(path)
 
 
-def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
+def _reader(
+    file: io.BufferedReader, path: Path
+) -> Callable[[io.BufferedReader, Path, Progress, float], Gaussians]:
     """The reader of the file's format; `file` is at its start before and after. Raises InputError."""
     start = file.read(SNIFFED)
     file.seek(0)
@@ -143,16 +149,7 @@ def check_format(path: Path) -> Callable[[Gaussians, Path], None]:
 def check_saving(path: Path) -> None:
     """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
     check_format(path)
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        folder = path.resolve().parent
-        if not folder.is_dir():
-            raise InputError(f"{path}: the folder {folder} does not exist; make it first")
-        if not os.access(folder, os.W_OK):
-            raise InputError(f"{path}: the folder {folder} cannot be written to")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    target_of(path)
 
 
 def load_cameras(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import numpy as np
 
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import excerpt
+from splatview.scene.formats.io import excerpt, open_regular, require_regular_file
 from splatview.scene.lens import COUNTS, Lens
 from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
@@ -72,7 +73,7 @@ class ColmapImage:
 
 def is_colmap(path: Path) -> bool:
     """Whether `path` names a COLMAP model: a folder, or its ``cameras`` or ``images`` file."""
-    return path.is_dir() or path.suffix.lower() in (".bin", ".txt")
+    return os.path.isdir(path) or path.suffix.lower() in (".bin", ".txt")
 
 
 def load_colmap_cameras(path: Path, on_note: Callable[[str], None], progress: Progress) -> list[Camera]:
@@ -133,22 +134,21 @@ def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[Colm
 
 def find_model(path: Path) -> tuple[Path, Path]:
     """The files (cameras, images) of the model at `path`; a folder may also hold it in ``sparse/0``."""
-    if path.is_dir():
+    if os.path.isdir(path):
         for folder in (path, path / "sparse" / "0", path / "sparse"):
             for suffix in (".bin", ".txt"):
                 pair = folder / f"cameras{suffix}", folder / f"images{suffix}"
-                if all(file.is_file() for file in pair):
+                if all(map(os.path.isfile, pair)):
                     return pair
         raise InputError(
             f"{path}: holds no COLMAP model (cameras and images, .bin or .txt, here or in sparse/0)"
         )
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    require_regular_file(path)
     if path.stem not in ("cameras", "images"):
         raise InputError(f"{path}: is no camera file; COLMAP's are cameras and images (.bin or .txt)")
     pair = path.with_stem("cameras"), path.with_stem("images")
     for file in pair:
-        if not file.is_file():
+        if not os.path.isfile(file):
             raise InputError(f"{path}: needs {file.name} in the same folder")
     return pair
 
@@ -164,11 +164,8 @@ def read_images(path: Path, progress: Progress = NO_PROGRESS) -> list[ColmapImag
 
 
 def _read(path: Path, parse: Callable):
-    try:
-        with open(path, "rb") as file:
-            return parse(file, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    with open_regular(path) as file:
+        return parse(file, path)
 
 
 def _focal_lengths(model: str) -> int:

@@ -31,10 +31,35 @@ Ghostscript on PostScript."""
 
 
 def open_image(path: Path) -> Image.Image:
-    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises."""
+    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises, and InputError
+    for what is no file."""
     from PIL import Image
 
+    require_regular_file(path)
     return Image.open(path, formats=IMAGE_FORMATS)
+
+
+def target_of(path: Path) -> Path:
+    """The file behind all links that is written for `path`.
+
+    Raises:
+        InputError: there can be none: its folder is missing or out of reach, or something else is there.
+    """
+    target = Path(os.path.realpath(path))
+    try:
+        mode = target.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise InputError(f"{path}: is a folder; name a file in it")
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
+    except FileNotFoundError:
+        if not os.path.isdir(target.parent):
+            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {target.parent} cannot be written to")
+    return target
 
 
 @contextmanager
@@ -48,18 +73,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     Raises:
         InputError: the operating system refuses, be it the folder's permissions or a full disk.
     """
+    target = target_of(path)
     try:
-        target = path.resolve()
-        if target.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        if target.exists() and not target.is_file():
-            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
-        if not target.parent.is_dir():
-            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first")
         # In the same folder, for a rename between file systems would be a copy.
-        prefix = f".{target.name[:100]}."
-        _remove_leftovers(target.parent, prefix)
-        temporary = target.parent / f"{prefix}{secrets.token_hex(4)}.tmp"
+        name = target.name if len(os.fsencode(target.name)) <= 200 else target.name[:50]
+        _remove_leftovers(target.parent, f".{name}.")
+        temporary = target.parent / f".{name}.{secrets.token_hex(4)}.tmp"
         try:
             with open(temporary, "xb") as file:
                 _mark_as_ours(file)
@@ -113,15 +132,16 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def open_scene(path: Path) -> Iterator[io.BufferedReader]:
-    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError."""
+def open_regular(path: Path, *, folder: str = "is a folder, not a file") -> Iterator[io.BufferedReader]:
+    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError, as are
+    folders, devices and pipes, which may never end; `folder` is what to say about those."""
     try:
         with open(path, "rb", opener=_open_regular) as file:
             yield file
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+        raise InputError(f"{path}: {folder}") from None
     except PermissionError:
         raise InputError(f"{path}: may not be read; check its permissions") from None
     except OSError as error:
@@ -131,11 +151,8 @@ def open_scene(path: Path) -> Iterator[io.BufferedReader]:
 
 
 def require_regular_file(path: Path) -> None:
-    """Raises InputError where `path` cannot be opened to be read, or is no file: a pipe may be waited for
-    without end. For files that a library opens by their names."""
-    if os.path.isdir(path):
-        raise InputError(f"{path}: is a folder; name a file in it")
-    with open_scene(path):
+    """Raises InputError where `open_regular` would."""
+    with open_regular(path):
         pass
 
 
@@ -200,16 +217,13 @@ with a larger limit a damaged file could take all memory."""
 
 def read_json(path: Path, *, what: str, progress: Progress = NO_PROGRESS) -> Any:
     """The content of `path`. Raises InputError and Cancelled; `what` says what the file should have been."""
+    with open_regular(path) as file:
+        text = file.read(MAX_JSON_BYTES + 1)
+    if len(text) > MAX_JSON_BYTES:
+        raise InputError(f"{path}: is too large for a {what}")
     try:
-        require_regular_file(path)
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: is too large for a {what}")
-        return _parsed(path.read_bytes(), progress)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return _parsed(text, progress)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{path}: is no {what}: not JSON ({error})") from None
 
 

@@ -56,14 +56,15 @@ def is_ply(start: bytes) -> bool:
     return start[:3] == b"ply" and start[3:].lstrip(b" \t").startswith((b"\n", b"\r\n"))
 
 
-def read_ply(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
-    """Splats, or a point cloud as round splats. Raises InputError and Cancelled."""
+def read_ply(file: io.BufferedReader, path: Path, progress: Progress, room: float = math.inf) -> Gaussians:
+    """Splats, or a point cloud as round splats; `room` bytes of memory at most. Raises InputError and
+    Cancelled."""
     header = read_header(file, path)
     vertex = header.elements.get("vertex")
     _refuse_other_ply(header, path)
     if vertex is None:
         raise InputError(f"{path}: has no element vertex, so no splats")
-    body = PlyBody(file, header, path, progress)
+    body = PlyBody(file, header, path, progress, room)
     splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
     if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
         return read_point_cloud(body, vertex)

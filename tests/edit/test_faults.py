@@ -91,7 +91,7 @@ def document(edit_helpers) -> Document:
     document = Document(
         edit_helpers.make_scene(30),
         tools=Tools(),  # pyright: ignore[reportArgumentType]
-        load=lambda path: edit_helpers.make_scene(5, seed=2),
+        load=lambda path, room: edit_helpers.make_scene(5, seed=2),
         save=lambda scene, path: None,
     )
     for step in (

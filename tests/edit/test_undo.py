@@ -163,7 +163,7 @@ def make_document(edit_helpers):
         return Document(
             scene,
             tools=MadeUpTools(),
-            load=lambda path: other,
+            load=lambda path, room: other,
             save=lambda part, path: None if saved is None else saved.append((part, path)),
         )
 

@@ -328,7 +328,7 @@ def test_bookmarks_of_another_window_on_the_scene_stay(app, scene) -> None:
     assert load_bookmarks(scene) == [], "what is deleted does not come back"
     beside(scene).write_text("{ damaged")
     camera.add_bookmark(app)
-    assert "not a bookmarks file" in (app.problem or "")
+    assert "is no bookmarks file" in (app.problem or "")
     assert beside(scene).read_text() == "{ damaged"
 
 

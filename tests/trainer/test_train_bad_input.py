@@ -171,7 +171,7 @@ def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("-o", "nowhere/toy.ply"), "nowhere/toy.ply: cannot be written: No such file or directory"),
+        (("-o", "nowhere/toy.ply"), "nowhere does not exist; make it first"),
         (("-o", "."), "saved as .ply"),
         (("-o", "/dev/full"), "saved as .ply"),
         (("--metrics", "."), "is a folder"),

@@ -111,6 +111,23 @@ def test_edits_are_told_of_and_mistakes_too(session):
     assert session.problem is not None and "0 crops" in session.problem
 
 
+def test_what_has_no_memory_is_refused_and_final_steps_are_told_of(random_gaussians):
+    session = EditSession(document=Document(random_gaussians(300), budget=20_000))
+    assert session.apply(OPERATIONS["select_all"]())
+    assert not session.apply(OPERATIONS["duplicate"]())
+    assert session.problem is not None and "editing has 20 KiB left" in session.problem
+    assert len(session.gaussians) == 300
+    session.document.budget = 10
+    session.apply(OPERATIONS["hide"]())
+    session.advance()
+    assert session.news == "Hide 300 splats; undo has used up its memory: the first 1 steps are final now"
+    session.jump(0)
+    assert session.problem == "the first 1 steps can no longer be undone"
+    session.news = None
+    session.advance()
+    assert session.news is None
+
+
 def test_slow_work_runs_aside_and_nothing_changes_beneath_it(session):
     go_on = threading.Event()
 

@@ -26,6 +26,7 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, Adjustment, Crop, SceneEdits, is_graded
 from splatview.scene.effects.overrides import settings_for
+from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
@@ -56,7 +57,7 @@ class Job(Task[Any]):
         *,
         yields: bool = False,
     ):
-        self.title = title
+        self.title = printable(title)
         self.finish = finish
         self.yields = yields
         """Whether it is dropped where the user edits: the user did not ask for it."""
@@ -88,6 +89,8 @@ class EditSession:
     """Stamps of the open files, as they were read or last exported over."""
     pivot: tuple[object, Place] | None = None
     """Centre of transforms, after the scope and versions that it is of."""
+    told_floor: int = 0
+    """Steps that the user knows to be past undoing."""
     seen_position: int = -1
     """Position in the history when its panel was drawn last."""
     loading: tuple[Gaussians, Generator[float]] | None = None
@@ -205,8 +208,12 @@ class EditSession:
 
     def jump(self, position: int) -> None:
         """Undoes or redoes until `position` steps are in force."""
-        if not self._busy() and not self._final():
+        if self._busy() or self._final():
+            return
+        try:
             self.document.jump(position)
+        except InputError as error:
+            self.problem = str(error)
 
     def apply(self, operation: Operation | Planned) -> bool:
         """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
@@ -256,9 +263,15 @@ class EditSession:
         self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
-        """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended."""
+        """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended, and
+        tells of steps that are past undoing now."""
         if self.document.previewed is None:
             self.forms.previewing = ""
+        history = self.document.history
+        if history.floor > self.told_floor:
+            self.told_floor = history.floor
+            forgotten = f"undo has used up its memory: the first {history.floor:,} steps are final now"
+            self.news = "; ".join(filter(None, (self.news, forgotten)))
         job = self.job
         if job is None or not job.done:
             return
@@ -352,7 +365,13 @@ class Editing(Feature):
             self.session.close()
         folder = scene.paths[0].parent if scene.paths else None
         try:
-            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=CpuRenderer())
+            document = Document(
+                scene.gaussians,
+                name=scene.name,
+                folder=folder,
+                tools=CpuRenderer(),
+                budget=app.preferences.edit_memory_gib * 2**30,
+            )
         except InputError as error:
             self.session = None
             app.tell(f"{error}; it can be looked at")

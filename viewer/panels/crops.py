@@ -15,6 +15,7 @@ from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, EnableCrop
 from splatview.edit.selectors import Box, Sphere
 from splatview.scene import Camera
 from splatview.scene.edits import Adjustment, Crop
+from splatview.scene.errors import printable
 from splatview.viewer import theme
 from splatview.viewer.editing import gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
@@ -71,7 +72,7 @@ def show(app: AppState, session: EditSession) -> None:
         imgui.same_line()
         word = "keeps" if crop.keep == "inside" else "cuts out"
         clicked, _ = imgui.selectable(
-            f"{crop.name}: {crop.shape}, {word} its inside", index == session.forms.crop
+            widgets.item(f"{crop.name}: {crop.shape}, {word} its inside", index), index == session.forms.crop
         )
         if clicked:
             session.forms.crop = -1 if index == session.forms.crop else index
@@ -101,7 +102,7 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     speed = max(app.scene.radius, 1e-6) / 300
     new, settled = crop, False
     widgets.label("Name", "For you and the history.")
-    changed, name = imgui.input_text("##name", crop.name, imgui.InputTextFlags_.enter_returns_true)
+    changed, name = imgui.input_text("##name", printable(crop.name), imgui.InputTextFlags_.enter_returns_true)
     if changed and name.strip():
         new, settled = replace(new, name=name.strip()), True
     keep = widgets.combo(

@@ -51,7 +51,7 @@ def table(app: AppState, training: LiveTraining) -> None:
             imgui.table_next_row()
             imgui.table_next_column()
             flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
-            if imgui.selectable(f"{photo.label}##{index}", index == training.photo_index, flags)[0]:
+            if imgui.selectable(widgets.item(photo.label, index), index == training.photo_index, flags)[0]:
                 double = imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
                 app.post(actions.go_to_photo if double else actions.compare_photo, index)
             widgets.tooltip(f"{photo.name}: {photo.camera.width} x {photo.camera.height} px")

@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 from imgui_bundle import ImVec4, imgui
 
+from splatview.scene.errors import printable
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.state import AppState
@@ -32,6 +33,11 @@ VECTOR_LABEL_SHARE = 0.25
 """Share of a panel's width for labels beside three numbers."""
 
 
+def item(text: str, id: object) -> str:
+    """A label that shows `text`, whatever it holds, for selectables and menus; told from others by `id`."""
+    return f"{printable(text).replace('##', '# #')}##{printable(str(id))}"
+
+
 def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
     """Begins a row: `text` on the left, in its `share` of the width; the next control fills the rest."""
     width = imgui.get_content_region_avail().x
@@ -47,7 +53,7 @@ def tooltip(tip: str) -> None:
     """Tooltip of the last item, after a short rest on it."""
     if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
         imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
-        imgui.text_unformatted(tip)
+        imgui.text_unformatted(printable(tip, keep="\n"))
         imgui.pop_text_wrap_pos()
         imgui.end_tooltip()
 
@@ -123,7 +129,7 @@ def fact(name: str, value: str, tip: str = "") -> None:
     tooltip(tip)
     imgui.same_line(start + width * LABEL_SHARE)
     imgui.push_text_wrap_pos(0)
-    imgui.text_unformatted(value)
+    imgui.text_unformatted(printable(value))
     imgui.pop_text_wrap_pos()
     tooltip(tip)
 
@@ -131,7 +137,7 @@ def fact(name: str, value: str, tip: str = "") -> None:
 def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
     """A wrapped line that explains."""
     imgui.push_text_wrap_pos(0)
-    imgui.text_colored(colour, text)
+    imgui.text_colored(colour, printable(text, keep="\n"))
     imgui.pop_text_wrap_pos()
 
 

@@ -113,7 +113,12 @@ class TrainingEdits:
         editing.session = new
 
     def _session(self, app: AppState, snapshot: Snapshot) -> EditSession:
-        document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=CpuRenderer())
+        document = Document(
+            snapshot.gaussians,
+            name=app.scene.name or "scene",
+            tools=CpuRenderer(),
+            budget=app.preferences.edit_memory_gib * 2**30,
+        )
         return EditSession(document=document, target=TrainingTarget(self._thread, snapshot))
 
     def pin(self, app: AppState) -> None:

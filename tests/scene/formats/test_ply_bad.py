@@ -176,7 +176,7 @@ def test_more_than_memory(tmp_path, columns, make_ply):
     path.write_bytes(make_ply(columns, count=10**10))
     os.truncate(path, 3 * 10**12)
     with pytest.raises(
-        InputError, match=r"huge\.ply: 10,000,000,000 rows of vertex need .* GiB, and this machine"
+        InputError, match=r"huge\.ply: 10,000,000,000 rows of vertex need .* GiB of memory, and"
     ):
         load_scene(path)
 

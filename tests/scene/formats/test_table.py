@@ -28,7 +28,7 @@ def asked(monkeypatch):
     called = []
 
     def reader(name: str) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
-        def read(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+        def read(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
             called.append((name, file.read()))
             return NOTHING
 
