@@ -324,8 +324,8 @@ def project_group(view, optics, surfels, lanes):
     x, y = image_point(lens, parallel, view, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
-    extent = squared_extent(view, log2_opacity)
-    rx, ry = math.sqrt(extent * xx), math.sqrt(extent * yy)
+    extent = math.sqrt(squared_extent(view, log2_opacity))  # apart, as the product may overflow
+    rx, ry = extent * math.sqrt(xx), extent * math.sqrt(yy)
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
     drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))
     drawn = keep_if_at_least(drawn, fill(x, view.width - 0.5), x - rx)

@@ -40,9 +40,10 @@ def ask_ahead(k, stop, order, spans_of, spans):
 @inline
 def tile_interval(centre, half):
     """First and last row or column of tiles, however far outside the image, whose pixel centres meet
-    centre ± half (px), enlarged; first > last where none does."""
+    centre ± half (px), enlarged; first > last where none does. Of float64: whole numbers of 64 bits end at
+    1e20 px."""
     half = half * (1 + MARGIN) + MARGIN
-    return math.ceil((centre - half - (TILE - 0.5)) / TILE), math.floor((centre + half - 0.5) / TILE)
+    return np.ceil((centre - half - (TILE - 0.5)) / TILE), np.floor((centre + half - 0.5) / TILE)
 
 
 @inline
@@ -82,8 +83,8 @@ def tile_span(shape, row, tiles_x):
     at_right, at_left = min(max(dy_right, low), high), min(max(-dy_right, low), high)
     right = x + (math.sqrt(max(bound - c * c * at_right * at_right, 0.0)) - b * at_right) / a
     left = x - (math.sqrt(max(bound - c * c * at_left * at_left, 0.0)) + b * at_left) / a
-    first = max(math.ceil((left - (TILE - 0.5) - MARGIN) / TILE), 0.0)
-    last = min(math.floor((right - 0.5 + MARGIN) / TILE), tiles_x - 1.0)
+    first = max(np.ceil((left - (TILE - 0.5) - MARGIN) / TILE), 0.0)
+    last = min(np.floor((right - 0.5 + MARGIN) / TILE), tiles_x - 1.0)
     return np.int64(first), np.int64(last)
 
 

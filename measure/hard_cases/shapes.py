@@ -9,6 +9,7 @@ import numpy as np
 
 from splatview.measure.hard_cases.case import (
     ANTIALIASED,
+    BOTH,
     FRONT,
     ONLY_PLAIN,
     TURNED,
@@ -172,6 +173,14 @@ CASES = (
         "largest footprint",
         "A variance just below what float32 holds.",
         lambda: one((41, 41, 41)),
+        visible=(0,),
+    ),
+    case(
+        "largest footprint, from beside",
+        "Its mean is 5e18 px beside the picture; boxes and squares of lengths leave float32's range.",
+        lambda: one((41, 41, 41), mean=(-0.5 * math.exp(41), 0.02, 2.0)),
+        cameras=(FRONT,),
+        settings={**BOTH, "no cut": RenderSettings(model=ImageModel(alpha_cut=0.0))},
         visible=(0,),
     ),
     case(

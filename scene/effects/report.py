@@ -32,7 +32,7 @@ from splatview.scene.effects.appearance import (
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.scene.effects.overrides import NOTHING_FORCED, Overrides
 from splatview.scene.effects.sh_bands import band_effects, colour_reach, own_degrees_effect
-from splatview.scene.framing import robust_bounds
+from splatview.scene.framing import SPLAT_SIGMAS, robust_bounds
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.health import FAR_SPACING, Finding, check
 from splatview.scene.image_model import RenderSettings
@@ -45,16 +45,47 @@ SORT_OPERATIONS = 4 * 3
 """A splat: four passes of a radix sort, each counting, adding up and moving."""
 
 
+FRAMED = 2.0
+"""Radii of a scene from its centre to an eye that sees all of it, about."""
+
+
 def sorting_effect(gaussians: Gaussians) -> Effect:
     n = len(gaussians)
+    why = f"{n:,} splats; they are sorted anew only when camera, scene or settings change"
+    if tied := tied_in_float32(gaussians):
+        why += (
+            f"; {tied:,} overlapping pairs, where all of it is seen along an axis, lie in an order that "
+            "only float64 tells: cpu keeps it, OpenGL sorts by float32 and takes them by index"
+        )
     return Effect(
         name="sorting",
         on=n > 1,
-        why=f"{n:,} splats; they are sorted anew only when camera, scene or settings change",
+        why=why,
         saving=Saving(operations=n * SORT_OPERATIONS, bytes=8 * n),
         # One splat over another, each of any colour.
         bound=math.inf if n > 1 else 0.0,
     )
+
+
+def tied_in_float32(gaussians: Gaussians) -> int:
+    """Pairs of a scene of float64 that overlap, the one just before the other as seen along an axis, whose
+    depths are one number of float32; of the axis with most."""
+    if gaussians.means.dtype != np.float64:
+        return 0
+    centre, radius = robust_bounds(gaussians.means)
+    with np.errstate(over="ignore", invalid="ignore"):
+        offsets, sizes = gaussians.means - centre, np.exp(gaussians.log_scales.max(axis=1, initial=-np.inf))
+        seen = np.flatnonzero((np.abs(offsets).max(axis=1) < FRAMED * radius) & (sizes <= FLOAT32_MAX))
+    most = 0
+    for axis in range(3):
+        order = seen[np.argsort(offsets[seen, axis], kind="stable")]
+        depths = offsets[order, axis] + FRAMED * radius
+        tied = (np.diff(depths) > 0) & (np.diff(depths.astype(np.float32)) == 0)
+        front, back = order[:-1][tied], order[1:][tied]
+        beside = np.delete(offsets[front] - offsets[back], axis, axis=1)
+        reach = SPLAT_SIGMAS * (sizes[front] + sizes[back])
+        most = max(most, int((np.linalg.norm(beside, axis=1) < reach).sum()))
+    return most
 
 
 def redrawing_effect(camera: Camera | None, previous: Camera | None) -> Effect:

@@ -21,7 +21,7 @@ uniform float u_least_share;       // share of its opacity below which a splat's
 #endif
 
 const float MIN_QUAT_COMPONENT = 1e-30;
-const float WHOLE_IMAGE = 1e18;    // px; half an axis where no alpha cut bounds the footprint
+const float WHOLE_IMAGE = 1e38;    // px; half an axis where no alpha cut bounds the footprint
 
 struct Footprint {
     vec2 mean;       // px
@@ -148,8 +148,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         float radius = sqrt(max(2.0 * log(f.opacity / cut), 0.0) + 1e-3) * spread;
         f.major_axis = along * (radius * sqrt(major));
         f.minor_axis = radius * sqrt(det / major);
-        vec2 across = f.minor_axis * vec2(-along.y, along.x);
-        vec2 extent = min(sqrt(f.major_axis * f.major_axis + across * across), WHOLE_IMAGE) + 0.02;
+        vec2 extent = radius * sqrt(vec2(xx, yy)) + 0.02;  // guard: huge extents := vec2 extent = min(radius * sqrt(vec2(xx, yy)), 1e18) + 0.02;
         // Off screen: no pixel centre within the box.
         if (any(lessThan(f.mean + extent, vec2(0.5))) || any(greaterThan(f.mean - extent, u_size - 0.5))) return false;
     } else {

@@ -1,6 +1,7 @@
 // The quad that one splat covers on screen, and what its fragments need. Row 0 of the target is the
 // picture's top row. Flags: POINTS (dots of one size), DISCS (surfels: a and b are of an ellipse around them).
 #include "common/falloff.glsl"
+#include "common/numbers.glsl"
 
 uniform vec2 u_size;
 uniform float u_alpha_cut;
@@ -37,7 +38,7 @@ void place_quad(vec4 shape, vec4 bound, vec4 colour) {
 #endif
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
     vec2 major = bound.zw;
-    float major_length = length(major);
+    float major_length = hypotenuse(major.xx, major.yy).x;
     vec2 along = major / major_length;
     vec2 minor = bound.y * vec2(-along.y, along.x);
     vec2 position;
@@ -48,7 +49,7 @@ void place_quad(vec4 shape, vec4 bound, vec4 colour) {
         // 1/64 px wider: vertices snap to 1/256 px and must not lose a pixel on the edge.
         position = shape.xy + corner.x * (major + along / 64.0) + corner.y * (minor + vec2(-along.y, along.x) / 64.0);
     } else {
-        vec2 extent = sqrt(min(major * major + minor * minor, vec2(1e36))) + 0.02;
+        vec2 extent = hypotenuse(major, minor) + 0.02;
         position = clamp(shape.xy + corner * extent, vec2(-1.0), u_size + 1.0);
     }
     gl_Position = vec4(position / u_size * 2.0 - 1.0, 0.0, 1.0);

@@ -1,4 +1,5 @@
 // Culls the splats of one slab that lie wholly within opaque blocks. Flags: BLOCK, SLABS.
+#include "common/numbers.glsl"
 #include "quads/culled.glsl"
 #include "common/groups.glsl"
 #include "common/records.glsl"
@@ -20,8 +21,8 @@ bool is_occluded(uint splat) {
     vec2 mean = RECORD(shapes, splat).xy;
     vec4 bound = RECORD(bounds, splat);
     vec2 major = bound.zw;
-    float ratio = bound.y / max(length(major), 1e-30);
-    vec2 extent = min(sqrt(major * major + ratio * ratio * major.yx * major.yx), vec2(1e9)) + 1.0;
+    float ratio = bound.y / max(hypotenuse(major.xx, major.yy).x, 1e-30);
+    vec2 extent = hypotenuse(major, ratio * major.yx) + 1.0;
     ivec2 first = ivec2(clamp(mean - extent, vec2(0.0), u_size - 1.0)) / BLOCK;
     ivec2 last = ivec2(clamp(mean + extent, vec2(0.0), u_size - 1.0)) / BLOCK;
     if ((last.x - first.x + 1) * (last.y - first.y + 1) > MOST_BLOCKS) return false;

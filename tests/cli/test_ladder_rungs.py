@@ -135,6 +135,12 @@ def test_several_views_are_reproduced_by_the_cameras_in_the_json(scene, tmp_path
     for rung in made["rungs"][1:]:
         here = [psnr(rendered(view, *rung["options"]), references[view]) for view in (0, 1)]
         assert abs(here[0] - here[1]) > 0.2 and rung["psnr"] == pytest.approx(np.mean(here), abs=0.02), rung
+    given = ("--camera", str(cameras), "--camera-index", "1")
+    assert main(["ladder", str(tmp_path / "scene.ply"), *knobs, *given, "--json"]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert one["cameras"] == [made["cameras"][1]], "a camera that is given is the only view"
+    for rung in one["rungs"][1:]:
+        assert rung["psnr"] == pytest.approx(psnr(rendered(1, *rung["options"]), references[1]), abs=0.02)
 
 
 @pytest.mark.parametrize(("name", "knob"), owned(), ids=lambda x: getattr(x, "name", x))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at
+from splatview.scene import Gaussians, ImageModel, RenderSettings, concatenate, look_at
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.effects.effect import VISIBLE, Effect
 from splatview.scene.effects.overrides import settings_for
@@ -156,6 +156,25 @@ def test_centred_positions_where_float32_is_too_coarse(random_gaussians):
     assert not receipt(wide)["float64-centred positions"].on  # what float32 holds too
     finer = receipt(replace(wide, means=wide.means + 1e-9))["float64-centred positions"]
     assert finer.on and "100 of 100 are no numbers of float32" in finer.why
+
+
+def test_overlaps_that_only_float64_orders_are_counted(random_gaussians):
+    scene = random_gaussians(100)
+    wide = replace(scene, means=scene.means.astype(np.float64))
+
+    def why(scene: Gaussians) -> str:
+        return receipt(scene)["sorting"].why
+
+    assert "float64" not in why(scene) and "float64" not in why(wide)
+    ahead = np.array([0, 0, 1.0])
+    layers = concatenate([wide, replace(wide, means=wide.means + 1e-10 * ahead)])
+    assert "; 100 overlapping pairs" in why(layers)
+    far = concatenate([wide, replace(wide, means=wide.means + 1e-8 * ahead)])
+    far = replace(far, means=far.means + 1e7)  # in steps of 2e-9, seen from its centre
+    assert re.search(r"; \d\d overlapping pairs", why(far))
+    beside = replace(layers, log_scales=np.full((200, 3), -30, np.float32), means=layers.means + 0.0)
+    beside.means[100:, :2] += 0.5
+    assert "float64" not in why(beside), "they do not overlap"
 
 
 def test_counts_are_true(random_gaussians):

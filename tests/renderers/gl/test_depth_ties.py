@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from splatview import raster
@@ -9,6 +11,7 @@ from splatview.measure.hard_cases.run import ambiguity_at, unexplained_pixels
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
+from splatview.scene.effects.report import sorting_effect
 from splatview.scene.projection import project
 from splatview.scene.reference import render as render_reference
 
@@ -66,3 +69,20 @@ def test_what_quads_draws_otherwise_is_explained_by_ties(ctx):
     error = np.abs(image - truth)[..., :3].max(axis=2)
     for y, x in zip(*np.nonzero(error > 0.1), strict=True):
         assert ambiguity_at(footprints, int(x), int(y), SETTINGS, slack=1e-6).depth_ties == 1
+
+
+def test_the_report_tells_of_pairs_that_only_float64_orders(ctx):
+    scene, _ = tied_pairs()
+    means = np.round(scene.means.astype(np.float64), 2)
+    means[1::2] = means[0::2] - (0, 0, 1e-9)  # the later one of each pair is in front
+    deep = replace(scene, means=means)
+    camera = look_at((0, 0, -4), (0, 0, 0), width=120, height=80)
+    truth = render_reference(deep, camera, SETTINGS)
+    np.testing.assert_allclose(raster.render(deep, camera, SETTINGS), truth, atol=1e-4)
+    renderer = QuadsRenderer(ctx)
+    try:
+        image = renderer.render(FrameRequest(deep, camera, SETTINGS))
+    finally:
+        renderer.close()
+    assert np.abs(image - truth).max() > 0.3
+    assert "; 40 overlapping pairs" in sorting_effect(deep).why
