@@ -190,6 +190,7 @@ def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: P
         (("-o", "/dev/full"), "saved as .ply"),
         (("--metrics", "."), "is a folder"),
         (("--metrics", "nowhere/m.jsonl"), "cannot be written"),
+        (("--metrics", "m" * 300), "cannot be written"),
         (("--resume", "missing.safetensors"), "no such file"),
         (("--batch", "0"), "at least 1"),
         (("--demo",), "name the folder of a capture, or --demo"),
