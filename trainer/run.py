@@ -84,7 +84,7 @@ def check_writable(path: Path) -> None:
     """Makes a file beside `path` and removes it. Raises InputError where the system refuses."""
     if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; name a file in it")
-    if path.exists() and not path.is_file():
+    if os.path.exists(path) and not os.path.isfile(path):
         raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
     try:
         folder = os.path.dirname(os.path.realpath(path))
@@ -104,14 +104,15 @@ LONGEST_LINE = 1 << 20
 
 def check_metrics(path: Path) -> None:
     """Raises InputError where no lines can be added to `path`, or where it holds something else."""
-    if path.is_dir() or not path.exists():
-        check_writable(path)
-        return
-    line = b""
+    if os.path.isdir(path):
+        raise InputError(f"{path}: is a folder; name a file in it")
+    line, is_new = b"", not os.path.lexists(path)
     try:
         with open(path, "ab", opener=_without_waiting):
             pass
-        if path.is_file():
+        if is_new:
+            os.unlink(path)
+        elif os.path.isfile(path):
             with open(path, "rb") as file:
                 line = file.readline(LONGEST_LINE)
     except OSError as error:

@@ -155,6 +155,20 @@ def test_cameras_that_face_away(capture_folder: Path, tmp_path: Path, monkeypatc
     assert not (tmp_path / "toy.ply").exists()
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_numbers_out_of_all_bounds_bring_no_warnings_of_numpy(capture_folder: Path, tmp_path: Path) -> None:
+    """World units 10¹⁰ times smaller, and points at the far end of what is kept."""
+    for name, place in (("images.txt", slice(5, 8)), ("points3D.txt", slice(1, 4))):
+        lines = [line.split() for line in model(capture_folder, name).read_text().splitlines()]
+        for words in filter(None, lines):
+            words[place] = [repr(float(word) * 1e10) for word in words[place]]
+        model(capture_folder, name).write_text("\n".join(map(" ".join, lines)) + "\n")
+    with open(model(capture_folder, "points3D.txt"), "a") as file:
+        file.write("998 9e11 -9e11 9e11 1 2 3 0.5\n999 9e11 -9e11 1e308 1 2 3 0.5\n")
+    options = ["--iterations", "60", "--exposure", "on", "-o", str(tmp_path / "toy.ply")]
+    assert main(["train", str(capture_folder), "--headless", *options]) == 0
+
+
 def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: Path) -> None:
     def damage(folder: Path) -> None:
         shutil.rmtree(folder / "sparse")
@@ -176,6 +190,7 @@ def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: P
         (("-o", "/dev/full"), "saved as .ply"),
         (("--metrics", "."), "is a folder"),
         (("--metrics", "nowhere/m.jsonl"), "cannot be written"),
+        (("--metrics", "m" * 300), "cannot be written"),
         (("--resume", "missing.safetensors"), "no such file"),
         (("--batch", "0"), "at least 1"),
         (("--demo",), "name the folder of a capture, or --demo"),

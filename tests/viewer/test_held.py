@@ -27,6 +27,7 @@ from splatview.edit.selectors import IndexRuns
 from splatview.raster import render
 from splatview.scene.captures.demo import demo_capture
 from splatview.scene.edits import DELETED, HIDDEN, Crop
+from splatview.scene.formats import load_scene
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
@@ -49,13 +50,18 @@ def capture():
 
 
 @pytest.fixture
-def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
+def origin(request: pytest.FixtureRequest) -> np.ndarray:
+    """Where in the world the capture is."""
+    return np.array(getattr(request, "param", (0.0, 0.0, 0.0)))
+
+
+@pytest.fixture
+def training(app, capture, origin, tmp_path) -> Iterator[LiveTraining]:
     """A training that `app` watches, its first snapshot shown."""
     shots, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
-    trainer = Trainer(
-        shots, start, capture.scene_radius, TrainSettings(iterations=10**6, max_splats=8000), threads=1
-    )
+    settings = TrainSettings(iterations=10**6, max_splats=8000)
+    trainer = Trainer(shots, start, capture.scene_radius, settings, centre=origin, threads=1)
     outputs = Outputs(
         scene=tmp_path / "pond.ply",
         checkpoint=tmp_path / "pond.safetensors",
@@ -67,7 +73,7 @@ def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
     live = LiveTraining(
         thread=thread,
         name="pond",
-        photos=watched_photos(shots.all, held_out),
+        photos=watched_photos(shots.all, held_out, origin),
         settings=trainer.render_settings,
     )
     app.add(live)
@@ -240,18 +246,24 @@ def test_clean_up_deletes_in_the_trainer(app, training):
     assert not np.isin(to_delete, alive(training)).any()
 
 
-def test_crops_become_rules_that_keep_it_cut(app, training):
+@pytest.mark.parametrize("origin", [(0, 0, 0), (500_000, 5_400_000, 300)], indirect=True)
+def test_crops_become_rules_that_keep_it_cut(app, training, origin, capture, tmp_path):
+    assert np.linalg.norm(app.camera.eye - origin) < 5 * capture.scene_radius, "the first view is beside it"
+    small = replace(SMALL, centre=tuple(origin.tolist()))
     session = frozen_session(app)
     at = training.shown
-    inside = SMALL.contains(at.gaussians.means).sum()
+    inside = small.contains(at.gaussians.means).sum()
     assert inside > 0
-    session.apply(AddCrop(crop=SMALL))
+    session.apply(AddCrop(crop=small))
     editor(app).cut_away(app)
     until(app, lambda: training.shown is not at, "the snapshot without it")
-    assert not SMALL.contains(training.shown.gaussians.means).any()
-    assert training.status.settings.cut == ((SMALL,),)
+    assert not small.contains(training.shown.gaussians.means).any()
+    assert training.status.settings.cut == ((small,),)
     until(app, lambda: session_of(app) is None, "letting go: the crop is a rule, and nothing is in hand")
     later_steps(app, training, 120)
+    exported = load_scene(training.thread.export(tmp_path / "export.ply").result(60))
+    assert np.abs(np.median(exported.means, axis=0) - origin).max() < 10
+    assert not small.contains(exported.means).any()
     editor(app).remove_rule(app, "cut", 0)
     until(app, lambda: training.status.settings.cut == (), "the rule to go")
 
