@@ -267,7 +267,7 @@ def test_bounds_follow_what_is_moved_and_leave_out_what_is_deleted(app, open_sce
 @pytest.mark.parametrize("shape", ["box", "sphere"])
 def test_a_new_crop_fits_what_is_shown(app, open_scene, random_gaussians, shape) -> None:
     scene = random_gaussians(2000)
-    means = scene.means * np.float32([1, 0.2, 0]) + np.float32([5, 0, 0])
+    means = scene.means * np.array([1, 0.2, 0], np.float32) + np.array([5, 0, 0], np.float32)
     means[:20] += 1000  # floaters
     session = open_scene(replace(scene, means=means))
     COMMANDS[f"add_{shape}"].run(app)
