@@ -58,6 +58,10 @@ def toggle_panels(app: AppState) -> None:
     app.panels_hidden = not app.panels_hidden
 
 
+def reset_panels(app: AppState) -> None:
+    app.panels_hidden, app.open_panels, app.panels_reset = False, None, True
+
+
 def cancel(app: AppState) -> None:
     """Ends whatever is open or under way, one thing at a time."""
     if app.problem:
@@ -314,6 +318,7 @@ COMMANDS: dict[str, Command] = {
             lacks=_needs(_shows_something_else, "It is what is shown")),
         _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
             checked=lambda app: app.panels_hidden),
+        _window("reset_panels", "", "Put the panels back", reset_panels),
         _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
             "Keys and mouse"),
         _window("cancel", "Escape", "Cancel loading, close what is open", cancel),

@@ -153,9 +153,14 @@ def title(app: AppState) -> str:
 
 
 def hide_or_show_panels(app: AppState) -> None:
-    """Makes what is visible follow `app.panels_hidden`; what the user had closed stays closed. Brings the
-    Edit panel to the front where a section of it is to open."""
-    windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
+    """Makes what is visible follow `app.panels_hidden`; what the user had closed stays closed, but where all
+    are put back. Brings the Edit panel to the front where a section of it is to open."""
+    params = hello_imgui.get_runner_params().docking_params
+    windows = params.dockable_windows[1:]
+    if app.panels_reset:
+        app.panels_reset, params.layout_reset = False, True
+        for window in windows:
+            window.is_visible = True
     if app.panels_hidden and app.open_panels is None:
         app.open_panels = {window.label for window in windows if window.is_visible}
         for window in windows:
@@ -166,5 +171,5 @@ def hide_or_show_panels(app: AppState) -> None:
         app.open_panels = None
     session = session_of(app)
     if session is not None and session.forms.open_section and not app.panels_hidden:
-        panel = next(window for window in windows if window.label == "Edit")
-        panel.is_visible = panel.focus_window_at_next_frame = True
+        edit_panel = next(window for window in windows if window.label == "Edit")
+        edit_panel.is_visible = edit_panel.focus_window_at_next_frame = True

@@ -88,17 +88,11 @@ def pause_or_resume(app: AppState) -> None:
 
 
 def panels(app: AppState) -> None:
-    """An entry for each panel, and one that puts them all back."""
+    """An entry for each panel."""
     params = hello_imgui.get_runner_params()
     for window in params.docking_params.dockable_windows:
         if window.can_be_closed and imgui.menu_item(window.label, "", window.is_visible)[0]:
             window.is_visible = not window.is_visible
-    imgui.separator()
-    if imgui.menu_item("Put the panels back", "", False)[0]:
-        app.panels_hidden, app.open_panels = False, None
-        for window in params.docking_params.dockable_windows:
-            window.is_visible = True
-        params.docking_params.layout_reset = True
 
 
 # fmt: off
@@ -130,7 +124,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         pause_or_resume, "step_training", "stop_training", None,
         "export_training", "save_checkpoint", None, "evaluate_training", "show_training",
     ),
-    "Window": ("toggle_panels", None, panels),
+    "Window": ("toggle_panels", None, panels, None, "reset_panels"),
     "Help": ("toggle_help", "toggle_palette"),
 }
 # fmt: on

@@ -154,6 +154,8 @@ class AppState:
     choose_files: Callable[..., None] = lambda *args, **kwargs: None
     """Opens a file dialog; set by the window. (title, done(paths), kind)"""
     panels_hidden: bool = False
+    panels_reset: bool = False
+    """Whether all panels are to be opened and put back in their places."""
     open_panels: set[str] | None = None
     """While panels are hidden: those to show again."""
     quitting: bool = False

@@ -42,7 +42,7 @@ def other_rays(app: AppState, hand: Hand, options: dict[str, Any], found: dict[s
     found["perspective"] = not app.camera.orthographic
 
     app.post(open_paths, [Path(options["cameras"])])
-    hand.frames(3)
+    hand.settle()
     hand.press("PageDown")
     hand.settle()
     found["through"] = app.camera.lens is not None

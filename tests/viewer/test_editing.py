@@ -236,6 +236,7 @@ def test_commands_are_found_by_their_words_and_keys():
     assert not matching("fltr"), "letters with others between them are no word"
     assert matching("lens")[0].id == "toggle_lenses"
     assert matching("box")[0].id == "add_box"
+    assert matching("put panels")[0].id == "reset_panels"
 
 
 degrees = st.floats(-179, 179)

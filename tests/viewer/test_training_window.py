@@ -127,7 +127,7 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
     assert found["born"] > 0 and found["born_inside"] == 0
     assert found["left"] > 200, found
     assert found["beyond"] < 1.02, "what moves out between two looks is hardly outside"
-    assert found["pointed"] == 1
+    assert found["pointed"] == 1 and found["panels_hidden"] == 0
     assert found["failure"] is None
     settings = load_checkpoint(tmp_path / "rules.safetensors").settings
     assert [len(settings.cut), len(settings.no_growth)] == [1, 1], "checkpoints keep the rules"

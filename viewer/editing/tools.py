@@ -195,8 +195,10 @@ def draw_tool(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     session = session_of(app)
     draw = imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height))
-    for crop in () if at_rest(app) else app.feature(Editing).outlined:
+    editing = app.feature(Editing)
+    for crop in () if at_rest(app) else editing.outlined:
         crops.draw_outline(crop, app.view.camera(width, height), corner, crops.CUTTING, 2.0)
+    editing.outlined = ()  # until the panel, if it is seen, says so again
     if session is None:
         draw.pop_clip_rect()
         return

@@ -173,7 +173,7 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
     for index, crop in enumerate(session.document.crops):
-        chosen = index == session.forms.crop
+        chosen = index == session.forms.crop and "Crop" in session.forms.sections
         if not (crop.enabled or chosen):
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING

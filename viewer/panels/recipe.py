@@ -177,7 +177,6 @@ def show_rules(app: AppState, training: LiveTraining) -> None:
 def in_force(app: AppState, training: LiveTraining) -> None:
     """The list of rules, each with a way out. The one under the mouse is drawn on the picture."""
     settings = training.status.settings
-    app.feature(Editing).outlined = ()
     if not settings.cut and not settings.no_growth:
         widgets.note("None yet: add a crop and let it cut, or let nothing grow in it.")
         return
