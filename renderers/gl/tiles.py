@@ -14,9 +14,9 @@ import moderngl
 import numpy as np
 
 from splatview.renderers.gl.blend import BlendPass
-from splatview.renderers.gl.context import describe, has_compute, reserve
+from splatview.renderers.gl.context import describe, missing_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute, run_groups
+from splatview.renderers.gl.programs import Variants, load_compute, run_groups
 from splatview.renderers.gl.project import Projector, Records
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
@@ -380,11 +380,9 @@ class TilesRenderer(QuadsRenderer):
     def __init__(
         self, ctx: moderngl.Context, *, tuning: TileTuning | None = None, variants: Variants | None = None
     ) -> None:
-        if not has_compute(ctx):
-            version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
-            if ctx.version_code >= COMPUTE_VERSION:
-                version += " with too few storage blocks"
-            raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
+        lacking = missing_compute(ctx)
+        if lacking is not None:
+            raise InputError(f"--renderer tiles cannot draw here: {lacking}; use --renderer quads")
         variants = variants or Variants(ctx)
         self._tiles = TilesBlendPass(ctx, variants, tuning)
         super().__init__(ctx, blend_pass=self._tiles, variants=variants)

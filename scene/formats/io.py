@@ -99,7 +99,12 @@ def open_scene(path: Path) -> Iterator[io.BufferedReader]:
 
 def _open_regular(name: str, flags: int) -> int:
     # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
-    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    try:
+        descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    except PermissionError:
+        if os.path.isdir(name):  # Windows opens none
+            raise IsADirectoryError from None
+        raise
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
