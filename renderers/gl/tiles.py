@@ -301,7 +301,9 @@ class TilesBlendPass(BlendPass):
                 buffer.bind_to_storage_buffer(7)
             self._run_parts(program, groups, most_walked, longest)
 
-        most, longest = self.tuning.most_walked, projector.visible.read_now()
+        most, longest = self.tuning.most_walked, min(self.pairs.found, projector.splats)
+        if longest > most:
+            longest = min(longest, projector.visible.read_now())
         for index in range(rounds):
             # Not cleared as a framebuffer: zink defers that beyond the dispatch.
             place = {"u_round": index, "u_starts": index == 0}
