@@ -57,9 +57,10 @@ class PairTuning:
 
     workgroup: int
     """Invocations that count the pairs of a block of visible splats."""
-    most_pairs: int = 1 << 24
-    """A round: 256 MiB with what sorts them."""
-    most_rounds: int = 16
+    most_pairs: int = 1 << 23
+    """A round: 128 MiB with what sorts them, and by estimate 60 ms of blending on a GPU of 1 TFLOP/s, which
+    Windows resets after two seconds."""
+    most_rounds: int = 32
     most_tiles: int | None = None
     """Of a picture."""
 
@@ -229,7 +230,7 @@ class TileTuning:
     """Splats that a work group keeps in local memory; a multiple of 32."""
     most_walked: int = 1 << 18
     """Splats of one tile in a dispatch."""
-    most_tried: int = 1 << 24
+    most_tried: int = 1 << 23
     """Tiles times splats that were left over in a dispatch: no more than a round has pairs."""
     pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256))
 
