@@ -24,8 +24,8 @@ LIBRARIES = (
     ("numba", ""),
     ("plyfile", ""),
     ("pillow", ""),
-    ("torch", "for training: pip install 'splatview[train]'"),
-    ("safetensors", "for training: pip install 'splatview[train]'"),
+    ("safetensors", ""),
+    ("torch", "only for training by several processes: pip install 'splatview[distributed]'"),
     ("matplotlib", "for plots: pip install 'splatview[plot]'"),
 )
 """Name, and what an optional one is for."""
@@ -77,7 +77,13 @@ def installed(name: str) -> str | None:
 
 def gl_context() -> dict[str, Any]:
     """What OpenGL without a window offers."""
-    from splatview.renderers.gl.context import create_headless_context, describe, discard
+    from splatview.renderers.gl.context import (
+        create_headless_context,
+        describe,
+        discard,
+        missing_compute,
+        unused_gpu,
+    )
     from splatview.renderers.gl.resolve import float16_blending_truncates
     from splatview.renderers.precompile import probe_cache
 
@@ -86,6 +92,7 @@ def gl_context() -> dict[str, Any]:
     except InputError as error:
         return {"works": False, "why": str(error)}
     info = describe(ctx)
+    lacking = missing_compute(ctx)
     truncates = float16_blending_truncates(ctx)
     try:
         probe = probe_cache(ctx)
@@ -99,6 +106,8 @@ def gl_context() -> dict[str, Any]:
         "version": info.version,
         "compute": info.has_compute,
         "software": info.is_software,
+        "lacking": lacking,
+        "unused_gpu": unused_gpu() if info.is_software else None,
         "float16_blending": "truncates" if truncates else "rounds",
         "background_compiling": ahead,
     }
@@ -145,9 +154,13 @@ def as_text(findings: dict[str, Any]) -> str:
         f"display    {findings['display']}",
     ]
     if gl["works"]:
-        compute = "compute shaders" if gl["compute"] else "no compute shaders: quads uses its GL 3.3 path"
+        compute = "compute shaders" if gl["compute"] else "no compute shaders"
         kind = "software, no GPU" if gl["software"] else "hardware"
         lines.append(f"OpenGL     {gl['version']}, {gl['renderer']} ({kind}; {compute})")
+        if gl["lacking"]:
+            lines.append(f"missing    {gl['lacking']}: quads takes its OpenGL 3.3 path, tiles cannot draw")
+        if gl["unused_gpu"]:
+            lines.append(f"missing    {gl['unused_gpu']}")
         if gl["float16_blending"] == "truncates":
             lines.append("float16    blending truncates instead of rounding: quads sums in float32 even so")
         ahead = gl["background_compiling"]

@@ -24,6 +24,8 @@ import numba
 from numba.core import config as _numba_config
 from numba.core.caching import FunctionCache
 
+from splatview.scene.user_dirs import kernel_folder
+
 config: Any = _numba_config
 
 BOUNDSCHECK = bool(config.BOUNDSCHECK)
@@ -38,16 +40,6 @@ SHARED_SOURCES = (_HERE.parent / "scene" / "lens_formula.py",)
 """Files of other packages with functions that kernels here compile."""
 
 
-def _cache_root() -> Path:
-    """NUMBA_CACHE_DIR where it is set, else the user's cache folder by the platform's custom."""
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(os.environ["NUMBA_CACHE_DIR"]) / "splatview"
-    if os.name == "nt" and os.environ.get("LOCALAPPDATA"):
-        return Path(os.environ["LOCALAPPDATA"]) / "splatview" / "kernels"
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "splatview" / "kernels"
-
-
 @cache
 def cache_folder(package: Path) -> Path | None:
     """Where kernels of exactly these sources lie; None where the disk may not be written."""
@@ -56,7 +48,7 @@ def cache_folder(package: Path) -> Path | None:
     for file in (*files, *SHARED_SOURCES):
         stamp.update(file.read_bytes())
     try:
-        folder = _cache_root() / stamp.hexdigest()[:16]
+        folder = kernel_folder() / stamp.hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
         return folder if os.access(folder, os.W_OK) else None

@@ -17,6 +17,12 @@ def cache_folder() -> Path:
     return _folder("SPLATVIEW_CACHE_DIR", "LOCALAPPDATA", "Caches", "XDG_CACHE_HOME", ".cache")
 
 
+def kernel_folder() -> Path:
+    """The place for compiled kernels; NUMBA_CACHE_DIR, which others share, overrides it."""
+    folder = _folder("NUMBA_CACHE_DIR", "LOCALAPPDATA", "Caches", "XDG_CACHE_HOME", ".cache")
+    return folder / ("splatview" if os.environ.get("NUMBA_CACHE_DIR") else "kernels")
+
+
 def _folder(override: str, windows: str, mac: str, xdg: str, in_home: str) -> Path:
     """`override`, `windows` and `xdg` are environment variables, `mac` lies in ~/Library, `in_home` in ~."""
     if chosen := os.environ.get(override):

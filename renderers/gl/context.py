@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from glob import glob
 from typing import Any
 
 import moderngl
@@ -67,11 +68,7 @@ def describe(ctx: moderngl.Context) -> GLInfo:
 
 def has_compute(ctx: moderngl.Context) -> bool:
     """Whether the compute shaders of `quads` and `tiles` link here: OpenGL 4.3 alone does not say so."""
-    if not ctx.version_code >= 430:
-        return False
-    compute = ctx.info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0)
-    vertex = ctx.info.get("GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS", 0)
-    return compute >= COMPUTE_STORAGE_BLOCKS and vertex >= VERTEX_STORAGE_BLOCKS
+    return missing_compute(ctx) is None
 
 
 def create_headless_context(*, require: int = 330) -> moderngl.Context:
@@ -95,7 +92,7 @@ def create_headless_context(*, require: int = 330) -> moderngl.Context:
         # The first says why there is nothing, the others that there is no more than that.
         raise InputError(
             f"no OpenGL {require // 100}.{require // 10 % 10} without a window here ({problems[0]}); "
-            + (missing_nvidia_gl() or HOW_TO_GET_GL)
+            + (unused_gpu() or HOW_TO_GET_GL)
         )
     return made
 
@@ -144,14 +141,32 @@ def discard(ctx: moderngl.Context) -> None:
             ctypes.CDLL("libEGL.so.1").eglReleaseThread()
 
 
-def missing_nvidia_gl() -> str | None:
-    """What to do where an NVIDIA card is without its OpenGL, as containers are by default; None elsewhere."""
-    if not os.path.exists("/dev/nvidiactl"):
-        return None
-    return (
-        "an NVIDIA GPU is here without its OpenGL driver: in a container set "
-        "NVIDIA_DRIVER_CAPABILITIES=all (or graphics), else install libnvidia-gl"
-    )
+def unused_gpu() -> str | None:
+    """What to do where Linux has a GPU that OpenGL cannot reach, as in containers by default; None elsewhere.
+    To be asked where OpenGL is absent, or software."""
+    if os.path.exists("/dev/nvidiactl"):
+        try:
+            ctypes.CDLL("libEGL_nvidia.so.0")
+        except OSError:
+            return (
+                "an NVIDIA GPU is here without its OpenGL driver (libEGL_nvidia.so.0): in a container set "
+                "NVIDIA_DRIVER_CAPABILITIES=all (or graphics), else install libnvidia-gl"
+            )
+    nodes = sorted(glob("/dev/dri/renderD*"))
+    if nodes and not any(os.access(node, os.R_OK | os.W_OK) for node in nodes):
+        return f"this user may not use the GPU at {nodes[0]}: usermod -aG render USER, then log in anew"
+    return None
+
+
+def missing_compute(ctx: moderngl.Context) -> str | None:
+    """What the compute shaders of `quads` and `tiles` lack here; None if nothing."""
+    if not ctx.version_code >= 430:
+        return f"OpenGL is {ctx.version_code // 100}.{ctx.version_code // 10 % 10}, 4.3 is needed"
+    for stage, needed in (("COMPUTE", COMPUTE_STORAGE_BLOCKS), ("VERTEX", VERTEX_STORAGE_BLOCKS)):
+        found = ctx.info.get(f"GL_MAX_{stage}_SHADER_STORAGE_BLOCKS", 0)
+        if not found >= needed:
+            return f"a {stage.lower()} shader has {found} storage blocks, {needed} are needed"
+    return None
 
 
 # ---- GPU memory: asked for so that a driver without room says so, and counted from the objects themselves.

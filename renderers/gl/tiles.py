@@ -14,9 +14,9 @@ import moderngl
 import numpy as np
 
 from splatview.renderers.gl.blend import BlendPass
-from splatview.renderers.gl.context import describe, has_compute, reserve
+from splatview.renderers.gl.context import describe, missing_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute, run_groups
+from splatview.renderers.gl.programs import Variants, load_compute, run_groups
 from splatview.renderers.gl.project import Projector, Records
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
@@ -57,9 +57,10 @@ class PairTuning:
 
     workgroup: int
     """Invocations that count the pairs of a block of visible splats."""
-    most_pairs: int = 1 << 24
-    """A round: 256 MiB with what sorts them."""
-    most_rounds: int = 16
+    most_pairs: int = 1 << 23
+    """A round: 128 MiB with what sorts them, and by estimate 60 ms of blending on a GPU of 1 TFLOP/s, which
+    Windows resets after two seconds."""
+    most_rounds: int = 32
     most_tiles: int | None = None
     """Of a picture."""
 
@@ -229,7 +230,7 @@ class TileTuning:
     """Splats that a work group keeps in local memory; a multiple of 32."""
     most_walked: int = 1 << 18
     """Splats of one tile in a dispatch."""
-    most_tried: int = 1 << 24
+    most_tried: int = 1 << 23
     """Tiles times splats that were left over in a dispatch: no more than a round has pairs."""
     pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256))
 
@@ -301,7 +302,9 @@ class TilesBlendPass(BlendPass):
                 buffer.bind_to_storage_buffer(7)
             self._run_parts(program, groups, most_walked, longest)
 
-        most, longest = self.tuning.most_walked, projector.visible.read_now()
+        most, longest = self.tuning.most_walked, min(self.pairs.found, projector.splats)
+        if longest > most:
+            longest = min(longest, projector.visible.read_now())
         for index in range(rounds):
             # Not cleared as a framebuffer: zink defers that beyond the dispatch.
             place = {"u_round": index, "u_starts": index == 0}
@@ -380,11 +383,9 @@ class TilesRenderer(QuadsRenderer):
     def __init__(
         self, ctx: moderngl.Context, *, tuning: TileTuning | None = None, variants: Variants | None = None
     ) -> None:
-        if not has_compute(ctx):
-            version = f"{ctx.version_code // 100}.{ctx.version_code // 10 % 10}"
-            if ctx.version_code >= COMPUTE_VERSION:
-                version += " with too few storage blocks"
-            raise InputError(f"--renderer tiles needs OpenGL 4.3, this is {version}; use --renderer quads")
+        lacking = missing_compute(ctx)
+        if lacking is not None:
+            raise InputError(f"--renderer tiles cannot draw here: {lacking}; use --renderer quads")
         variants = variants or Variants(ctx)
         self._tiles = TilesBlendPass(ctx, variants, tuning)
         super().__init__(ctx, blend_pass=self._tiles, variants=variants)

@@ -158,7 +158,12 @@ def require_regular_file(path: Path) -> None:
 
 def _open_regular(name: str, flags: int) -> int:
     # Without O_NONBLOCK a named pipe would wait here for somebody to write to it.
-    descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    try:
+        descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    except PermissionError:
+        if os.path.isdir(name):  # Windows opens none
+            raise IsADirectoryError from None
+        raise
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)

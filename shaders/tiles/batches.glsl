@@ -47,7 +47,8 @@ shared uint hits[WORDS];
 // rgb and T of a pixel so far; outside the picture it is opaque.
 vec4 drawn_at(ivec2 pixel) {
     if (!all(lessThan(pixel, imageSize(u_accumulation)))) return vec4(0.0);
-    return u_starts ? vec4(0.0, 0.0, 0.0, 1.0) : imageLoad(u_accumulation, pixel);
+    // No branch: zink on a CPU compiles uniforms that decide one into the shader, and keeps old ones.
+    return mix(imageLoad(u_accumulation, pixel), vec4(0.0, 0.0, 0.0, 1.0), bvec4(u_starts));
 }
 
 // The first pair of `tile` or a later one.

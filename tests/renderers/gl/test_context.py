@@ -11,6 +11,7 @@ import moderngl
 import pytest
 
 from splatview.renderers import make_renderer
+from splatview.renderers.gl import context
 from splatview.renderers.gl.context import GL_VERSIONS, create_headless_context, describe
 from splatview.scene import InputError
 
@@ -191,6 +192,43 @@ def test_no_driver_is_one_clear_line(missing):
     assert len(lines) == 1
     assert lines[0].startswith("no OpenGL 3.3 without a window here (")
     assert "apt-get install libegl1 libgl1-mesa-dri" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "library", "allowed", "named"),
+    [
+        ([], False, True, None),
+        (["/dev/nvidiactl"], False, True, "an NVIDIA GPU is here without its OpenGL driver"),
+        (["/dev/nvidiactl"], True, True, None),
+        (["/dev/dri/renderD128", "/dev/dri/renderD129"], False, True, None),
+        (["/dev/dri/renderD128"], False, False, "may not use the GPU at /dev/dri/renderD128: usermod"),
+    ],
+)
+def test_a_gpu_that_opengl_cannot_reach_is_named(monkeypatch, nodes, library, allowed, named):
+    def load(name: str) -> None:
+        if not library:
+            raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.setattr(context.os.path, "exists", lambda path: path in nodes)
+    monkeypatch.setattr(context, "glob", lambda _: [node for node in nodes if "dri" in node])
+    monkeypatch.setattr(context.os, "access", lambda *_: allowed)
+    monkeypatch.setattr(context.ctypes, "CDLL", load)
+    assert named is None or named in (context.unused_gpu() or "")
+    assert named is not None or context.unused_gpu() is None
+
+
+@pytest.mark.parametrize(
+    ("version", "limits", "lacking"),
+    [
+        (450, {}, None),
+        (330, {}, "OpenGL is 3.3, 4.3 is needed"),
+        (430, {"GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS": 8}, "a compute shader has 8 storage blocks"),
+        (450, {"GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS": 0}, "a vertex shader has 0 storage blocks"),
+    ],
+)
+def test_what_compute_shaders_lack_is_named(version, limits, lacking):
+    found = context.missing_compute(fake_context("some GPU", version, **limits))
+    assert (lacking or "") in (found or "") and (lacking is None) is (found is None)
 
 
 def test_a_version_that_nobody_has():

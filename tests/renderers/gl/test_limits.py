@@ -9,6 +9,7 @@ import moderngl
 import numpy as np
 import pytest
 
+from splatview.renderers import make_renderer
 from splatview.renderers.gl import sort
 from splatview.renderers.gl.programs import load_compute
 from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SCAN_SIZE, SLABS
@@ -150,3 +151,17 @@ def test_more_splats_than_a_storage_buffer_has_keys(ctx, limited, random_gaussia
     renderer.draw(FrameRequest(None, VIEW, RenderSettings()))
     assert renderer.stats().splats == 10
     renderer.close()
+
+
+def test_the_least_storage_blocks_take_the_path_of_old_opengl(ctx, limited, random_gaussians: Make):
+    scene = many_splats(random_gaussians, 500)
+    renderer = make_renderer("quads", ctx)
+    expected = renderer.render(FrameRequest(scene, VIEW, SETTINGS))
+    renderer.close()
+    limited(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS=8, GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS=0)
+    renderer = make_renderer("quads", ctx)
+    assert renderer.name == "quads-gl33"
+    assert np.abs(renderer.render(FrameRequest(scene, VIEW, SETTINGS)) - expected).max() < 1e-4
+    renderer.close()
+    with pytest.raises(InputError, match="a compute shader has 8 storage blocks, 11 are needed"):
+        make_renderer("tiles", ctx)

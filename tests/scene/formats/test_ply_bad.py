@@ -76,6 +76,15 @@ def test_permission_refused_by_the_system(tmp_path, good, monkeypatch):
         load_scene(path)
 
 
+def test_a_folder_on_windows(tmp_path, monkeypatch):
+    def refuse(*args):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(InputError, match="is a folder"):
+        load_scene(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("data", "name", "message"),
     [
