@@ -39,9 +39,13 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        self._given: tuple[str, ...] = ()
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message} (see {self.prog} --help)")
+        # Taken for an option, or for the value of one that is missing.
+        dashed = next((one for one in self._given if re.fullmatch(r"-[^-].*\.[A-Za-z]\w*", one)), None)
+        hint = f"; a name that begins with a dash is written ./{dashed}" if dashed else ""
+        raise InputError(f"{message}{hint} (see {self.prog} --help)")
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace | None:
         """The options, or None where help was asked for and printed.
@@ -49,6 +53,7 @@ class Parser(argparse.ArgumentParser):
         Raises:
             InputError: the arguments are wrong.
         """
+        self._given = tuple(arguments)
         try:
             return self.parse_args(with_joined_values(arguments))
         except SystemExit:

@@ -201,6 +201,25 @@ def test_commands_refuse_what_they_do_not_know(refused, scene):
     assert "--full" in refused("--full")
 
 
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("info", "-x.ply"),
+        ("-x.ply",),
+        ("convert", "a.ply", "-x.ply"),
+        ("render", "a.ply", "-o", "-x.ply"),
+        ("edit", "a.ply", "--recipe", "-x.ply", "-o", "b.ply"),
+    ],
+)
+def test_names_that_begin_with_a_dash_are_told_how_to_write(refused, argv):
+    assert "a name that begins with a dash is written ./-x.ply" in refused(*argv)
+
+
+def test_an_option_that_is_none_is_no_name(refused):
+    assert "./" not in refused("info", "a.ply", "-x")
+    assert "./" not in refused("info", "a.ply", "-0.5")
+
+
 def test_defects_of_ours_keep_their_traceback(monkeypatch, scene):
     def broken(*_args: object) -> None:
         raise RuntimeError("a defect")
