@@ -23,6 +23,9 @@ from splatview.scene.framing import WORLD_UP, frame_camera, robust_bounds
 
 DEFAULT_SIZE = (1280, 720)
 
+LARGEST = 1e100
+"""Coordinate: of larger ones the squares are infinite."""
+
 MAX_SIDE = 1 << 16
 MAX_PIXELS = 1 << 27
 """2 GiB as float32 RGBA: more is a slip of the finger."""
@@ -124,6 +127,8 @@ def vector(text: str) -> tuple[float, float, float]:
     if len(parts) != 3:
         raise argparse.ArgumentTypeError(f"{text!r} is not three numbers with commas between: 1,-2,0.5")
     x, y, z = (number(part) for part in parts)
+    if max(abs(x), abs(y), abs(z)) > LARGEST:
+        raise argparse.ArgumentTypeError(f"{text!r}: coordinates go to {LARGEST:g}")
     return x, y, z
 
 

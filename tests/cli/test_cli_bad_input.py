@@ -112,6 +112,7 @@ USAGE = {
     "two numbers": (["S", "-o", "O", "--eye", "0,1", "--target", "0,0,1"], "three numbers"),
     "no number": (["S", "-o", "O", "--eye", "0,1,up", "--target", "0,0,1"], "'up'"),
     "nan": (["S", "-o", "O", "--eye", "0,1,nan", "--target", "0,0,1"], "'nan'"),
+    "too far": (["S", "-o", "O", "--eye", "0,0,-1e300", "--target", "0,0,0"], "go to 1e+100"),
     "no direction": (["S", "-o", "O", "--eye", "0,0,1", "--target", "0,0,0", "--up", "0,0,0"], "direction"),
     "up alone": (["S", "-o", "O", "--up", "0,1,0"], "--eye"),
     "field of view": (["S", "-o", "O", "--fov", "180"], "180"),
