@@ -24,6 +24,9 @@ from splatview.scene.framing import WORLD_UP, frame_camera, pivot, robust_bounds
 
 DEFAULT_SIZE = (1280, 720)
 
+LARGEST = 1e100
+"""Coordinate: of larger ones the squares are infinite."""
+
 MAX_SIDE = 1 << 16
 MAX_PIXELS = 1 << 27
 """2 GiB as float32 RGBA: more is a slip of the finger."""
@@ -40,11 +43,16 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        self._given: tuple[str, ...] = ()
 
     def error(self, message: str) -> NoReturn:
         wrong = re.search(r"^unrecognized arguments: .*?(--[^\s=]+)", message)
-        meant = did_you_mean(wrong[1], self._option_string_actions) if wrong else ""
-        raise InputError(f"{message}{meant} (see {self.prog} --help)")
+        hint = did_you_mean(wrong[1], self._option_string_actions) if wrong else ""
+        # Taken for an option, or for the value of one that is missing.
+        dashed = next((one for one in self._given if re.fullmatch(r"-[^-].*\.[A-Za-z]\w*", one)), None)
+        if dashed:
+            hint += f"; a name that begins with a dash is written ./{dashed}"
+        raise InputError(f"{message}{hint} (see {self.prog} --help)")
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace | None:
         """The options, or None where help was asked for and printed.
@@ -52,6 +60,7 @@ class Parser(argparse.ArgumentParser):
         Raises:
             InputError: the arguments are wrong.
         """
+        self._given = tuple(arguments)
         try:
             return self.parse_args(with_joined_values(arguments))
         except SystemExit:
@@ -122,6 +131,8 @@ def vector(text: str) -> tuple[float, float, float]:
     if len(parts) != 3:
         raise argparse.ArgumentTypeError(f"{text!r} is not three numbers with commas between: 1,-2,0.5")
     x, y, z = (number(part) for part in parts)
+    if max(abs(x), abs(y), abs(z)) > LARGEST:
+        raise argparse.ArgumentTypeError(f"{text!r}: coordinates go to {LARGEST:g}")
     return x, y, z
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as numpy_format
 
 from splatview.cli.arguments import HELP as BACKGROUND_HELP
 from splatview.cli.arguments import (
@@ -61,7 +62,10 @@ def write_picture(image: np.ndarray, path: Path, *, alpha: bool = False) -> None
     """
     with atomic_write(path) as file:
         if path.suffix.lower() == ".npy":
-            np.save(file, image)
+            # np.save would write past the file object, and say of a full disk how many numbers went missing.
+            image = np.ascontiguousarray(image)
+            numpy_format.write_array_header_1_0(file, numpy_format.header_data_from_array_1_0(image))
+            file.write(image.data)
         else:
             from PIL import Image
 

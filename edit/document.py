@@ -237,7 +237,7 @@ class Document(State):
         if not 0 <= position <= len(self.history.steps):
             raise ValueError(f"position must be in 0 to {len(self.history.steps)}, got {position}")
         if position < self.history.floor:
-            raise InputError(f"the first {self.history.floor:,} steps can no longer be undone")
+            raise InputError(f"the oldest steps ({self.history.floor:,}) can no longer be undone")
         while self.history.position > position:
             self.undo()
         while self.history.position < position:

@@ -135,8 +135,10 @@ class AbandonedJournal:
 
 def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
     """Journals to restore, latest first, without those of running programs."""
-    found = []
-    for path in folder.glob(f"*{SUFFIX}"):
+    found, names = [], []
+    with contextlib.suppress(OSError):  # none there, or out of reach
+        names = os.listdir(folder)
+    for path in (folder / name for name in names if name.endswith(SUFFIX)):
         with contextlib.suppress(OSError, InputError, *_NO_JOURNAL):
             with open(path, "r+b") as file:
                 if not take_lock(file):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import os
 import shutil
 import tempfile
 from importlib import resources
@@ -44,7 +45,7 @@ def cached_demo(*, progress: Progress = NO_PROGRESS) -> Gaussians:
         Cancelled: nobody waited any more while the cached file was read.
     """
     path = cache_folder() / PATTERN.replace("*", demo_stamp())
-    if path.exists():
+    if os.path.isfile(path):
         with contextlib.suppress(InputError):
             return load_scene(path, progress=progress)
     gaussians = demo_scene()
@@ -98,7 +99,7 @@ def cached_demo_capture(*, progress: Progress = NO_PROGRESS) -> Path:
 
 
 def _is_whole(folder: Path) -> bool:
-    return (folder / "transforms.json").is_file()
+    return os.path.isfile(folder / "transforms.json")
 
 
 def _stamp() -> str:

@@ -28,9 +28,16 @@ def _folder(override: str, windows: str, mac: str, xdg: str, in_home: str) -> Pa
     if chosen := os.environ.get(override):
         return Path(chosen)
     if sys.platform == "win32":
-        base = Path(os.environ.get(windows) or Path.home() / "AppData" / "Local")
+        base = Path(os.environ.get(windows) or _home() / "AppData" / "Local")
     elif sys.platform == "darwin":
-        base = Path.home() / "Library" / mac
+        base = _home() / "Library" / mac
     else:
-        base = Path(os.environ.get(xdg) or Path.home() / in_home)
+        base = Path(os.environ.get(xdg) or _home() / in_home)
     return base / "splatview"
+
+
+def _home() -> Path:
+    try:
+        return Path.home()
+    except RuntimeError:  # neither HOME nor an account: nothing can be kept, and everything else works
+        return Path(os.devnull)

@@ -7,6 +7,7 @@ from functools import partial
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from splatview.scene.errors import printable
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
 from splatview.viewer.dialogs import FileDialogs
@@ -57,7 +58,7 @@ def runner_params(app: AppState, size: tuple[int, int]) -> hello_imgui.RunnerPar
 
     params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
     layout = LAYOUT_FILE if app.find(LiveTraining) is None else TRAINING_LAYOUT_FILE
-    params.ini_filename = str(config_folder() / layout)
+    params.ini_filename = printable(str(config_folder() / layout))
     params.ini_filename_use_app_window_title = False
     try:
         config_folder().mkdir(parents=True, exist_ok=True)
@@ -149,7 +150,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
 
 
 def title(app: AppState) -> str:
-    return f"{app.scene.name} - splatview" if app.is_open else "splatview"
+    return f"{printable(app.scene.name)} - splatview" if app.is_open else "splatview"
 
 
 def hide_or_show_panels(app: AppState) -> None:

@@ -247,7 +247,8 @@ def save_bookmarks(scene: Path, bookmarks: list[Bookmark]) -> Path:
         write_json(in_config(scene), data)
         return in_config(scene)
     # What an earlier run had to put elsewhere is now here: it must not come back twice.
-    in_config(scene).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        in_config(scene).unlink()
     return beside(scene)
 
 

@@ -33,8 +33,9 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
     """Uniforms of ``common/projection.glsl``; `centre` (3,) float64 is what positions are relative to."""
     model = settings.model
     eye = camera.eye - centre
-    high = eye.astype(np.float32)
-    low = (eye - high).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # an eye beyond float32 sees nothing
+        high = eye.astype(np.float32)
+        low = (eye - high).astype(np.float32)
     check_surfels(camera, model)
     limits = np.clip(camera.slope_limits(model.jacobian_margin), -LARGEST, LARGEST)
     rays: dict[str, Uniform] = {ORTHOGRAPHIC: camera.orthographic}

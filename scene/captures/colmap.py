@@ -6,21 +6,25 @@ nothing about single photos and are not read.
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
-from splatview.scene.formats.io import excerpt
+from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.progress import Progress
 
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 
 MAX_TEXT_BYTES = 1 << 31
+
+MAX_NAMES_BYTES = 1 << 26
 
 _POINT = np.dtype(
     [("number", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"), ("track", "<u8")]
@@ -96,11 +100,12 @@ def _held_out_names(model: Path) -> set[str] | None:
     path = model / "test.txt"
     if not os.path.isfile(path):
         return None
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return {tidy_name(line.strip()) for line in text.splitlines() if line.strip()}
+    with open_regular(path) as file:
+        text = file.read(MAX_NAMES_BYTES + 1)
+    if len(text) > MAX_NAMES_BYTES:
+        raise InputError(f"{path}: is too large for a list of photos")
+    lines = text.decode("utf-8", "replace").splitlines()
+    return {tidy_name(line.strip()) for line in lines if line.strip()}
 
 
 def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -108,15 +113,13 @@ def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
     for suffix, parse in ((".bin", _points_binary), (".txt", _points_text)):
         path = model / f"points3D{suffix}"
         if os.path.isfile(path):
-            try:
-                return parse(path)
-            except OSError as error:
-                raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+            with open_regular(path) as file:
+                return parse(file, path)
     return np.empty((0, 3)), np.empty((0, 3), dtype=np.uint8)
 
 
-def _points_binary(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    raw = path.read_bytes()
+def _points_binary(file: BinaryIO, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    raw = file.read()
     cut = InputError(f"{path}: is truncated; copy or export it again")
     if len(raw) < 8:
         raise cut
@@ -138,23 +141,22 @@ def _points_binary(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return points["position"].astype(np.float64), points["colour"].copy()
 
 
-def _points_text(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    if path.stat().st_size > MAX_TEXT_BYTES:
+def _points_text(file: BinaryIO, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    if os.fstat(file.fileno()).st_size > MAX_TEXT_BYTES:
         raise InputError(f"{path}: is too large for text; export the model as .bin")
     positions, colours = [], []
-    with open(path, encoding="utf-8", errors="replace") as file:
-        for line in file:
-            words = line.split(maxsplit=7)
-            if not words or words[0].startswith("#"):
-                continue
-            try:
-                position, colour = [float(word) for word in words[1:4]], [int(word) for word in words[4:7]]
-                if not (len(colour) == 3 and all(0 <= value <= 255 for value in colour)):
-                    raise ValueError
-            except ValueError:
-                raise InputError(f"{path}: the line {excerpt(line.strip())} is no point") from None
-            positions.append(position)
-            colours.append(colour)
+    for line in io.TextIOWrapper(file, encoding="utf-8", errors="replace"):
+        words = line.split(maxsplit=7)
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            position, colour = [float(word) for word in words[1:4]], [int(word) for word in words[4:7]]
+            if not (len(colour) == 3 and all(0 <= value <= 255 for value in colour)):
+                raise ValueError
+        except ValueError:
+            raise InputError(f"{path}: the line {excerpt(line.strip())} is no point") from None
+        positions.append(position)
+        colours.append(colour)
     return (
         np.array(positions, dtype=np.float64).reshape(-1, 3),
         np.array(colours, dtype=np.uint8).reshape(-1, 3),

@@ -218,7 +218,7 @@ def flat_effect(gaussians: Gaussians) -> Effect:
 def _thinner(gaussians: Gaussians, ratio: float) -> int:
     """Splats whose middle axis is so many times the shortest."""
     ordered = np.sort(gaussians.log_scales, axis=1)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         return int((ordered[:, 1] - ordered[:, 0] > math.log(ratio)).sum())
 
 

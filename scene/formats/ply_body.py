@@ -7,6 +7,7 @@ object of every value, or maps the file, and a mapped file that another program 
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import os
@@ -61,11 +62,13 @@ def _min_row_bytes(element: PlyElement) -> int:
 
 
 def physical_memory() -> float:
-    """Bytes of this machine; infinite where the system does not tell."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return math.inf
+    """Bytes of this machine, or of the container that it is; infinite where the system does not tell."""
+    size = math.inf
+    with contextlib.suppress(AttributeError, ValueError, OSError):
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with contextlib.suppress(ValueError, OSError):
+        size = min(size, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return size
 
 
 def free_memory() -> int:
@@ -75,7 +78,8 @@ def free_memory() -> int:
         found = re.search(r"^MemAvailable: *(\d+) kB", Path("/proc/meminfo").read_text(), re.MULTILINE)
     except OSError:
         found = None
-    return int(found[1]) << 10 if found else int(min(physical_memory() / 2, 4 << 30))
+    size = physical_memory()
+    return min(int(found[1]) << 10, int(size)) if found else int(min(size / 2, 4 << 30))
 
 
 SPLAT_BYTES = 56

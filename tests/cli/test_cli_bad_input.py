@@ -136,6 +136,7 @@ USAGE = {
     "two numbers": (["S", "-o", "O", "--eye", "0,1", "--target", "0,0,1"], "three numbers"),
     "no number": (["S", "-o", "O", "--eye", "0,1,up", "--target", "0,0,1"], "'up'"),
     "nan": (["S", "-o", "O", "--eye", "0,1,nan", "--target", "0,0,1"], "'nan'"),
+    "too far": (["S", "-o", "O", "--eye", "0,0,-1e300", "--target", "0,0,0"], "go to 1e+100"),
     "no direction": (["S", "-o", "O", "--eye", "0,0,1", "--target", "0,0,0", "--up", "0,0,0"], "direction"),
     "up alone": (["S", "-o", "O", "--up", "0,1,0"], "--eye"),
     "field of view": (["S", "-o", "O", "--fov", "180"], "180"),
@@ -223,6 +224,25 @@ def test_commands_refuse_what_they_do_not_know(refused, scene):
     assert "SCENE" in refused("info")
     assert "extra" in refused("doctor", "extra")
     assert "--full" in refused("--full")
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("info", "-x.ply"),
+        ("-x.ply",),
+        ("convert", "a.ply", "-x.ply"),
+        ("render", "a.ply", "-o", "-x.ply"),
+        ("edit", "a.ply", "--recipe", "-x.ply", "-o", "b.ply"),
+    ],
+)
+def test_names_that_begin_with_a_dash_are_told_how_to_write(refused, argv):
+    assert "a name that begins with a dash is written ./-x.ply" in refused(*argv)
+
+
+def test_an_option_that_is_none_is_no_name(refused):
+    assert "./" not in refused("info", "a.ply", "-x")
+    assert "./" not in refused("info", "a.ply", "-0.5")
 
 
 def test_defects_of_ours_keep_their_traceback(monkeypatch, scene):

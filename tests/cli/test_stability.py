@@ -70,9 +70,12 @@ def test_a_green_case_is_exit_code_0(capsys) -> None:
     assert "all passed" in out and "Failed" not in out and "A rotation of all zeros" in out
 
 
-def test_json_is_all_that_is_printed(capsys) -> None:
+def test_json_is_all_that_is_printed_and_ascii(capsys, monkeypatch) -> None:
+    monkeypatch.setattr("splatview.cli.stability.describe_machine", lambda: {"cpu": "größer"})
     assert main(["stability", "--json", "--renderer", "reference", "--case", "one row"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    assert out.isascii()
+    result = json.loads(out)
     assert result["failed"] == 0 and result["passed"] == len(result["cases"]) == 2
     first = result["cases"][0]
     assert first["case"] == "one row" and first["renderer"] == "reference float64"
@@ -134,7 +137,9 @@ def test_the_themes_are_a_line_each(monkeypatch, capsys) -> None:
 
 def test_the_list_tells_what_is_hard(capsys) -> None:
     assert main(["stability", "--list", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    assert out.isascii(), "whatever encoding standard output has"
+    listed = json.loads(out)
     assert [case["case"] for case in listed] == [case.name for case in CASES]
     assert main(["stability", "--list", "--case", "depth tie"]) == 0
     assert "Equal depths go by index." in capsys.readouterr().out

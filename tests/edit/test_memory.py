@@ -98,7 +98,7 @@ def test_the_oldest_steps_become_final_when_undo_has_used_up_its_memory(edit_hel
     assert (history.floor, history.position) == (2, 6)
     assert history.nbytes <= 0.5 * MIB
     assert [step["value"] for step in recipe_of(document).to_json()["steps"]] == [1, 2, 3, 4, 5, 6]
-    with pytest.raises(InputError, match="the first 2 steps can no longer be undone"):
+    with pytest.raises(InputError, match=r"the oldest steps \(2\) can no longer be undone"):
         document.jump(1)
     while document.undo():
         pass
@@ -163,8 +163,11 @@ def test_free_memory_is_what_the_system_says_or_a_guess(monkeypatch):
     from splatview.scene.formats import ply_body
 
     assert MIB < ply_body.free_memory() <= ply_body.physical_memory()
-    monkeypatch.setattr(Path, "read_text", lambda *_: "MemTotal: 7 kB\nMemAvailable:   2048 kB\n")
+    files = {"meminfo": "MemTotal: 7 kB\nMemAvailable:   2048 kB\n", "memory.max": "max\n"}
+    monkeypatch.setattr(Path, "read_text", lambda path: files.get(path.name, ""))
     assert ply_body.free_memory() == 2 * MIB
-    monkeypatch.setattr(Path, "read_text", lambda *_: "")
+    files["memory.max"] = f"{MIB}\n"
+    assert ply_body.free_memory() == ply_body.physical_memory() == MIB
+    files.clear()
     monkeypatch.setattr(ply_body, "physical_memory", lambda: float("inf"))
     assert ply_body.free_memory() == 4 << 30

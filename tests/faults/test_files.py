@@ -17,6 +17,7 @@ import pytest
 
 from splatview.cli import train_setup
 from splatview.cli.main import main
+from splatview.cli.render import write_picture
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
@@ -350,3 +351,20 @@ def test_a_journal_that_another_program_looks_at_as_it_begins_is_locked_all_the_
     assert find_abandoned_journals(tmp_path / "journals") == []
     journal.close(keep=True)
     assert len(find_abandoned_journals(tmp_path / "journals")) == 1
+
+
+def test_a_picture_that_has_no_room_is_one_line(tmp_path) -> None:
+    """Arrays too: numpy says how many numbers went missing, and not why."""
+    resource = pytest.importorskip("resource")
+    picture = np.linspace(-1, 1, 64 * 64 * 4, dtype=np.float32).reshape(64, 64, 4)
+    write_picture(picture, tmp_path / "whole.npy")
+    np.testing.assert_array_equal(np.load(tmp_path / "whole.npy"), picture)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        for name in ("p.npy", "p.png"):
+            with pytest.raises(InputError, match=rf"{name}: cannot be written: File too large$"):
+                write_picture(picture, tmp_path / name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.npy"]

@@ -14,17 +14,30 @@ from pathlib import Path
 
 import pytest
 
+from splatview.cli import train_setup
 from splatview.cli.main import main
-from splatview.edit.journal import find_abandoned_journals
+from splatview.edit.document import Document
+from splatview.edit.journal import Journal, find_abandoned_journals
+from splatview.edit.operations import SelectAll
+from splatview.renderers import demo_cache
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.formats.io import atomic_write, open_image
+from splatview.scene.user_dirs import config_folder
 from splatview.viewer import camera
 from splatview.viewer import open as opening
 from splatview.viewer.app import window_state
 from splatview.viewer.editing import files
 from splatview.viewer.editing.session import Editing, session_of
-from splatview.viewer.preferences import Preferences, in_config, load_bookmarks, save_bookmarks
+from splatview.viewer.preferences import (
+    Preferences,
+    beside,
+    in_config,
+    load_bookmarks,
+    load_preferences,
+    save_bookmarks,
+    save_preferences,
+)
 from splatview.viewer.save import next_free, write_png
 from splatview.viewer.state import AppState
 
@@ -259,3 +272,29 @@ def run(app: AppState) -> None:
         app.run_posted()
         app.feature(Editing).before_frame(app)
     app.feature(Editing).before_frame(app)
+
+
+@pytest.mark.parametrize("kind", ["long", "loop", "locked", "pipe", "no home"])
+def test_where_nothing_can_be_kept_everything_else_works(scene, place, monkeypatch, kind):
+    """The folders of settings and caches may be anything."""
+    for name in ("SPLATVIEW_CONFIG_DIR", "SPLATVIEW_CACHE_DIR"):
+        if kind == "no home":
+            monkeypatch.delenv(name, raising=False)
+        else:
+            monkeypatch.setenv(name, str(place / bad_path(place, kind, name)))
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", dict[int, object]().__getitem__)
+    monkeypatch.setattr(demo_cache, "demo_scene", lambda: load_scene(scene))
+    with ordinary_user(), no_endless_wait():
+        assert load_preferences()[0] == Preferences()
+        with pytest.raises(InputError, match=r"preferences\.json: (cannot be written|.*does not exist)"):
+            save_preferences(Preferences())
+        assert find_abandoned_journals(config_folder() / "journals") == []
+        assert len(demo_cache.cached_demo()) == 20
+        document = Document(load_scene(scene))
+        journal = Journal(document, config_folder() / "journals")
+        document.apply(SelectAll())
+        assert journal.problem is not None and "steps are not autosaved" in journal.problem
+        assert save_bookmarks(scene, []) == beside(scene)
+        train_setup.lock_run(scene)

@@ -198,7 +198,7 @@ def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("-o", "nowhere/toy.ply"), "cannot be written"),
+        (("-o", "nowhere/toy.ply"), "does not exist; make it first"),
         (("-o", "toy.splat"), "saved as .ply"),
         (("--iterations", "0"), "at least 1"),
         (("--resume", "missing.safetensors"), "no such file"),

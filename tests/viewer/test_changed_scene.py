@@ -250,7 +250,12 @@ def test_files_are_added_to_an_edited_scene_as_steps(
     assert session_of(app) is session
     assert len(app.scene.gaussians) == 51
     assert len(session.document.history.done) == 3
-    session.document.jump(0)
+    session.document.history.trim(0, keep=0)
+    add_files(app, paths[:1])
+    settle(app)
+    assert session_of(app) is session, "edited, though nothing can be undone"
+    assert len(app.scene.gaussians) == 56
+    session = open_scene(random_gaussians(40))
     settle(app)
     add_files(app, paths[:1])
     wait_for_loading(app)

@@ -120,9 +120,9 @@ def test_what_has_no_memory_is_refused_and_final_steps_are_told_of(random_gaussi
     session.document.budget = 10
     session.apply(OPERATIONS["hide"]())
     session.advance()
-    assert session.news == "Hide 300 splats; undo has used up its memory: the first 1 steps are final now"
+    assert session.news == "Hide 300 splats; undo has used up its memory: the oldest steps (1) are final now"
     session.jump(0)
-    assert session.problem == "the first 1 steps can no longer be undone"
+    assert session.problem == "the oldest steps (1) can no longer be undone"
     session.news = None
     session.advance()
     assert session.news is None

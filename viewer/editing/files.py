@@ -165,7 +165,7 @@ def add_files(app: AppState, paths: Sequence[Path]) -> None:
     """Opens the scene that is open again with those of `paths` besides. Where it is edited that would leave
     the edits behind, so there each file is a step of editing."""
     session = session_of(app)
-    if session is not None and session.document.history.can_undo:
+    if session is not None and session.document.history.position:
         merge_files(app, paths)
     else:
         opening.begin(app, paths, add=True)

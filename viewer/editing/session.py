@@ -270,7 +270,7 @@ class EditSession:
         history = self.document.history
         if history.floor > self.told_floor:
             self.told_floor = history.floor
-            forgotten = f"undo has used up its memory: the first {history.floor:,} steps are final now"
+            forgotten = f"undo has used up its memory: the oldest steps ({history.floor:,}) are final now"
             self.news = "; ".join(filter(None, (self.news, forgotten)))
         job = self.job
         if job is None or not job.done:

@@ -86,7 +86,7 @@ def show_restore(app: AppState) -> None:
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
     for journal in tuple(restoring.abandoned):
-        imgui.push_id(journal.file.name)
+        imgui.push_id(printable(journal.file.name))
         widgets.button(
             "Restore", "Opens the scene and does its steps again.", partial(_restore, app, journal)
         )

@@ -124,6 +124,13 @@ def test_all_held_out(tmp_path, colmap_capture):
     assert "all photos are held out" in refused(tmp_path)
 
 
+def test_a_list_of_photos_that_is_none(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    with open(tmp_path / "sparse/0/test.txt", "wb") as file:
+        file.truncate(1 << 40)  # sparse
+    assert "test.txt: is too large for a list of photos" in refused(tmp_path)
+
+
 @pytest.fixture
 def good(tmp_path, cameras_of, to_opengl, png, pixels_of) -> dict:
     frames = []
