@@ -11,8 +11,15 @@ from pathlib import Path
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
+from splatview.scene.formats.compressed_ply import save_compressed
+from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
 from splatview.scene.formats.io import CONVERT, open_scene
+from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
+from splatview.scene.formats.sog import is_sog_folder, is_zip, read_sog, read_sog_folder
+from splatview.scene.formats.sog_write import save_sog
+from splatview.scene.formats.splat import read_splat, save_splat
+from splatview.scene.formats.spz import is_spz, read_spz, save_spz
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -27,7 +34,7 @@ class Format:
     """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
     read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
     """Reader of a file from its start; the path is for messages. None: recognised and refused."""
-    write: Callable[[Gaussians, Path], None] | None = None
+    write: Callable[[Gaussians, Path, Progress], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
     article: str = "a"
     namesakes: str = ""
@@ -38,15 +45,12 @@ class Format:
 
 FORMATS = {
     "ply": Format(suffix=".ply", sniff=is_ply, read=read_ply, write=save_ply),
-    "splat": Format(suffix=".splat"),
-    "spz": Format(suffix=".spz", article="an", sniff=lambda start: start.startswith((b"\x1f\x8b", b"NGSP"))),
-    "ksplat": Format(suffix=".ksplat"),
-    "sog": Format(
-        suffix=".sog",
-        article="an",
-        sniff=lambda start: start.startswith(b"PK\x03\x04"),
-        namesakes=" (or another zip)",
-    ),
+    "splat": Format(suffix=".splat", read=read_splat, write=save_splat),
+    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz),
+    "ksplat": Format(suffix=".ksplat", sniff=is_ksplat, read=read_ksplat),
+    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog),
+    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb),
+    "gltf": Format(suffix=".gltf", read=read_gltf),
 }
 """Every format that is known, by name; readers, writers, messages and file dialogs go by it."""
 
@@ -64,6 +68,8 @@ def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
+    if is_sog_folder(path):
+        return read_sog_folder(path, progress)
     with open_scene(path) as file:
         return _reader(file, path)(file, path, progress)
 
@@ -98,25 +104,25 @@ def name_patterns(*, written: bool = False) -> str:
     return " ".join(f"*{known.suffix}" for known in FORMATS.values() if known.write or not written)
 
 
-def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
+def save_scene(
+    gaussians: Gaussians, path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS
+) -> None:
     """Writes a scene in the format of the suffix, wholly or not at all: an older file stays until then.
 
     Raises:
         InputError: the suffix names no format that can be written, or the system refuses.
     """
     path = Path(path)
-    check_format(path)(gaussians, path)
+    check_format(path)(gaussians, path, progress)
 
 
-def check_format(path: Path) -> Callable[[Gaussians, Path], None]:
+def check_format(path: Path) -> Callable[[Gaussians, Path, Progress], None]:
     """The writer of the format that the suffix names. Raises InputError if that can be none."""
     writers = {known.suffix: known.write for known in FORMATS.values() if known.write}
     writer = writers.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"{path}: scenes are saved as {' or '.join(writers)}; give it that suffix")
-    if path.name.lower().endswith(".compressed.ply"):
-        raise InputError(f"{path}: compressed .ply cannot be written yet; drop .compressed from the name")
-    return writer
+    return save_compressed if path.name.lower().endswith(".compressed.ply") else writer
 
 
 def check_saving(path: Path) -> None:

@@ -75,6 +75,8 @@ class PlyBody:
         self._file, self._file_bytes = file, os.fstat(file.fileno()).st_size
         self._progress = progress
         self._lines = 0
+        self._passed: set[str] = set()
+        """Elements that the file stands behind."""
 
     def check_size(self, element: PlyElement) -> None:
         """Raises InputError where the file is shorter than its header says, or `element` larger than memory.
@@ -104,8 +106,10 @@ class PlyBody:
                 f"this machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
             )
 
-    def read_rows(self, element: PlyElement, targets: Sequence[Target]) -> None:
-        """Fills `targets` from the rows of `element`.
+    def read_rows(
+        self, element: PlyElement, targets: Sequence[Target], progress: Progress | None = None
+    ) -> None:
+        """Fills `targets` from the rows of `element`; elements must be read in the order of the file.
 
         Raises:
             InputError: the file ends too early, or a row is not what the header says.
@@ -114,13 +118,16 @@ class PlyBody:
         for earlier in self.header.elements.values():
             if earlier is element:
                 break
-            self.skip(earlier)
+            if earlier.name not in self._passed:
+                self.skip(earlier)
+            self._passed.add(earlier.name)
+        self._passed.add(element.name)
         start = 0
         for block in self.blocks(element):
             stop = start + len(block)
             _unpack(block, targets, start, stop, self.path)
             start = stop
-            self._progress.step(start / element.count)
+            (progress or self._progress).step(start / element.count)
 
     def read(self, size: int) -> bytes:
         """Bytes of a binary body. Raises EOFError where a damaged list asks for more than any file has."""
