@@ -13,13 +13,14 @@ from typing import NoReturn
 
 import numpy as np
 
+from splatview.cli.main import did_you_mean
 from splatview.measure.knobs import KNOBS, Plan, apply_choices
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.background import Background, Colour, Gradient
 from splatview.scene.camera import orbited, stepped_back, through_lens, with_parallel_rays
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.panorama import load_panorama
-from splatview.scene.framing import WORLD_UP, frame_camera, robust_bounds
+from splatview.scene.framing import WORLD_UP, frame_camera, pivot, robust_bounds
 
 DEFAULT_SIZE = (1280, 720)
 
@@ -41,7 +42,9 @@ class Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message} (see {self.prog} --help)")
+        wrong = re.search(r"^unrecognized arguments: .*?(--[^\s=]+)", message)
+        meant = did_you_mean(wrong[1], self._option_string_actions) if wrong else ""
+        raise InputError(f"{message}{meant} (see {self.prog} --help)")
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace | None:
         """The options, or None where help was asked for and printed.
@@ -331,11 +334,7 @@ def _pinhole_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
             camera = camera.resized(*args.size)
         elif camera.width * camera.height > MAX_PIXELS:
             raise InputError(f"{args.camera}: a picture of {camera.width}x{camera.height}; give a --size")
-        centre, _ = robust_bounds(gaussians.means)
-        # Turn about the point of the viewing axis that is nearest to the scene.
-        depth = float((centre - camera.eye) @ camera.forward)
-        target = camera.eye + camera.forward * (depth if depth > 0 else 1.0)
-        return Orbit(camera, target, -camera.R_camera_world[1])
+        return orbit_of(camera, robust_bounds(gaussians.means)[0])
     width, height = args.size or DEFAULT_SIZE
     fov = args.fov or DEFAULT_FOV
     if args.eye is not None:
@@ -345,6 +344,11 @@ def _pinhole_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
     centre, _ = robust_bounds(gaussians.means)
     camera = frame_camera(gaussians, width, height, fov_y=fov)
     return Orbit(camera, centre, np.array(WORLD_UP))
+
+
+def orbit_of(camera: Camera, centre: np.ndarray) -> Orbit:
+    """About the point of the camera's viewing axis that is nearest to the scene's `centre`."""
+    return Orbit(camera, pivot(camera, centre), -camera.R_camera_world[1])
 
 
 def camera_from_file(args: argparse.Namespace) -> Camera:

@@ -77,7 +77,7 @@ def installed(name: str) -> str | None:
 
 def gl_context() -> dict[str, Any]:
     """What OpenGL without a window offers."""
-    from splatview.renderers.gl.context import create_headless_context, describe
+    from splatview.renderers.gl.context import create_headless_context, describe, discard
     from splatview.renderers.gl.resolve import float16_blending_truncates
     from splatview.renderers.precompile import probe_cache
 
@@ -92,7 +92,7 @@ def gl_context() -> dict[str, Any]:
         ahead = {"works": probe.works, "why": probe.why}
     except Exception as error:  # as below
         ahead = {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
-    ctx.release()
+    discard(ctx)
     return {
         "works": True,
         "renderer": info.renderer,
@@ -105,15 +105,20 @@ def gl_context() -> dict[str, Any]:
 
 
 def tried(name: str) -> dict[str, Any]:
-    """Renders a small scene with the renderer `name` and compares it with the float64 reference."""
+    """Two views of a small scene by the renderer `name`, compared with the float64 reference: the second one,
+    too, since drivers were seen that draw the first one only."""
     scene, settings = sample_scene(), RenderSettings()
-    camera = look_at((0, 0, -3), (0, 0, 0), up=(0, -1, 0), width=96, height=64)
+    errors: list[float] = []
     try:
-        image = make_headless(name).render(FrameRequest(scene, camera, settings))
+        renderer = make_headless(name)
+        for eye in ((0, 0, -3), (2, 1, -2)):
+            camera = look_at(eye, (0, 0, 0), up=(0, -1, 0), width=96, height=64)
+            image = renderer.render(FrameRequest(scene, camera, settings))
+            errors.append(float(np.abs(image - reference.render(scene, camera, settings)).max()))
     except Exception as error:  # a broken driver or library may raise anything; that is the finding
         return {"works": False, "why": " ".join(str(error).split()) or type(error).__name__}
-    error = float(np.abs(image - reference.render(scene, camera, settings)).max())
-    works = bool(error <= BOUNDS[name])
+    error = float(np.max(errors))  # NaN too
+    works = error <= BOUNDS[name]
     against = "within" if works else "above"
     why = f"largest error {error:.1e} against the reference, {against} {BOUNDS[name]:.1e}"
     return {"works": works, "error": error, "why": why}

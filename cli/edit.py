@@ -10,7 +10,7 @@ from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
-from splatview.cli.arguments import Parser
+from splatview.cli.arguments import Parser, positive
 from splatview.edit.changes import Change
 from splatview.edit.document import Document, exported
 from splatview.edit.impact import StepImpacts, in_words
@@ -57,6 +57,13 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--force", action="store_true", help="let files that the recipe splits off replace existing ones"
     )
+    parser.add_argument(
+        "--memory",
+        metavar="GIB",
+        type=positive,
+        default=0.0,
+        help="memory that the steps may take beyond SCENE itself (default: half of what is free)",
+    )
     parser.add_argument("--json", action="store_true", help="the report for scripts, on standard output")
     return parser
 
@@ -73,12 +80,18 @@ def run(arguments: list[str]) -> int:
     targets = _split_targets(recipe, args) if args.output is not None else {}
     gaussians = load_scene(args.scene)
     parts: list[tuple[Gaussians, Path]] = []
+
+    def hold(scene: Gaussians, path: Path) -> None:
+        parts.append((scene, path))
+        document.budget -= scene.nbytes
+
     document = Document(
         gaussians,
         name=Path(args.scene).name,
         folder=recipe.folder,
         tools=CpuRenderer(),
-        save=lambda scene, path: parts.append((scene, path)),
+        save=hold,
+        budget=args.memory * 2**30,
     )
     steps: list[dict[str, object]] = []
     prices = None
@@ -99,7 +112,7 @@ def run(arguments: list[str]) -> int:
 
     try:
         check_scene(recipe, document, any_scene=args.any_scene)
-        replay(recipe, document, on_step=report, progress=Progress(report=_printer()))
+        replay(recipe, document, on_step=report, progress=Progress(report=_printer()), undo=False)
         scene = exported(document)
     except InputError as error:
         raise InputError(f"{args.recipe}: {error}") from None
@@ -125,16 +138,17 @@ def _split_targets(recipe: Recipe, args: Namespace) -> dict[Path, Path]:
     """
     targets = {}
     folder = args.output.absolute().parent
+    real_folder = Path(os.path.realpath(folder))
     for number, step in enumerate(recipe.steps, 1):
         if not isinstance(step, Split):
             continue
         where = f"{args.recipe}: step {number} (split): {step.path}"
         target = folder / step.path
-        if not target.resolve().is_relative_to(folder.resolve()):
+        if not Path(os.path.realpath(target)).is_relative_to(real_folder):
             raise InputError(f"{where}: is outside {folder}, where OUT is; name a file in that folder")
-        if target.exists() and Path(args.scene).exists() and target.samefile(args.scene):
+        if os.path.exists(target) and os.path.exists(args.scene) and target.samefile(args.scene):
             raise InputError(f"{where}: is SCENE itself; give another name in the recipe")
-        if target.exists() and not args.force:
+        if os.path.lexists(target) and not args.force:
             raise InputError(f"{where}: exists already in {folder}; remove it, or overwrite it with --force")
         targets[Path(recipe.folder or os.curdir, step.path)] = target
     return targets
@@ -143,7 +157,7 @@ def _split_targets(recipe: Recipe, args: Namespace) -> dict[Path, Path]:
 def _write(scene: Gaussians, output: Path, parts: list[tuple[Gaussians, Path]]) -> None:
     """All files, only now that nothing can go wrong with the steps any more."""
     paths = [output, *(path for _, path in parts)]
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError(f"{output}: two of the recipe's files would have one name")
     for path in paths:
         check_saving(path)

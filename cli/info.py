@@ -10,10 +10,10 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
+from splatview.cli.main import make_console
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
@@ -70,14 +70,14 @@ def measured_prices(
 
     orbit = chosen_orbit(args, gaussians)
     scene = HeadlessScene(make_headless(args.renderer or "auto"), gaussians, orbit.turned_from)
-    camera = orbit.turned(0.0)
+    camera = orbit.camera
     stopped = threading.Event()
 
     def moved(_: int, number: int) -> Camera:
         return orbit.turned(FRAME_TURN * (number + 1))
 
     with Progress(
-        BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"), console=Console(stderr=True)
+        BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"), console=make_console()
     ) as progress:
         task = progress.add_task("", total=1.0)
         with on_interrupt(stopped.set):

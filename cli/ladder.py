@@ -26,8 +26,10 @@ from splatview.cli.arguments import (
     check_camera_options,
     chosen_orbit,
     count,
+    orbit_of,
     positive,
 )
+from splatview.cli.main import make_console
 from splatview.cli.render import check_output
 from splatview.cli.train_setup import ready_kernels
 from splatview.measure.knobs import KNOBS, Plan, knob
@@ -52,6 +54,8 @@ from splatview.scene.captures import Capture, load_capture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
+from splatview.scene.formats.cameras import camera_values
+from splatview.scene.framing import robust_bounds
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.settings import (
     TrainSettings,
@@ -83,10 +87,11 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     Raises:
         InputError: the capture is at fault, or has no held-out photos.
     """
-    console = Console(stderr=True)
+    console = make_console()
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
         capture = load_capture(folder, downscale=downscale)
+        capture = capture.about(capture.centre)
     held_out = train_views(capture.held_out)
     if not held_out:
         raise InputError(f"{name}: has no held-out photos to measure by")
@@ -116,7 +121,9 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
         print(json.dumps({**about, "seeds": seeds, "rungs": training_as_json(trained)}))
     else:
         print_training_ladder(
-            Console(), trained, f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds"
+            make_console(stderr=False),
+            trained,
+            f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds",
         )
     return 0
 
@@ -227,7 +234,12 @@ def make_parser() -> Parser:
     parser.add_argument("scene", metavar="SCENE", nargs="?")
     add_camera_options(parser)
     group = parser.add_argument_group("ladder")
-    group.add_argument("--views", type=count, default=2, metavar="N", help="views on an orbit (default: 2)")
+    group.add_argument(
+        "--views",
+        type=count,
+        metavar="N",
+        help=f"on an orbit, {VIEW_TURN:g} degrees apart (default: 2; 1 where a camera is given)",
+    )
     group.add_argument(
         "--renderers",
         metavar="A,B",
@@ -305,9 +317,17 @@ def run(arguments: list[str]) -> int:
     gaussians = load_scene(args.scene)
     orbit = chosen_orbit(args, gaussians)
     plan = Plan(settings=settings_for(gaussians))
-    console = Console(stderr=True)
-    scenes = [HeadlessScene(make_headless(name), gaussians, orbit.turned_from) for name in names]
-    views = [orbit.turned(VIEW_TURN * number) for number in range(args.views)]
+    console = make_console()
+    count_of_views = args.views or (2 if args.camera is None and args.eye is None else 1)
+    views = [orbit.camera, *(orbit.turned(VIEW_TURN * number) for number in range(1, count_of_views))]
+    centre, _ = robust_bounds(gaussians.means)
+
+    def turned(camera: Camera, degrees: float) -> Camera:
+        # One view is what `render` draws with the same options; of several each is in a file of cameras.
+        path = orbit if len(views) == 1 else orbit_of(camera, centre)
+        return path.turned_from(camera, degrees)
+
+    scenes = [HeadlessScene(make_headless(name), gaussians, turned) for name in names]
     with console.status("Drawing the truth in float64"):
         truths, apart = draw_truths(gaussians, views, plan.settings)
     if not apart <= AGREEMENT:
@@ -326,19 +346,21 @@ def run(arguments: list[str]) -> int:
         seconds=max(seconds - (time.perf_counter() - begun), 1.0),
         rounds=args.rounds,
     )
-    size = f"{views[0].width}x{views[0].height}"
+    shown = f"{views[0].width}x{views[0].height}, {len(views)} view{'s' * (len(views) > 1)}"
+    title = f"{Path(args.scene).name}, {len(gaussians):,} splats, {shown}"
     about = {
         "scene": Path(args.scene).name,
         "splats": len(gaussians),
         "size": [views[0].width, views[0].height],
+        "cameras": [camera_values(view) for view in views],
         "truth": {"by": "float64 rasteriser", "largest_difference_from_reference": apart},
     }
     if args.json:
         print(json.dumps(as_json(ladder, about)))
     else:
-        print_ladder(Console(), ladder, f"{Path(args.scene).name}, {len(gaussians):,} splats, {size}", apart)
+        print_ladder(make_console(stderr=False), ladder, title, apart)
     if args.plot is not None:
-        plot(ladder, args.plot, title=f"{Path(args.scene).name}, {len(gaussians):,} splats at {size}")
+        plot(ladder, args.plot, title=title)
         print(f"{args.plot}: the plot", file=sys.stderr)
     return 0 if ladder.complete else EXIT_INTERRUPTED
 
@@ -355,10 +377,10 @@ def chosen_renderers(given: str | None) -> list[str]:
     first, why = automatic_choice()
     others = [name for name in measured if name != first]
     if first == "cpu":
-        from splatview.renderers.gl.context import create_headless_context
+        from splatview.renderers.gl.context import create_headless_context, discard
 
         try:
-            create_headless_context().release()
+            discard(create_headless_context())
         except InputError as error:
             print(f"splatview: only cpu is measured: {error} ({why})", file=sys.stderr)
             return [first]
@@ -451,8 +473,8 @@ def print_ladder(console: Console, ladder: Ladder, title: str, apart: float) -> 
         highlight=False,
     )
     for line in bargains(ladder):
-        console.print(line, highlight=False, style="bold")
+        console.print(line, style="bold")
     if ladder.left_out:
-        console.print(left_out_text(ladder), highlight=False)
+        console.print(left_out_text(ladder))
     if not ladder.complete:
-        console.print("Stopped early: fewer pairs than planned.", highlight=False)
+        console.print("Stopped early: fewer pairs than planned.")

@@ -6,15 +6,21 @@ Nothing heavy is imported here: each command is a module of `commands`, imported
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from splatview.scene import InputError
+from splatview.scene.errors import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
 
 COMMANDS = {
     "render": "a scene to a picture file, without a window",
@@ -39,7 +45,7 @@ usage: splatview [SCENE ...]          open a window (no scene: the bundled demo)
 commands:
 {commands}
 options of the window:
-  --renderer auto|quads|cpu           what draws (default: auto)
+  --renderer {renderers:24} what draws (default: auto)
   -o, --output FILE.png               where there is no display: name of the preview written instead
   --version                           print the version
 
@@ -51,8 +57,9 @@ EXIT_BROKEN_PIPE = 141
 """128 + SIGINT and 128 + SIGPIPE, as shells report them."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs `splatview` with `argv` (default: the process's); returns the exit code.
+def main(argv: Sequence[str] | None = None, *, on_loaded: Callable[[], None] = lambda: None) -> int:
+    """Runs `splatview` with `argv` (default: the process's); returns the exit code. `on_loaded` is called
+    between the import of the command and its work.
 
     A user's mistake (InputError) is one line on standard error and exit code 2. Any other exception is a
     defect of ours and keeps its traceback.
@@ -61,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     output, messages = TolerantStream(sys.stdout), TolerantStream(sys.stderr)
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):  # pyright: ignore
         try:
-            code = _dispatch(arguments)
+            code = _dispatch(arguments, on_loaded)
         except InputError as error:
             print("splatview:", " ".join(str(error).split("\n")), file=sys.stderr)
             code = EXIT_BAD_INPUT
@@ -84,7 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class TolerantStream:
-    """A standard stream to which writing never fails: work is worth more than what is said about it.
+    """A standard stream to which writing never fails: work is worth more than what is said about it. Lines
+    are shown as they are: what a terminal would obey is written as escapes.
 
     A reader that has gone (``| head``), a full disk under a log and a stream that was closed from the start
     are noted once, in `failure`; what is written after that goes nowhere. Characters that the stream's
@@ -99,8 +107,12 @@ class TolerantStream:
             stream.reconfigure(errors="backslashreplace")
 
     def write(self, text: str) -> int:
-        self._try(lambda stream: stream.write(text))
+        self.write_styled(printable(text, keep="\n\t"))
         return len(text)
+
+    def write_styled(self, text: str) -> None:
+        """Writes `text` with what the terminal shall obey."""
+        self._try(lambda stream: stream.write(text))
 
     def flush(self) -> None:
         self._try(lambda stream: stream.flush())
@@ -125,17 +137,55 @@ class TolerantStream:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
-def _dispatch(arguments: list[str]) -> int:
+class _Styled:
+    """A `TolerantStream` to which a library writes its own colours and moves of the cursor."""
+
+    def __init__(self, stream: TolerantStream) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        self._stream.write_styled(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def make_console(*, stderr: bool = True, quiet: bool = False) -> Console:
+    """A console for tables and bars. Texts are shown as they are: nothing in them is markup, or obeyed."""
+    from rich.console import Console
+
+    class PlainConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(printable(text, keep="\n\t"), **options)
+
+    stream = sys.stderr if stderr else sys.stdout
+    file: Any = _Styled(stream) if isinstance(stream, TolerantStream) else stream
+    return PlainConsole(file=file, quiet=quiet, markup=False, emoji=False, highlight=False)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a message about a `word` that is none of `known`; "" where none is like it."""
+    like = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {like[0]}?" if like else ""
+
+
+def _dispatch(arguments: list[str], on_loaded: Callable[[], None]) -> int:
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help", "help"):
         commands = "".join(f"  {name:34}  {summary}\n" for name, summary in COMMANDS.items())
-        print(USAGE.format(commands=commands))
+        from splatview.renderers import choices
+
+        print(USAGE.format(commands=commands, renderers="|".join(("auto", *choices("window")))))
         return 0
     if first == "--version":
         print("splatview", version("splatview"))
         return 0
     if first in COMMANDS:
-        command = importlib.import_module(f"splatview.cli.{MODULES.get(first, first)}")
-        return command.run(arguments[1:])
-    command = importlib.import_module("splatview.cli.window")
+        name, arguments = MODULES.get(first, first), arguments[1:]
+    elif first.isalpha() and not os.path.lexists(first) and (meant := did_you_mean(first, COMMANDS)):
+        raise InputError(f"{first}: no such file, nor a command{meant}")
+    else:
+        name = "window"
+    command = importlib.import_module(f"splatview.cli.{name}")
+    on_loaded()
     return command.run(arguments)

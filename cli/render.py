@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 import sys
 import time
@@ -39,7 +38,7 @@ from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
-from splatview.scene.formats.io import atomic_write
+from splatview.scene.formats.io import atomic_write, target_of
 
 # ---- Pictures to files: checked before the work, written whole or not at all.
 
@@ -51,13 +50,7 @@ def check_output(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
     """Raises InputError where `path` could not be written, so that nobody waits for a picture in vain."""
     if path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; give it that suffix")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file in it")
-    folder = path.resolve().parent
-    if not folder.is_dir():
-        raise InputError(f"{path}: the folder {folder} does not exist; make it first")
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{path}: the folder {folder} cannot be written to")
+    target_of(path)
 
 
 def write_picture(image: np.ndarray, path: Path, *, alpha: bool = False) -> None:

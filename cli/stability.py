@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from splatview.cli.arguments import Parser
+from splatview.cli.main import make_console
 from splatview.cli.render import write_picture
 from splatview.measure.hard_cases import CASES, find_case
 from splatview.measure.hard_cases.case import HardCase
@@ -90,7 +90,7 @@ def describe_gl() -> dict[str, str]:
     """Vendor, renderer and version of the OpenGL that is tested. Raises InputError where there is none."""
     ctx = context.create_headless_context()
     info = context.describe(ctx)
-    ctx.release()
+    context.discard(ctx)
     return {"vendor": info.vendor, "renderer": info.renderer, "version": info.version}
 
 
@@ -200,9 +200,9 @@ def run(arguments: list[str]) -> int:
                 if args.case is not None or id(case) in failed:
                     written += save_case(case, renderers, args.save)
     if args.json:
-        print(json.dumps(as_json(results, names), ensure_ascii=False))
+        print(json.dumps(as_json(results, names)))
     else:
-        print_results(Console(), results, every=args.all or args.case is not None)
+        print_results(make_console(stderr=False), results, every=args.all or args.case is not None)
     if args.save is not None:
         print(f"{args.save}: {len(written)} pictures", file=sys.stderr)
     return 0 if all(result.passed for result in results) else EXIT_FAILED
@@ -220,11 +220,11 @@ def working_renderers() -> tuple[str, ...]:
 
 def run_with_progress(cases: Sequence[HardCase], renderers: Sequence[CaseRenderer]) -> list[CaseResult]:
     results: list[CaseResult] = []
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=make_console(), transient=True) as progress:
         task = progress.add_task("", total=len(cases))
         for case in cases:
-            progress.update(task, description=escape(case.name))
+            progress.update(task, description=case.name)
             for renderer in renderers:
                 results += run_case(case, renderer)
             progress.advance(task)
@@ -260,7 +260,7 @@ def print_results(console: Console, results: Sequence[CaseResult], *, every: boo
     """Failures first, then the themes, or every row."""
     failed = [result for result in results if not result.passed]
     if failed:
-        console.print(rows_table("[bold red]Failed", failed))
+        console.print(rows_table("Failed", failed, "bold red"))
     if every:
         passed = [result for result in results if result.passed]
         if passed:
@@ -268,18 +268,18 @@ def print_results(console: Console, results: Sequence[CaseResult], *, every: boo
     else:
         console.print(themes_table(results))
     if every and len({result.case.name for result in results}) == 1:
-        console.print(f"{results[0].case.what}", markup=False, highlight=False)
+        console.print(f"{results[0].case.what}")
     if any(result.excluded for result in results):
-        console.print("Left out: pixels where an alpha sits on its cut or depths tie.", highlight=False)
+        console.print("Left out: pixels where an alpha sits on its cut or depths tie.")
     cases = len({result.case.name for result in results})
     renderers = len({result.renderer for result in results})
     counted = f"{cases} case{'s' * (cases > 1)} on {renderers} renderer{'s' * (renderers > 1)}"
-    said = f"[bold red]{len(failed)} of {len(results)} failed" if failed else "[bold green]all passed"
-    console.print(f"{counted}, {len(results)} comparisons: {said}", highlight=False)
+    said, style = (f"{len(failed)} of {len(results)} failed", "red") if failed else ("all passed", "green")
+    console.print(f"{counted}, {len(results)} comparisons: {said}", style=style)
 
 
-def rows_table(title: str, results: Sequence[CaseResult]) -> Table:
-    table = Table("case", "renderer", "settings", title=title, title_justify="left")
+def rows_table(title: str, results: Sequence[CaseResult], style: str | None = None) -> Table:
+    table = Table("case", "renderer", "settings", title=title, title_style=style, title_justify="left")
     for column in ("error", "bound", "left out"):
         table.add_column(column, justify="right", no_wrap=True)
     wrong = any(result.failures for result in results)
@@ -287,13 +287,13 @@ def rows_table(title: str, results: Sequence[CaseResult]) -> Table:
         table.add_column("what is wrong")
     for result in results:
         table.add_row(
-            escape(result.case.name),
+            result.case.name,
             result.renderer,
-            escape(result.settings),
+            result.settings,
             f"{result.error:.1e}",
             f"{result.bound:.1e}",
             str(result.excluded or ""),
-            *([escape("; ".join(result.failures))] if wrong else []),
+            *(["; ".join(result.failures)] if wrong else []),
         )
     return table
 
@@ -328,13 +328,9 @@ def theme_cells(results: Sequence[CaseResult]) -> list[tuple[str, list[str]]]:
 
 def print_cases(cases: Sequence[HardCase], *, as_json: bool) -> None:
     if as_json:
-        print(
-            json.dumps(
-                [{"case": c.name, "theme": c.theme, "what": c.what} for c in cases], ensure_ascii=False
-            )
-        )
+        print(json.dumps([{"case": c.name, "theme": c.theme, "what": c.what} for c in cases]))
         return
     table = Table("theme", "case", "what is hard")
     for case in cases:
-        table.add_row(case.theme, escape(case.name), escape(case.what))
-    Console().print(table)
+        table.add_row(case.theme, case.name, case.what)
+    make_console(stderr=False).print(table)

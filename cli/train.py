@@ -19,7 +19,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from splatview.cli.arguments import Parser, count, index, positive
-from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.cli.window import no_window
 from splatview.scene import InputError
@@ -120,7 +120,7 @@ def train_in_window(
     `started`: time.perf_counter() of the process's begin; `opening` says what is about to be trained;
     `window` goes to `run_window`.
     """
-    console = Console(stderr=True)
+    console = make_console()
     ready = prepare(options, console, Alone())
     say(console, opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
@@ -152,7 +152,7 @@ def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
             thread.close()
     finally:
         for note in thread.take_notes():
-            say(console, f"[yellow]{note}")
+            say(console, note, "yellow")
     _conclude(console, ready, thread)
 
 
@@ -164,7 +164,7 @@ def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> i
     training = LiveTraining(
         thread=thread,
         name=ready.capture.name,
-        photos=watched_photos(ready.trainer.views.all, ready.held_out),
+        photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
         settings=ready.trainer.render_settings,
     )
 
@@ -176,9 +176,9 @@ def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     """Says where everything is."""
     status, outputs = thread.status, ready.outputs
     if status.state == "done":
-        print_summary(Console(), ready.trainer, status.evaluation, outputs)
+        print_summary(make_console(stderr=False), ready.trainer, status.evaluation, outputs)
     elif status.saved_at is None:
-        console.print("nothing was trained, and nothing written", highlight=False)
+        console.print("nothing was trained, and nothing written")
     else:
         say(console, f"stopped at step {status.iteration:,}: {_as_far(outputs)}")
 
@@ -313,7 +313,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _train(options: argparse.Namespace, group: Group, started: float) -> int:
-    console = Console(stderr=True, quiet=group.rank > 0)
+    console = make_console(quiet=group.rank > 0)
     try:
         ready = prepare(options, console, group)
     except ToldElsewhere:
@@ -354,7 +354,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             notes=ready.notes,
             effects=ready.effects,
             on_progress=show,
-            on_note=lambda note: say(bar.console, f"[yellow]{note}"),
+            on_note=lambda note: say(bar.console, note, "yellow"),
         )
         try:
             with stopping_between_steps(trainer.group):
@@ -368,7 +368,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         )
         return EXIT_INTERRUPTED
     evaluation = session.final_evaluation()
-    print_summary(Console(), trainer, evaluation, outputs)
+    print_summary(make_console(stderr=False), trainer, evaluation, outputs)
     return 0
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
 from rich.console import Console
 
 from splatview.renderers.demo_cache import cached_demo_capture
@@ -63,9 +64,9 @@ OF_THE_CHECKPOINT = [
 """Options that a resumed run takes from where it was."""
 
 
-def say(console: Console, text: str) -> None:
+def say(console: Console, text: str, style: str | None = None) -> None:
     """Prints a line as it is, however long."""
-    console.print(text, highlight=False, soft_wrap=True)
+    console.print(text, style=style, soft_wrap=True)
 
 
 class ToldElsewhere(Exception):
@@ -77,6 +78,7 @@ class Run:
     """A run that is ready for its first step."""
 
     capture: Capture
+    """About `trainer.centre`."""
     trainer: Trainer
     held_out: list[TrainView]
     outputs: Outputs
@@ -139,19 +141,22 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
-        lock_run(outputs.checkpoint)
+        for path in (outputs.scene, outputs.checkpoint):
+            lock_run(path)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
     capture = _with_status(
         console,
         "Reading photos",
         lambda progress: load_capture(folder, downscale=downscale, lens=lens, progress=progress),
     )
+    centre = capture.centre
+    capture = capture.about(centre)
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
-        say(console, f"[yellow]{warning}")
+        say(console, warning, "yellow")
     if checkpoint is None:
-        trainer = _new_trainer(capture, views, seed, batch, options, group)
+        trainer = _new_trainer(capture, views, centre, seed, batch, options, group)
         if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
                 console,
@@ -159,7 +164,14 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
                 " learn single photos by heart; --iterations asks for more",
             )
     else:
-        trainer = _resumed_trainer(views, checkpoint, options, group)
+        trainer = _resumed_trainer(views, centre, checkpoint, options, group)
+        if trainer.done:
+            # Perhaps it was killed before its scene was written.
+            say(
+                console,
+                f"{options.resume}: its run is over; its scene and pictures are written, and --iterations"
+                f" above {trainer.counters.iteration} or more --minutes trains on",
+            )
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     antialiased = (
@@ -215,7 +227,7 @@ def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) 
 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
-    scene = output or Path(f"{Path(capture).resolve().name or 'scene'}.ply")
+    scene = output or Path(f"{os.path.basename(os.path.realpath(capture)) or 'scene'}.ply")
     return Outputs(
         scene=scene,
         checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
@@ -236,7 +248,13 @@ def _check_room(outputs: Outputs, splats: int) -> None:
 
 
 def _new_trainer(
-    capture: Capture, views: TrainViews, seed: int, batch: int, options: argparse.Namespace, group: Group
+    capture: Capture,
+    views: TrainViews,
+    centre: np.ndarray,
+    seed: int,
+    batch: int,
+    options: argparse.Namespace,
+    group: Group,
 ) -> Trainer:
     iterations, minutes = options.iterations, options.minutes
     if iterations is None:
@@ -267,21 +285,25 @@ def _new_trainer(
     parameters = initial_parameters(
         capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=seed
     )
-    return Trainer(views, parameters, extent, settings, threads=_threads(options, group), group=group)
+    threads = _threads(options, group)
+    return Trainer(views, parameters, extent, settings, centre=centre, threads=threads, group=group)
 
 
 def _resumed_trainer(
-    views: TrainViews, checkpoint: Checkpoint, options: argparse.Namespace, group: Group
+    views: TrainViews,
+    centre: np.ndarray,
+    checkpoint: Checkpoint,
+    options: argparse.Namespace,
+    group: Group,
 ) -> Trainer:
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
     parameters = checkpoint.splats.parameters
-    trainer = Trainer(
-        views, parameters, checkpoint.extent, settings, threads=_threads(options, group), group=group
-    )
+    extent, threads = checkpoint.extent, _threads(options, group)
+    trainer = Trainer(views, parameters, extent, settings, centre=centre, threads=threads, group=group)
     restore(trainer, checkpoint)
-    if trainer.done:
+    if trainer.done and settings is not checkpoint.settings:
         raise InputError(
             f"{options.resume}: its run is over; give --iterations above {trainer.counters.iteration}"
             " or more --minutes to train on"
@@ -300,7 +322,7 @@ def _check_equal(run: Run, group: Processes) -> None:
         {
             "options": digest(trainer.settings),
             "photos": digest(trainer.views.names(), *(view.pixels for view in trainer.views.all)),
-            "points to begin with": digest(trainer.extent, *trainer.splats.parameters),
+            "points to begin with": digest(trainer.extent, trainer.centre, *trainer.splats.parameters),
             "checkpoint": digest(trainer.counters.iteration),
         },
     )
@@ -315,7 +337,7 @@ def lock_run(path: Path) -> None:
     Raises:
         InputError: another process of this user's has it.
     """
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()[:16]
     mark = cache_folder() / "claims" / f"{name}.lock"
     if mark in _held:
         return

@@ -12,7 +12,7 @@ from splatview.renderers import FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
 from splatview.scene import Camera, Gaussians, InputError, concatenate
 from splatview.scene.effects.overrides import settings_for
-from splatview.scene.formats import load_scene
+from splatview.scene.formats import check_opening, load_scene
 from splatview.scene.framing import frame_camera
 
 DEFAULT_PREVIEW = Path("splatview-preview.png")
@@ -31,6 +31,7 @@ def run(arguments: list[str]) -> int:
         if not os.path.lexists(path):
             hint = "" if path.suffix or len(path.parts) > 1 else ", nor a command; see splatview --help"
             raise InputError(f"{path}: no such file{hint}")
+        check_opening(path)
     problem = no_window()
     if problem is None:
         from splatview.viewer.app import run_window

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit
+from splatview.cli.main import make_console
 from splatview.cli.render import check_output, write_picture
 from splatview.measure.metrics import heat
 from splatview.measure.work import as_json, bill_of, rows, sums
@@ -47,7 +47,7 @@ def run(arguments: list[str]) -> int:
     if args.heatmap is not None:
         check_output(args.heatmap)
     gaussians = load_scene(args.scene)
-    camera = chosen_orbit(args, gaussians).turned(0.0)
+    camera = chosen_orbit(args, gaussians).camera
     work = count_work(parameters_of(gaussians), camera, settings_for(gaussians), Workspace())
     bill = bill_of(gaussians, work)
     brightest = float(work.evaluations.max())
@@ -62,10 +62,10 @@ def run(arguments: list[str]) -> int:
         table.add_column(column, justify="right")
     for row in rows(bill):
         table.add_row(*row)
-    console = Console()
+    console = make_console(stderr=False)
     console.print(table)
     for line in sums(bill):
-        console.print(line, highlight=False)
+        console.print(line)
     if args.heatmap is not None:
         console.print(
             f"{args.heatmap}: black is no splat, pale yellow {brightest:.0f}, the brightness their root",

@@ -15,8 +15,9 @@ import numpy as np
 
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.state import SplatSet, State
-from splatview.scene import Gaussians, InputError
+from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import IDENTITY, MOST_ADJUSTMENTS, PALETTE_SHIFT, Adjustment, Crop
+from splatview.scene.gaussians import ARRAYS
 
 ADJUSTMENT_BYTES = 1000
 """Approximate memory of a palette entry."""
@@ -150,25 +151,51 @@ class Rewrite:
         return self.splats.nbytes + self.before.nbytes + self.after.nbytes
 
 
-@dataclass(frozen=True, eq=False)
 class Append:
-    """More splats, after the present ones."""
+    """More splats, after the present ones. What was there before is cut out of the longer scene again: kept
+    are only arrays of it that this one holds in another type, or not at all."""
 
-    before: Gaussians
-    after: Gaussians
-    marks: np.ndarray
-    """(added,) uint32."""
+    def __init__(self, before: Gaussians, added: Gaussians, marks: np.ndarray) -> None:
+        """`marks`: (added,) uint32."""
+        self._added, self._marks = added, marks
+        # Made now: it may be in a thread, which `apply` is not.
+        self._planned: Gaussians | None = concatenate([before, added])
+        self._comments = before.comments
+        longer = _arrays(self._planned)
+        self._arrays = {
+            name: None
+            if name in longer and (longer[name].dtype, longer[name].shape[1:]) == (own.dtype, own.shape[1:])
+            else own
+            for name, own in _arrays(before).items()
+        }
 
     def apply(self, state: State) -> None:
-        state.set_scene(self.after, np.concatenate([state.marks, self.marks]))
+        planned = self._planned or concatenate([state.gaussians, self._added])
+        state.set_scene(planned, np.concatenate([state.marks, self._marks]))
+        self._planned = None
 
     def revert(self, state: State) -> None:
-        state.set_scene(self.before, state.marks[: len(self.before)].copy())
+        count = len(state.gaussians) - len(self._added)
+        longer = _arrays(state.gaussians)
+        arrays = {name: longer[name][:count] if own is None else own for name, own in self._arrays.items()}
+        extras = {name[len(EXTRA) :]: values for name, values in arrays.items() if name.startswith(EXTRA)}
+        own = {name: arrays[name] for name in ARRAYS}
+        before = Gaussians(**own, extras=extras, comments=self._comments)
+        state.set_scene(before, state.marks[:count].copy())
 
     @property
     def nbytes(self) -> int:
-        added = self.after.nbytes * len(self.marks) // max(len(self.after), 1)
-        return added + self.marks.nbytes
+        kept = sum(own.nbytes for own in self._arrays.values() if own is not None)
+        return self._added.nbytes + self._marks.nbytes + kept
+
+
+EXTRA = "extras."
+
+
+def _arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """Everything with a row per splat, by name; extras behind EXTRA, as they may be called anything."""
+    extras = {EXTRA + name: values for name, values in gaussians.extras.items()}
+    return {**{name: getattr(gaussians, name) for name in ARRAYS}, **extras}
 
 
 class SaveOnce:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,13 +16,16 @@ from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import bake
 from splatview.scene.formats import save_scene
+from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Step:
     operation: Operation
     change: Change
+    nbytes: int = 0
+    """What it takes as a step of the history."""
 
     @property
     def title(self) -> str:
@@ -30,7 +33,7 @@ class Step:
 
 
 class History:
-    """Undo and redo without end: `steps[:position]` are in force, the others can be redone.
+    """Undo and redo: `steps[:position]` are in force, the others can be redone.
 
     The position moves only after the state has been altered: a failure leaves both as they were.
     """
@@ -38,13 +41,29 @@ class History:
     def __init__(self) -> None:
         self.steps: list[Step] = []
         self.position = 0
+        self.floor = 0
+        """Steps that can no longer be undone, for their changes took too much memory. Recipes have them."""
+        self.nbytes = 0
+        """Approximate memory of all steps."""
         self._saved: Step | None = None
 
     def add(self, step: Step) -> None:
         """Adds a step that is in force, in place of those that could be redone."""
+        self.nbytes = self.nbytes_done
         del self.steps[self.position :]
+        step.nbytes = step.change.nbytes
+        self.nbytes += step.nbytes
         self.steps.append(step)
         self.position += 1
+
+    def trim(self, most: float, *, keep: int) -> None:
+        """Forgets the changes of the oldest steps until all take at most `most` bytes; the last `keep` steps
+        in force can always be undone."""
+        while self.nbytes > most and self.floor < self.position - keep:
+            step = self.steps[self.floor]
+            step.change = replace(step.change, parts=())
+            self.nbytes -= step.nbytes
+            self.floor += 1
 
     def undo(self, state: State) -> Step | None:
         """The step that was undone; None where there is none."""
@@ -66,7 +85,7 @@ class History:
 
     @property
     def can_undo(self) -> bool:
-        return self.position > 0
+        return self.position > self.floor
 
     @property
     def can_redo(self) -> bool:
@@ -78,9 +97,9 @@ class History:
         return self.steps[: self.position]
 
     @property
-    def nbytes(self) -> int:
-        """Approximate memory of all steps."""
-        return sum(step.change.nbytes for step in self.steps)
+    def nbytes_done(self) -> int:
+        """Of those in force: the others go when a step is added."""
+        return self.nbytes - sum(undone.nbytes for undone in self.steps[self.position :])
 
     def mark_saved(self) -> None:
         """Notes that the steps in force are in a file."""
@@ -130,8 +149,10 @@ class Document(State):
     locked ones.
     """
 
-    def __init__(self, gaussians: Gaussians, *, name: str = "scene", **options: Any) -> None:
-        """`name` is that of the scene's file; the options are those of `State`.
+    def __init__(
+        self, gaussians: Gaussians, *, name: str = "scene", budget: float = 0, **options: Any
+    ) -> None:
+        """`name` is that of the scene's file; `budget` is set by `allow`; the options are those of `State`.
 
         Raises:
             InputError: the scene has more splats than can be edited.
@@ -145,7 +166,18 @@ class Document(State):
         self.identity = {"name": name, "count": len(gaussians), "fingerprint": fingerprint(gaussians)}
         """Name, count and fingerprint of the unedited scene."""
         self.history = History()
+        self.allow(budget)
         self._preview: Step | None = None
+
+    def allow(self, budget: float) -> None:
+        """Sets `budget`, in bytes; 0: half of the machine's free memory."""
+        self.budget = budget or free_memory() / 2
+        """Memory for what edits make beyond the scene that was opened: splats and, up to half of it, undo."""
+
+    @property
+    def room(self) -> float:
+        grown = (len(self.gaussians) - self.identity["count"]) * self.gaussians.row_bytes
+        return self.budget - grown - self.history.nbytes_done
 
     def plan(self, operation: Operation, *, progress: Progress = NO_PROGRESS) -> Planned:
         """The change that `operation` would make now; for slow ones in another thread, while nothing is
@@ -158,8 +190,10 @@ class Document(State):
         revision = self.revision
         return Planned(operation, operation.plan(self, progress), revision)
 
-    def apply(self, operation: Operation | Planned) -> Change:
+    def apply(self, operation: Operation | Planned, *, keep: int = 1) -> Change:
         """Applies an operation as the next step of the history, unless it alters nothing; cancels a preview.
+        Where undo would take more than half of the budget, the oldest steps can no longer be undone, but for
+        the last `keep`.
 
         Raises:
             InputError: it cannot be done here, or the plan is out of date. Nothing has changed then.
@@ -173,7 +207,11 @@ class Document(State):
         if not step.change.parts:
             return step.change
         step.change.apply(self)
+        return self._add(step, keep)
+
+    def _add(self, step: Step, keep: int = 1) -> Change:
         self.history.add(step)
+        self.history.trim(self.budget / 2, keep=keep)
         self._tell("apply", step)
         return step.change
 
@@ -190,10 +228,16 @@ class Document(State):
         return self._told("redo", self.history.redo(self))
 
     def jump(self, position: int) -> None:
-        """Undoes or redoes until `position` steps are in force."""
+        """Undoes or redoes until `position` steps are in force.
+
+        Raises:
+            InputError: steps before it can no longer be undone.
+        """
         self.cancel_preview()
         if not 0 <= position <= len(self.history.steps):
             raise ValueError(f"position must be in 0 to {len(self.history.steps)}, got {position}")
+        if position < self.history.floor:
+            raise InputError(f"the first {self.history.floor:,} steps can no longer be undone")
         while self.history.position > position:
             self.undo()
         while self.history.position < position:
@@ -223,9 +267,7 @@ class Document(State):
         step, self._preview = self._preview, None
         if step is None or not step.change.parts:
             return None
-        self.history.add(step)
-        self._tell("apply", step)
-        return step.change
+        return self._add(step)
 
     def cancel_preview(self) -> Step | None:
         """Reverts the preview; returns it."""

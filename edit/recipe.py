@@ -141,8 +141,10 @@ def replay(
     *,
     on_step: Callable[[int, Operation, Change], None] | None = None,
     progress: Progress = NO_PROGRESS,
+    undo: bool = True,
 ) -> None:
-    """Applies all steps; if one cannot be applied, those before it are undone.
+    """Applies all steps; if one cannot be applied, those before it are undone. Without `undo` they are not,
+    nor can they be: a document that is given up then needs no memory for them.
 
     Raises:
         InputError: with the step's number and operation.
@@ -157,11 +159,18 @@ def replay(
                 part = progress.part((number - 1) / len(recipe.steps), number / len(recipe.steps))
                 part.step(0.0)
                 try:
-                    change = document.apply(document.plan(operation, progress=part))
+                    planned = document.plan(operation, progress=part)
+                    if undo:
+                        document.require_room(planned.change.nbytes)
+                    change = document.apply(planned, keep=position + number)
+                    if not undo:
+                        document.history.trim(0, keep=0)
                 except InputError as error:
                     raise InputError(f"{step_name(number, operation)}: {error}") from None
                 if on_step is not None:
                     on_step(number, operation, change)
+        document.history.trim(document.budget / 2, keep=1)
     except BaseException:
-        document.jump(position)
+        if undo:
+            document.jump(position)
         raise

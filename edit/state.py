@@ -4,6 +4,7 @@ make."""
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Hashable
@@ -17,7 +18,7 @@ from splatview.edit.kernels import marks as kernels
 from splatview.edit.kernels.compiling import in_pieces
 from splatview.edit.serialization import to_json
 from splatview.edit.tools import NoTools, Tools
-from splatview.scene import Camera, Gaussians
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import (
     DELETED,
     HIDDEN,
@@ -30,6 +31,7 @@ from splatview.scene.edits import (
     SceneEdits,
     crop_rows,
 )
+from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -138,11 +140,11 @@ class State:
         *,
         folder: Path | None = None,
         tools: Tools | None = None,
-        load: Callable[[Path], Gaussians] = load_scene,
+        load: Callable[..., Gaussians] = load_scene,
         save: Callable[[Gaussians, Path], None] = save_scene,
     ) -> None:
         """`folder` is what relative paths of operations start from (default: the working directory). `load`
-        and `save` read and write the scenes that operations name."""
+        and `save` read and write the scenes that operations name, as `load_scene` and `save_scene` do."""
         self.gaussians = gaussians
         """The scene to be drawn with `edits`; another object whenever its values or their number change."""
         self.marks = np.zeros(len(gaussians), np.uint32)
@@ -164,6 +166,21 @@ class State:
         self._measurement: tuple[Hashable, np.ndarray] | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
+
+    @property
+    def room(self) -> float:
+        """Bytes of memory that the next edit may take."""
+        return math.inf
+
+    def require_room(self, needed: float) -> None:
+        """Raises InputError where an edit that takes `needed` bytes has no room. To be called before they are
+        taken."""
+        if not needed <= self.room:
+            raise InputError(
+                f"this takes {bytes_in_words(needed)} of memory, and editing has {bytes_in_words(self.room)} "
+                "left: select fewer splats, or let it have more (--memory; in the window, Memory in the "
+                "History panel)"
+            )
 
     @property
     def versions(self) -> tuple[int, int, int, int]:

@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Protocol
 
 import numpy as np
@@ -86,6 +87,8 @@ class Measured:
     rung: Rung
     psnr: float = math.nan
     """dB, mean over the views; inf where every one is the truth to the bit."""
+    elsewhere: list[float] = field(default_factory=list)
+    """dB in other views, against the baseline's picture there."""
     ssim: float = math.nan
     max_error: float = math.nan
     """The largest of any pixel, colour and view."""
@@ -128,15 +131,21 @@ def is_clear(one: Measured) -> bool:
     return bool(low > 1 or high < 1)
 
 
-def is_faster(one: Measured, other: Measured) -> bool:
-    """Whether it may be said that `one` takes less time than `other`: their ratios to the baseline are
-    farther apart than the noise of both together."""
-    return math.log(other.ratio / one.ratio) > math.log1p(math.hypot(one.noise, other.noise))
+def is_faster(one: Measured, other: Measured, claims: int) -> bool:
+    """Whether it may be said that `one` takes less time than `other`, and `claims` such things without one
+    being wrong, 19 times out of 20: their ratios to the baseline are farther apart than the noise of both
+    together, and three quarters of the pairs of each agree."""
+    certainty = NormalDist().inv_cdf(1 - 0.025 / claims) / NormalDist().inv_cdf(1 - 0.025)
+    if not math.log(other.ratio / one.ratio) > math.log1p(certainty * math.hypot(one.noise, other.noise)):
+        return False
+    agree = np.percentile(one.ratios, 75) < other.ratio and one.ratio < np.percentile(other.ratios, 25)
+    return bool(agree)
 
 
 def mark_front(measured: Sequence[Measured]) -> None:
     """Sets `pareto`: the most accurate rung is on the front, and after it every one that is faster than all
-    rungs on the front before it, by more than the noise.
+    rungs on the front before it, by more than the noise. Of many rungs some are fast by chance: the noise
+    counts as that of all comparisons together.
 
     So nothing is both faster and nearer to the truth than a rung on the front, and no two of them are equally
     fast as far as can be told. Time is the ratio to the baseline's frames beside it: medians of times that
@@ -147,7 +156,7 @@ def mark_front(measured: Sequence[Measured]) -> None:
         one.pareto = False
     known = [one for one in measured if one.ratio > 0 and not math.isnan(one.psnr)]
     for one in sorted(known, key=lambda each: (-each.psnr, each.ratio)):
-        if all(is_faster(one, better) for better in front):
+        if all(is_faster(one, better, len(known)) for better in front):
             one.pareto = True
             front.append(one)
 
@@ -235,6 +244,9 @@ def _rank(knob: Knob, value: Value, baseline: str, *, first: bool) -> int:
 LEAST_PAIRS = 3
 """Fewer tell nothing of a scatter."""
 
+WIDTH = 1.96 * 1.2533
+"""Of standard deviations: a median scatters 1.25 times as much as a mean."""
+
 LEAST_NOISE = 0.01
 """No one should read more into times of a shared machine."""
 
@@ -243,16 +255,16 @@ def noise_floor(ratios: Sequence[float], pairs: int | None = None) -> float:
     """Half width of the interval in which the median of so many equal pairs lies 19 times out of 20, as a
     share of the median.
 
-    `pairs`: of how many pairs the median is; None: of `ratios`, which the scatter is taken from. The median
-    of n ratios scatters 1.25 times as much as a mean: 1.96·1.25·sd/sqrt(n), sd from the quartiles so that
-    one stall does not decide. Never below LEAST_NOISE. inf where there are too few pairs to tell.
+    `pairs`: of how many pairs the median is; None: of `ratios`, which the scatter is taken from. It is
+    WIDTH·sd/sqrt(n), sd from the quartiles so that one stall does not decide. Never below LEAST_NOISE. inf
+    where there are too few pairs to tell.
     """
     pairs = len(ratios) if pairs is None else pairs
     if min(len(ratios), pairs) < LEAST_PAIRS:
         return math.inf
     low, middle, high = np.percentile(ratios, [25, 50, 75])
     deviation = (high - low) / 1.349 / middle
-    return max(LEAST_NOISE, 1.96 * 1.2533 * deviation / math.sqrt(pairs))
+    return max(LEAST_NOISE, WIDTH * deviation / math.sqrt(pairs))
 
 
 def floor_of_self(ratios: Sequence[float]) -> float:
@@ -261,10 +273,26 @@ def floor_of_self(ratios: Sequence[float]) -> float:
     return max(floor, abs(float(np.median(ratios)) - 1)) if ratios else floor
 
 
-def noise_of(ratios: Sequence[float], selves: Sequence[float]) -> float:
-    """How far the median of `ratios` may be off: by their own scatter, or by that of `selves`, ratios of the
-    baseline to itself, for so many pairs, whichever is more: few pairs may be alike by chance."""
-    return max(noise_floor(ratios), noise_floor(selves, len(ratios)), floor_of_self(selves))
+def noise_of(
+    ratios: Sequence[float], selves: Sequence[float], others: Sequence[Sequence[float]] = ()
+) -> float:
+    """How far the median of `ratios` may be off: by their own scatter, by that of `selves`, ratios of the
+    baseline to itself, or by the usual one of `others`, for so many pairs, whichever is more: few pairs may
+    be alike by chance."""
+    own = max(noise_floor(ratios), noise_floor(selves, len(ratios)), floor_of_self(selves))
+    return max(own, WIDTH * usual_deviation(others) / math.sqrt(max(len(ratios), 1)))
+
+
+def usual_deviation(many: Sequence[Sequence[float]]) -> float:
+    """Standard deviation of ratios about their own middle, as a share of it: the median over `many` such
+    lists, whose variances are each right on the median even if short; 0 without any."""
+    # The median of a chi-squared distribution of k degrees is k(1 - 2/9k)³, by Wilson and Hilferty.
+    variances = [
+        np.var(np.log(ratios), ddof=1) / (1 - 2 / (9 * (len(ratios) - 1))) ** 3
+        for ratios in many
+        if len(ratios) >= LEAST_PAIRS
+    ]
+    return math.sqrt(np.median(variances)) if variances else 0.0
 
 
 SSIM_SIDE = 11
@@ -349,7 +377,8 @@ def run_ladder(
     for one in list(measured.values()):
         if complete and one not in timed and one is not baseline:
             left_out.append(measured.pop(id(one.rung)).rung)
-        one.noise = noise_of(one.ratios, itself.ratios)
+        mates = [other.ratios for other in timed if other.rung.renderer is one.rung.renderer]
+        one.noise = noise_of(one.ratios, itself.ratios, mates)
     baseline.ratios, baseline.noise = [1.0], 0.0
     mark_front(list(measured.values()))
     return Ladder(

@@ -10,6 +10,7 @@ import numpy as np
 
 from splatview.measure.ladder import Ladder, Measured
 from splatview.measure.ladder_report import EXACT_DB, VISIBLE_DB, rung_name
+from splatview.scene.errors import printable
 
 MARKERS = ("o", "s", "^", "D", "v")
 """By renderer."""
@@ -53,7 +54,7 @@ def plot(ladder: Ladder, path: Path, *, title: str) -> None:
     )
     axes.set_ylabel("PSNR against the float64 truth, dB", color=INK)
     figure.text(0.075, 0.945, "What accuracy costs in time", fontsize=15, weight="bold", color=INK)
-    figure.text(0.075, 0.9, title, fontsize=10.5, color=FAINT)
+    figure.text(0.075, 0.9, printable(title), fontsize=10.5, color=FAINT, parse_math=False)
     _labels(figure, axes, known, places, notes)
     with atomic_write(path) as file:
         figure.savefig(file, format=path.suffix.lower().lstrip("."))

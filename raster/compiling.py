@@ -159,7 +159,7 @@ def will_compile() -> bool:
     sources is in memory or on disk yet."""
     if any(compiled.signatures for compiled in _kernels):
         return False
-    return _CACHE is None or not any(_CACHE.rglob("*.nbc"))
+    return _CACHE is None or not any(name.endswith(".nbc") for *_, names in os.walk(_CACHE) for name in names)
 
 
 TASKS_PER_THREAD = 4

@@ -101,6 +101,8 @@ class Arrangement:
     """By piece, the part of `visible` that lists its visible splats."""
     visible: np.ndarray
     """(N,) int32, indices of visible splats; see `runs`."""
+    brightest: float
+    """The greatest colour of a visible splat."""
     bins: Bins
 
 
@@ -245,7 +247,7 @@ def arrange(
         records = workspace.take("records", (count, RECORD), dtype)
         depths = workspace.take("depths", (count,), np.float64)
         visible = workspace.take("visible", (count,), np.int32)
-        bounds = np.empty((len(pieces), 2))
+        bounds = np.empty((len(pieces), 3))
         footprints = own_degrees = None
         if surfels is not None:
             footprints = SurfelArrays(workspace.take("surfels", (count, SURFEL), dtype), *surfels)
@@ -276,6 +278,7 @@ def arrange(
         pieces=pieces,
         runs=runs,
         visible=visible,
+        brightest=float(bounds[:, 2].max(initial=0.0)),
         bins=bins,
     )
 

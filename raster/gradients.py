@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,10 @@ from splatview.raster.compiling import TASKS_PER_THREAD, run
 from splatview.raster.frame import Frame, StageClock, bands_of, tile_ranges
 from splatview.raster.parameters import NO_SHARE, Parameters, describe
 from splatview.raster.project_backward import POSE_BLOCK, project_backward
+
+BRIGHT = 1e18
+"""Colours that the backward pass multiplies in float32. Where a splat is brighter, the gradient of the loss
+is made smaller by a power of two for that pass, so that no product is infinite."""
 
 MAX_SUMMED_PAIRS = 5 << 20
 """Pairs whose sums are in memory at once, 64 bytes each in float32: a third of a GiB, which leaves room for
@@ -63,16 +68,17 @@ def differentiate(
         raise ValueError("a picture in per-pixel order has no gradients: draw it in the 32-bit order")
     if frame.view.log2_share != NO_SHARE:
         raise ValueError("a picture drawn with a sigma cut has no gradients: set sigma_cut to None")
-    d_image = np.ascontiguousarray(d_image)
+    excess = 2.0 ** math.ceil(math.log2(max(frame.brightest / BRIGHT, 1.0)))
+    d_image = np.ascontiguousarray(d_image if excess == 1 else d_image / dtype.type(excess))
     clock = StageClock()
     splat_sums, background = _splat_sums(frame, d_image, clock)
     with clock.stage("project_backward"):
-        gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums, reuse)
+        gradients, means2d, abs_means2d, pose = _parameters(splats, frame, splat_sums, excess, reuse)
     return Gradients(
         parameters=gradients,
         means2d=means2d,
         abs_means2d=abs_means2d,
-        background=background.astype(dtype),
+        background=(background * excess).astype(dtype),
         pose=pose,
         milliseconds=clock.milliseconds,
     )
@@ -116,7 +122,7 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
 
 
 def _parameters(
-    splats: Parameters, frame: Frame, splat_sums: np.ndarray, reuse: Gradients | None
+    splats: Parameters, frame: Frame, splat_sums: np.ndarray, excess: float, reuse: Gradients | None
 ) -> tuple[Parameters, np.ndarray, np.ndarray, np.ndarray]:
     count = len(splats.means)
     fits = reuse is not None and all(
@@ -134,7 +140,7 @@ def _parameters(
     run(
         project_backward,
         [(*piece, *found) for piece, found in zip(frame.pieces, frame.runs, strict=True)],
-        (*drawn, splat_sums, *gradients, means2d, abs_means2d, pose_sums),
+        (*drawn, splat_sums, excess, *gradients, means2d, abs_means2d, pose_sums),
         frame.threads,
     )
     return gradients, means2d, abs_means2d, pose_sums.sum(axis=0)

@@ -369,14 +369,14 @@ def project(
 
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written for
-    visible splats only; visible (N,) int32; bounds (2,) float64: least and greatest depth, written; edits an
-    `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or None; own_degrees (N,) uint8,
-    the SH degree beyond which each splat has only zeros, or None.
+    visible splats only; visible (N,) int32; bounds (3,) float64: least and greatest depth and brightest
+    colour, written; edits an `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or
+    None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros, or None.
     """
     basis = np.empty(16, np.float64)
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
-    least, greatest = np.inf, -np.inf
+    least, greatest, brightest = np.inf, -np.inf, 0.0
     count = 0
     for first in range(start, stop, LANES):
         for lane in range(LANES):  # beyond the end the last again
@@ -422,7 +422,8 @@ def project(
             depth = lanes[DEPTH * LANES + lane]
             depths[i] = depth
             least, greatest = min(least, depth), max(greatest, depth)
+            brightest = max(brightest, red, green, blue)
             visible[start + count] = i
             count += 1
-    bounds[0], bounds[1] = least, greatest
+    bounds[0], bounds[1], bounds[2] = least, greatest, brightest
     return count

@@ -224,6 +224,12 @@ def differentiate_group(view, optics, sums, lanes):
     set_column(lanes, AWAY, away)
 
 
+@inline
+def held(gradient):
+    """Within what float32 holds: by a quaternion of length 1e-30, say, or a splat at the eye, it is more."""
+    return min(max(gradient, -FLOAT32_MAX), FLOAT32_MAX)
+
+
 @kernel
 def project_backward(
     start,
@@ -240,6 +246,7 @@ def project_backward(
     view,
     optics,
     splat_sums,
+    excess,
     d_means,
     d_quats,
     d_log_scales,
@@ -254,7 +261,8 @@ def project_backward(
     Parameters and their gradients have the shapes of `Parameters`; d_means2d and abs_means2d (N, 2)
     receive the gradient by the mean in px and the sum of its absolute values by pixel (Ye et al. 2024,
     AbsGS). pose_sums (blocks, 6) float64 receives gradients by a small motion of the camera, added up
-    by POSE_BLOCK splats: see `gradients`. Rows of splats that are not visible become 0.
+    by POSE_BLOCK splats: see `gradients`. The sums are those of a loss `excess` times smaller. Rows of splats
+    that are not visible become 0.
     """
     basis = np.empty(16, np.float64)
     basis_gradient = np.zeros((16, 3), np.float64)
@@ -268,7 +276,7 @@ def project_backward(
             i = visible[min(group + lane, run_stop - 1)]
             load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes)
             for index in range(ABS_Y + 1):
-                sums[index * LANES + lane] = splat_sums[i, index]
+                sums[index * LANES + lane] = splat_sums[i, index] * excess
         differentiate_group(view, optics, sums, lanes)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])
@@ -277,15 +285,13 @@ def project_backward(
             )
             written = i + 1
             for axis in range(3):
-                d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
+                d_log_scales[i, axis] = held(lanes[(D_LOG_SCALE + axis) * LANES + lane])
             for component in range(4):
-                # By a quaternion of length 1e-30 the derivative can be more than float32 holds.
-                gradient = lanes[(D_QUAT + component) * LANES + lane]
-                d_quats[i, component] = min(max(gradient, -FLOAT32_MAX), FLOAT32_MAX)
-            d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
+                d_quats[i, component] = held(lanes[(D_QUAT + component) * LANES + lane])
+            d_opacity_logits[i] = held(lanes[D_LOGIT * LANES + lane])
             for axis in range(2):
-                d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
-                abs_means2d[i, axis] = lanes[(ABS_MEAN2D + axis) * LANES + lane]
+                d_means2d[i, axis] = held(lanes[(D_MEAN2D + axis) * LANES + lane])
+                abs_means2d[i, axis] = held(lanes[(ABS_MEAN2D + axis) * LANES + lane])
 
             # Colour.
             at = DIRECTION * LANES + lane
@@ -293,9 +299,9 @@ def project_backward(
             sh_basis(nx, ny, nz, degree, basis)
             sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
             red, green, blue = sh_sum(sh, i, basis, coefficients)
-            d_red = np.float64(splat_sums[i, D_RED]) if red > 0 else 0.0
-            d_green = np.float64(splat_sums[i, D_GREEN]) if green > 0 else 0.0
-            d_blue = np.float64(splat_sums[i, D_BLUE]) if blue > 0 else 0.0
+            d_red = splat_sums[i, D_RED] * excess if red > 0 else 0.0
+            d_green = splat_sums[i, D_GREEN] * excess if green > 0 else 0.0
+            d_blue = splat_sums[i, D_BLUE] * excess if blue > 0 else 0.0
             dx = dy = dz = 0.0
             for k in range(coefficients):
                 d_sh[i, k, 0], d_sh[i, k, 1] = basis[k] * d_red, basis[k] * d_green
@@ -317,9 +323,9 @@ def project_backward(
             dx, dy, dz = dx * away, dy * away, dz * away
 
             at = D_POSITION * LANES + lane
-            d_means[i, 0] = lanes[at] + dx
-            d_means[i, 1] = lanes[at + LANES] + dy
-            d_means[i, 2] = lanes[at + 2 * LANES] + dz
+            d_means[i, 0] = held(lanes[at] + dx)
+            d_means[i, 1] = held(lanes[at + LANES] + dy)
+            d_means[i, 2] = held(lanes[at + 2 * LANES] + dz)
             cx, cy, cz = camera_point(view, dx, dy, dz)
             at = D_SHIFT * LANES + lane
             pose[0] += lanes[at] + cx

@@ -137,14 +137,14 @@ def make_renderer(
 
 def automatic_choice() -> tuple[str, str]:
     """What "auto" takes here without a window, and why."""
-    from splatview.renderers.gl.context import create_headless_context, describe
+    from splatview.renderers.gl.context import create_headless_context, describe, discard
 
     try:
         ctx = create_headless_context()
     except InputError as error:
         return "cpu", str(error)
     info = describe(ctx)
-    ctx.release()
+    discard(ctx)
     if info.is_software and find_spec("numba") is not None:
         return "cpu", f"OpenGL is only software here ({info.renderer})"
     return "quads", f"OpenGL runs on {info.renderer}"

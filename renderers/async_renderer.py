@@ -328,7 +328,7 @@ class AsyncRenderer(Renderer):
         full_ms = self._full_ms if self._drawn_of is request.gaussians else None
         if full_ms is not None and full_ms <= self._allowed_ms:
             return None
-        return Shortcut(scale=UNPRICED_SCALE, ms=0.0, error=0.0)
+        return Shortcut(scale=UNPRICED_SCALE, ms=0.0, error=None)
 
     def _render(self, request: FrameRequest, shortcut: Shortcut | None) -> None:
         """Draws the request, reduced by `shortcut`, and hands the picture over."""

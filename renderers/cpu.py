@@ -136,7 +136,8 @@ class CpuRenderer(Renderer):
         return contributions(gaussians, cameras, settings_for(gaussians), edits=edits)
 
     def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
-        return self.render(FrameRequest(gaussians, camera, settings_for(gaussians), edits=edits))
+        settings = settings_for(gaussians, palette=edits.palette)
+        return self.render(FrameRequest(gaussians, camera, settings, edits=edits))
 
 
 class ReferenceRenderer(Renderer):

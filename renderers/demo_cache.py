@@ -73,15 +73,15 @@ def cached_demo_capture(*, progress: Progress = NO_PROGRESS) -> Path:
     folder = cache_folder() / f"{PREFIX}{_stamp()}" / "demo"
     if _is_whole(folder):
         return folder
-    capture = demo_capture(
-        render, truth=cached_demo(), photos=PHOTOS, width=WIDTH, height=HEIGHT, progress=progress
-    )
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         for old in cache_folder().glob(f"{PREFIX}*"):
             if old != folder.parent or not _is_whole(folder):
                 shutil.rmtree(old, ignore_errors=True)
         with tempfile.TemporaryDirectory(dir=cache_folder(), prefix=".demo-") as made:
+            capture = demo_capture(
+                render, truth=cached_demo(), photos=PHOTOS, width=WIDTH, height=HEIGHT, progress=progress
+            )
             save_capture(capture, Path(made) / "demo")
             folder.parent.mkdir(exist_ok=True)
             try:

@@ -1,8 +1,9 @@
 """Less accurate pictures that take less time: what each leaves out and costs, and which one a budget allows.
 
 While the camera moves, a picture may have fewer pixels, fewer or merged splats, or a knob of the accuracy
-ladder turned. What that saves and costs is measured on this scene, from this view, on this machine: by
-`price` for pictures of the CPU, by the ladder for those of a GPU. One governor chooses for both; what it
+ladder turned. What that saves is measured on this scene, from this view, on this machine, and what it costs
+from around too, so that a badge is true of other views: by `price` for pictures of the CPU, by the ladder for
+those of a GPU. One governor chooses for both; what it
 learns while frames go by is one number, by how much everything takes longer now.
 """
 
@@ -24,6 +25,7 @@ from splatview.scene import Gaussians
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import HIDDEN, SceneEdits
 from splatview.scene.effects.overrides import settings_for
+from splatview.scene.framing import views_around
 from splatview.scene.gaussians import concatenate
 from splatview.scene.lod import chances, levels_and_cells
 
@@ -61,7 +63,10 @@ class Shortcut:
     ms: float
     """Milliseconds of a frame when it was measured."""
     error: float | None
-    """Mean squared error of colours, 0 to 1 being black to white; None: not measured."""
+    """Mean squared error of colours, 0 to 1 being black to white, of the worst of `views`; None: not
+    measured."""
+    views: int = 1
+    """From all around, in which the error was measured."""
     gaussians: Gaussians | None = None
     """Merged scene that is drawn, of a mixture the finer level; None: the scene itself, of which those splats
     are kept that contribute most."""
@@ -81,7 +86,8 @@ class Shortcut:
 
     @property
     def note(self) -> str:
-        """What it leaves out, for the user: "40 % of the splats, 71 % of the size, about 35 dB"."""
+        """What it leaves out, for the user: "40 % of the splats, 71 % of the size, about 35 dB at worst in 4
+        views"."""
         parts = [f"{name} {text}" for name, text in self.choices]
         if self.kept < 1:
             parts.append(f"{self.kept:.0%} of the splats")
@@ -90,7 +96,8 @@ class Shortcut:
         if self.error is None:
             parts.append("error not measured")
         elif self.error > 0:
-            parts.append(f"about {-10 * math.log10(self.error):.0f} dB")
+            where = f"at worst in {self.views} views" if self.views > 1 else "in the view measured"
+            parts.append(f"about {-10 * math.log10(self.error):.0f} dB {where}")
         return ", ".join(parts)
 
 
@@ -213,6 +220,11 @@ WHOLE = ("renderer", "resolution")
 """Rungs that are no knob of their own here."""
 
 
+def worst_error(one: Measured) -> float:
+    """Mean squared error in the worst view that it was looked at from."""
+    return squared(min([one.psnr, *one.elsewhere]))
+
+
 def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...]:
     """Steps from what a ladder found out about one renderer, slowest first, none beaten by another.
 
@@ -225,7 +237,7 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
     share, halving = UNPRICED_PIXELS, None
     if half is not None and math.isfinite(half.ratio):
         share = min(max((1 - half.ratio) / (1 - 0.5**2), 0.0), 1.0)
-        halving = max(squared(half.psnr) - squared(baseline.psnr), 0.0)
+        halving = max(worst_error(half) - squared(baseline.psnr), 0.0)
     steps = [
         Shortcut(
             choices=choices,
@@ -233,6 +245,7 @@ def priced(baseline: Measured, rungs: Sequence[Measured]) -> tuple[Shortcut, ...
             scale=scale,
             ms=baseline.ms * ratio * (1 - share + share * scale**2),
             error=error + (halving or 0.0) * (1 / scale - 1),
+            views=1 + min(len(one.elsewhere) for one in own),
         )
         for choices, kept, ratio, error in _alternatives(baseline, own)
         for scale in (SCALES if halving is not None else SCALES[:1])
@@ -253,9 +266,9 @@ def _alternatives(baseline: Measured, own: Sequence[Measured]) -> list[Alternati
         if one is baseline or not math.isfinite(one.ratio) or one.rung.knob in WHOLE:
             continue
         if one.rung.knob == "keep":
-            shares[one.rung.plan.kept] = (one.ratio, squared(one.psnr))
+            shares[one.rung.plan.kept] = (one.ratio, worst_error(one))
         else:
-            found.append((((one.rung.knob, one.rung.value),), 1.0, one.ratio, squared(one.psnr)))
+            found.append((((one.rung.knob, one.rung.value),), 1.0, one.ratio, worst_error(one)))
     measured = sorted(shares)
     ratios, errors = zip(*(shares[share] for share in measured), strict=True)
     between = [share for share in SHARES if share > measured[0]]
@@ -362,8 +375,10 @@ def make_levels(gaussians: Gaussians, stop: Callable[[], bool]) -> tuple[Level, 
 def price(
     levels: tuple[Level, ...], request: FrameRequest, renderer: Renderer, stop: Callable[[], bool]
 ) -> MovingPlan | None:
-    """Draws every level twice, in full and in half size; None where `stop()` became true."""
-    full_picture: np.ndarray | None = None
+    """Draws every level twice, in full and in half size, and from around for the worst error; None where
+    `stop()` became true."""
+    views = [replace(request, camera=camera) for camera in views_around(request.camera, levels[0].gaussians)]
+    truths: list[np.ndarray] = []
     halving = 0.0
     work = (0, 0)
     shortcuts: list[Shortcut] = []
@@ -371,19 +386,24 @@ def price(
     """Of each level, in full size."""
     for each in levels:
         level = each.gaussians
-        if stop():
-            return None
-        full = replace(request, gaussians=level)
-        picture, stats = drawn(renderer, full)
-        if stop():
-            return None
-        half_picture, half = drawn(renderer, replace(full, resolution=0.5 * full.resolution))
-        if full_picture is None:
-            full_picture, work = picture, (stats.visible, stats.pixel_splats)
-            halving = squared_error(doubled(half_picture), picture)
-        full_ms = stats.milliseconds
-        of_pixels = max(full_ms - half.milliseconds, 0.0) / (1 - 0.5**2)
-        merging = 0.0 if each is levels[0] else squared_error(picture, full_picture)
+        merging = full_ms = half_ms = 0.0
+        for number, view in enumerate(views):
+            if stop():
+                return None
+            full = replace(view, gaussians=level)
+            picture, stats = drawn(renderer, full)
+            if each is levels[0]:
+                truths.append(picture)
+            merging = max(merging, squared_error(picture, truths[number]))
+            if number > 0 and each is not levels[0]:
+                continue
+            half_picture, half = drawn(renderer, replace(full, resolution=0.5 * full.resolution))
+            if each is levels[0]:
+                halving = max(halving, squared_error(doubled(half_picture), picture))
+            if number == 0:
+                full_ms, half_ms = stats.milliseconds, half.milliseconds
+                work = work if any(work) else (stats.visible, stats.pixel_splats)
+        of_pixels = max(full_ms - half_ms, 0.0) / (1 - 0.5**2)
         shortcuts += [
             Shortcut(
                 gaussians=level,
@@ -392,6 +412,7 @@ def price(
                 ms=max(full_ms - of_pixels, 0.0) + of_pixels * scale**2,
                 # Blur grows with the size of pixels: none at 1, what was measured at 1/2.
                 error=merging + halving * (1 / scale - 1),
+                views=len(views),
             )
             for scale in SCALES
         ]
@@ -427,6 +448,7 @@ def mixtures_of(finer: Shortcut, coarser: Shortcut, mixer: Mixer) -> list[Shortc
                 scale=1.0,
                 ms=ms,
                 error=badness(finer) + merged * (badness(coarser) - badness(finer)),
+                views=coarser.views,
                 mixer=mixer,
                 merged=merged,
             )

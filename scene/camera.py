@@ -148,6 +148,14 @@ class Camera:
             flat = flat * depth
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), float(depth))], axis=-1)
 
+    def about(self, origin: np.ndarray) -> Camera:
+        """The same camera in a world whose origin is at `origin` (3,) of this one."""
+        if not origin.any():
+            return self
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += self.R_camera_world @ origin
+        return replace(self, world_to_camera=matrix)
+
     def resized(self, width: int, height: int) -> Camera:
         """The same view on width x height pixels; intrinsics scale by the exact ratios."""
         sx, sy = width / self.width, height / self.height

@@ -6,6 +6,7 @@ in the palette. The scene's own arrays are never written to.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -104,6 +105,11 @@ class Adjustment:
 
 
 IDENTITY = Adjustment()
+
+
+def is_graded(palette: Sequence[Adjustment]) -> bool:
+    """Whether splats may have other colours than in the file."""
+    return any(entry.colour != IDENTITY_COLOUR for entry in palette)
 
 
 def _four(values: np.ndarray) -> Four:

@@ -18,14 +18,28 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
-def one_line(text: str) -> str:
-    """`text` as a terminal can show it: messages quote names and values of files that may hold anything.
+def bytes_in_words(size: float) -> str:
+    """``512 KiB``, ``1.5 MiB``, ``24.0 GiB``."""
+    kib = max(size, 0) / 1024
+    if kib < 1024:
+        return f"{kib:.0f} KiB"
+    return f"{kib / 1024:.1f} MiB" if kib < 10 << 20 else f"{kib / 2**20:,.1f} GiB"
 
-    Line breaks, what a terminal would obey and what UTF-8 cannot hold are written as escapes; of a text
-    beyond `LONGEST_MESSAGE` the middle is left out.
+
+def printable(text: str, *, keep: str = "") -> str:
+    """`text` as terminals and windows can show it: names and values of files may hold anything.
+
+    Line breaks, what a terminal would obey, what turns the direction of writing and what UTF-8 cannot hold
+    are written as escapes, but for the characters of `keep`.
     """
-    if not text.isprintable():
-        text = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in keep else ascii(one)[1:-1] for one in text)
+
+
+def one_line(text: str) -> str:
+    """`text` as messages quote it: `printable`, and beyond `LONGEST_MESSAGE` without its middle."""
+    text = printable(text)
     if len(text) > LONGEST_MESSAGE:
         text = f"{text[: LONGEST_MESSAGE * 2 // 3]} ... {text[-LONGEST_MESSAGE // 4 :]}"
     return text

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from splatview.scene.background import WORLD_UP
-from splatview.scene.camera import Camera, look_at
+from splatview.scene.camera import Camera, look_at, orbited
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import NEAR
 from splatview.scene.projection import FLOAT32_MAX
@@ -39,6 +39,24 @@ def frame_camera(gaussians: Gaussians, width: int, height: int, *, fov_y: float 
     return look_at(centre + offset * distance, centre, up=WORLD_UP, fov_y=fov_y, width=width, height=height)
 
 
+def pivot(camera: Camera, centre: np.ndarray) -> np.ndarray:
+    """(3,): the point of the camera's viewing axis that is nearest to `centre` (3,); a unit ahead where that
+    is behind it."""
+    depth = float((centre - camera.eye) @ camera.forward)
+    return camera.eye + camera.forward * (depth if depth > 0 else 1.0)
+
+
+AROUND = (90.0, 180.0, 270.0)
+"""Degrees from a view to others of the same scene."""
+
+
+def views_around(camera: Camera, gaussians: Gaussians) -> list[Camera]:
+    """The camera, and others from as far away on the other sides of what it looks at."""
+    target = pivot(camera, robust_bounds(gaussians.means)[0])
+    up = -camera.R_camera_world[1]
+    return [camera, *(orbited(camera, target, up, degrees) for degrees in AROUND)]
+
+
 def bulk(gaussians: Gaussians) -> tuple[np.ndarray, float]:
     """As `robust_bounds`, but not smaller than a splat of the scene is."""
     centre, radius = _bounds(gaussians.means)
@@ -60,15 +78,28 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius or 1.0
 
 
+def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3): as wide
+    along each axis as all would be were they spread as the middle ones are, and no wider than they are."""
+    least, low, high, greatest = _percentiles(means)
+    margin = (high - low) * OUTLIERS / (100 - 2 * OUTLIERS)
+    return np.maximum(low - margin, least), np.minimum(high + margin, greatest)
+
+
 def _bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     """As `robust_bounds`, with a radius of 0 where no two splats are apart."""
+    _, low, high, _ = _percentiles(means)
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+
+
+def _percentiles(means: np.ndarray) -> np.ndarray:
+    """(4, 3) float64: the least x, y, z, those of OUTLIERS percent from either end, and the greatest."""
     with np.errstate(invalid="ignore"):
         finite = means[(np.abs(means) <= FLOAT32_MAX).all(axis=1)]
     if not len(finite):
-        return np.zeros(3), 0.0
+        return np.zeros((4, 3))
     sample = finite[:: _stride(len(finite))].astype(np.float64)
-    low, high = np.percentile(sample, [OUTLIERS, 100 - OUTLIERS], axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+    return np.percentile(sample, [0, OUTLIERS, 100 - OUTLIERS, 100], axis=0)
 
 
 def _stride(count: int) -> int:

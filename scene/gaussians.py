@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -70,14 +71,19 @@ class Gaussians:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     @property
+    def row_bytes(self) -> int:
+        """Bytes of one splat in all arrays, extras included."""
+        arrays = (*(getattr(self, name) for name in ARRAYS), *self.extras.values())
+        return sum(array.itemsize * math.prod(array.shape[1:]) for array in arrays)
+
+    @property
     def nbytes(self) -> int:
         """Bytes of the arrays, extras included."""
-        return sum(
-            array.nbytes for array in (*(getattr(self, name) for name in ARRAYS), *self.extras.values())
-        )
+        return len(self) * self.row_bytes
 
-    def take(self, indices: np.ndarray) -> Gaussians:
-        """The splats at `indices` (integer or boolean array), in that order, with comments and extras."""
+    def take(self, indices: np.ndarray | slice) -> Gaussians:
+        """The splats at `indices` (integer or boolean array, or a slice, whose arrays are views), in that
+        order, with comments and extras."""
         arrays = {name: getattr(self, name)[indices] for name in ARRAYS}
         extras = {name: values[indices] for name, values in self.extras.items()}
         return replace(self, **arrays, extras=extras)
@@ -89,13 +95,15 @@ def concatenate(parts: list[Gaussians]) -> Gaussians:
     SH is padded with zeros to the highest degree; means become float64 if any part's are; comments
     are kept once each; extras survive only where every part has them.
     """
-    coefficients = max(part.sh.shape[1] for part in parts)
+    sh = np.zeros((sum(map(len, parts)), max(part.sh.shape[1] for part in parts), 3), np.float32)
+    start = 0
+    for part in parts:
+        sh[start : start + len(part), : part.sh.shape[1]] = part.sh
+        start += len(part)
     shared = set.intersection(*(set(part.extras) for part in parts))
     return Gaussians(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS if name != "sh"},
-        sh=np.concatenate(
-            [np.pad(part.sh, ((0, 0), (0, coefficients - part.sh.shape[1]), (0, 0))) for part in parts]
-        ),
+        sh=sh,
         comments=tuple(dict.fromkeys(comment for part in parts for comment in part.comments)),
         extras={
             name: np.concatenate([part.extras[name] for part in parts])

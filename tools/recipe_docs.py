@@ -56,8 +56,8 @@ def reference() -> str:
     parts.append("### What `select` selects by\n\n`by` has a `kind` and the fields of that kind.\n")
     parts += [_section(f"`{name}`", _first_line(cls), cls) for name, cls in SELECTORS.items()]
     parts.append(
-        "### What `prune` prunes by\n\n`by` has a `kind` and the fields of that kind; what scores above the"
-        " step's `threshold` is deleted.\n"
+        "### What `prune` and `select_detected` go by\n\n`by` has a `kind` and the fields of that kind; what"
+        " scores above the step's `threshold` is deleted or selected.\n"
     )
     for name, cls in DETECTORS.items():
         summary = f"{cls.what.rstrip('.')}. Scores in {cls.unit}; {cls.threshold:g} is a sensible threshold"

@@ -60,6 +60,8 @@ class Snapshot:
     """(N,) int64: numbers of the splats, see `Splats.ids`."""
     iteration: int
     seconds: float
+    exposures_differ: bool = False
+    """Whether photos are measured at the exposures that fit, see `evaluate`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -368,6 +370,8 @@ class BackgroundTraining:
 
     def _work(self) -> None:
         self._begun.wait()
+        if self._training_run.trainer.done:  # resumed from its last checkpoint
+            self._finish()
         while not self._closing:
             self._obey()
             if not self._closing and self._steps_are_wanted and time.perf_counter() >= self._step_due:
@@ -399,7 +403,8 @@ class BackgroundTraining:
         try:
             self._take_step()
         except Exception as error:
-            traceback.print_exc()
+            if not isinstance(error, InputError):
+                traceback.print_exc()
             self._steps_wanted = 0
             self._training_run.stopwatch.pause()
             self._unseen = True
@@ -461,6 +466,7 @@ class BackgroundTraining:
                 ids=trainer.splats.ids,
                 iteration=counters.iteration,
                 seconds=counters.seconds,
+                exposures_differ=trainer.exposures.is_on,
             )
         )
         self._unseen = False

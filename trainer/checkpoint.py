@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import glob
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +14,7 @@ from safetensors.numpy import save
 from splatview.raster import Parameters
 from splatview.raster.parameters import check_parameters
 from splatview.scene import InputError
-from splatview.scene.formats.io import atomic_write
+from splatview.scene.formats.io import atomic_write, require_regular_file
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.splats import Splats
 from splatview.trainer.trainer import Counters, Trainer
@@ -34,6 +32,8 @@ class Checkpoint:
     settings: TrainSettings
     counters: Counters
     extent: float
+    centre: np.ndarray
+    """(3,) float64: what the means are relative to, see `Trainer`."""
     splats: Splats
     control: dict[str, np.ndarray]
     """Arrays of the density control, see its `state`."""
@@ -68,21 +68,16 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         "photos": trainer.views.names(),
         "notes": notes or {},
     }
-    _remove_leftovers(path)
+    if trainer.centre.any():
+        description["centre"] = trainer.centre.tolist()
     data = save(arrays, metadata={"format": FORMAT, "run": json.dumps(description)})
     with atomic_write(path) as file:
         file.write(data)
 
 
-def _remove_leftovers(path: Path) -> None:
-    """Of writes that were killed: nobody else writes this file while the run goes on."""
-    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
-        with contextlib.suppress(OSError):
-            leftover.unlink()
-
-
 def load_checkpoint(path: Path) -> Checkpoint:
     """Raises InputError: the file is missing, damaged, or no checkpoint of ours."""
+    require_regular_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
@@ -90,8 +85,6 @@ def load_checkpoint(path: Path) -> Checkpoint:
                 raise InputError(f"{path}: is not a splatview checkpoint")
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 not a dict
         return _checked(json.loads(metadata["run"]), arrays)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except (SafetensorError, OSError) as error:
         raise InputError(f"{path}: is not a checkpoint that can be read: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -115,6 +108,10 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
             " resume with the same capture and --downscale"
         )
     trainer.splats = checkpoint.splats
+    shift = checkpoint.centre - trainer.centre
+    if shift.any():  # written before captures far from the origin were trained about a centre
+        means = trainer.splats.parameters.means
+        means[:] = means + shift
     trainer.counters = checkpoint.counters
     trainer.extent = trainer.control.extent = checkpoint.extent
     trainer.control.restore(checkpoint.control)
@@ -139,10 +136,14 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     ids, next_id = arrays["ids"], int(run["next_id"])
     if ids.dtype != np.int64 or len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
         raise ValueError("its splats are not numbered as they should be")
+    centre = np.array(run.get("centre", (0, 0, 0)), np.float64)
+    if centre.shape != (3,) or not np.isfinite(centre).all():
+        raise ValueError(f"its centre must be 3 finite numbers, not {centre}")
     return Checkpoint(
         settings=from_recorded(run["settings"]),
         counters=Counters(**run["counters"]),
         extent=float(run["extent"]),
+        centre=centre,
         splats=Splats(groups[0], groups[1], groups[2], ids, next_id),
         control=_under("control.", arrays),
         exposure=_under("exposure.", arrays),

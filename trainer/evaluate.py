@@ -65,14 +65,20 @@ def evaluate(
             picture = fitted_by_halves(picture, view)
         if on_picture is not None:
             on_picture(view, picture)
-        truth = view.pixels.astype(np.float32) / 255
-        if view.mask is None:
-            scores.append(Score(view.camera.name, psnr(picture, truth), ssim(picture, truth)))
-            continue
-        decibels = psnr(picture[view.mask][None], truth[view.mask][None]) if view.mask.any() else np.nan
-        masked = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in (picture, truth)]
-        scores.append(Score(view.camera.name, decibels, ssim(*masked)))
+        pair = [picture, view.pixels.astype(np.float32) / 255]
+        if view.mask is not None:
+            pair = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in pair]
+        scores.append(Score(view.camera.name, masked_psnr(picture, view), ssim(*pair)))
     return Evaluation(tuple(scores))
+
+
+def masked_psnr(picture: np.ndarray, view: TrainView) -> float:
+    """dB of a picture (H, W, 3), float, of a photo's view, over the pixels that its mask leaves; NaN where it
+    leaves none."""
+    truth = view.pixels.astype(np.float32) / 255
+    if view.mask is None:
+        return psnr(picture, truth)
+    return psnr(picture[view.mask][None], truth[view.mask][None]) if view.mask.any() else np.nan
 
 
 def side_by_side(view: TrainView, picture: np.ndarray) -> Image.Image:

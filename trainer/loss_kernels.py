@@ -20,6 +20,10 @@ TAPS = 11
 MARGIN = 3 * (TAPS - 1)
 """Numbers of a row between the first pixel of a window and the last."""
 
+BRIGHTEST = 1e9
+"""Values of a picture beyond this, either way, count as this: in float32 their fourth powers, which SSIM is
+made of, would be infinite."""
+
 MAPS = 3
 """Derivatives of SSIM by the window's mean of x, of x², and of x·y."""
 
@@ -49,11 +53,13 @@ def read_rows(image, photo, mask, y, x_row, y_row):
     """Row y of both pictures, colours interleaved; pixels that the mask leaves out are grey in both, so that
     what is there cannot matter, not even to windows that reach over the edge of the mask."""
     number = image.dtype.type
+    brightest = number(BRIGHTEST)
     for x in range(image.shape[1]):
         use = mask.size == 0 or mask[y, x]
         for channel in range(3):
             truth = number(photo[y, x, channel]) / number(255) if use else number(0.5)
-            x_row[3 * x + channel] = image[y, x, channel] if use else truth
+            shown = min(max(image[y, x, channel], -brightest), brightest)
+            x_row[3 * x + channel] = shown if use else truth
             y_row[3 * x + channel] = truth
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 import secrets
 import tempfile
 import time
@@ -21,13 +22,14 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
-from splatview.scene.formats import check_format, save_scene
+from splatview.scene.formats import check_saving, save_scene
+from splatview.scene.formats.io import target_of
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
-from splatview.trainer.trainer import StepReport, Trainer
+from splatview.trainer.trainer import NothingSeen, StepReport, Trainer
 from splatview.trainer.views import TrainView
 
 CHECKPOINT_SECONDS = 60.0
@@ -59,11 +61,13 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
-        check_format(self.scene)
-        for path in (self.scene, self.checkpoint, self.metrics):
-            if path is not None:
-                check_writable(path)
-        if self.pictures.exists() and not self.pictures.is_dir():
+        check_saving(self.scene)
+        target_of(self.checkpoint)
+        for path in (self.scene, self.checkpoint):
+            check_writable(path)
+        if self.metrics is not None:
+            check_metrics(self.metrics)
+        if os.path.lexists(self.pictures) and not os.path.isdir(self.pictures):
             raise InputError(f"{self.pictures}: is in the way of the folder for pictures; move it")
 
 
@@ -78,17 +82,51 @@ class RunProgress(NamedTuple):
 
 def check_writable(path: Path) -> None:
     """Makes a file beside `path` and removes it. Raises InputError where the system refuses."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; name a file in it")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.resolve().parent, prefix=".splatview-") as file:
+        folder = os.path.dirname(os.path.realpath(path))
+        with tempfile.TemporaryFile(dir=folder, prefix=".splatview-") as file:
             file.write(bytes(4096))
             file.flush()
-        if path.exists():
+        if os.path.isfile(path):
             with open(path, "ab"):
                 pass
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+LONGEST_LINE = 1 << 20
+"""Bytes of a line of metrics."""
+
+
+def check_metrics(path: Path) -> None:
+    """Raises InputError where no lines can be added to `path`, or where it holds something else."""
+    if path.is_dir() or not path.exists():
+        check_writable(path)
+        return
+    line = b""
+    try:
+        with open(path, "ab", opener=_without_waiting):
+            pass
+        if path.is_file():
+            with open(path, "rb") as file:
+                line = file.readline(LONGEST_LINE)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    try:
+        known = not line or "iteration" in dict(json.loads(line))
+    except (ValueError, TypeError, RecursionError):
+        known = False
+    if not known:
+        raise InputError(f"{path}: is no file of metrics, to which lines could be added; name another")
+
+
+def _without_waiting(name: str, flags: int) -> int:
+    """Opens a pipe that nobody reads, or does not read any more, without waiting for a reader."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
 class Stopwatch:
@@ -164,6 +202,7 @@ class TrainingRun:
 
         Raises:
             PeerLost: another process of the run has ended; what there is has been saved.
+            NothingSeen: no photo shows the scene, which is not saved.
             InputError: the scene could not be saved where it should; the message says where it is.
         """
         completed = True
@@ -174,6 +213,8 @@ class TrainingRun:
             completed = False
         except PeerLost:
             self.keep()
+            raise
+        except NothingSeen:  # such a scene is worth nothing
             raise
         except Exception as error:
             # The scene is worth more than the reason why it is not finished.
@@ -304,7 +345,9 @@ class TrainingRun:
         try:
             if self._metrics is None:
                 # Lines are added, so that a resumed run goes on.
-                self._metrics = open(self.outputs.metrics, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+                self._metrics = open(  # noqa: SIM115
+                    self.outputs.metrics, "a", encoding="utf-8", buffering=1, opener=_without_waiting
+                )
             self._metrics.write(json.dumps(line) + "\n")
         except OSError as error:
             # The scene is worth more than the curve of how it came about.

@@ -35,6 +35,10 @@ CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 
+class NothingSeen(InputError):
+    """No photo shows any splat, so that nothing can be learnt."""
+
+
 class StepReport(NamedTuple):
     """One step, as plots and progress bars want it."""
 
@@ -72,14 +76,18 @@ class Trainer:
         extent: float,
         settings: TrainSettings,
         *,
+        centre: np.ndarray | None = None,
         threads: int | None = None,
         group: Group | None = None,
     ) -> None:
-        """`group`: the processes that share each batch; every one of them has a trainer made alike."""
+        """`centre` (3,) float64: where the origin of views and parameters is in the world, see
+        `Capture.centre`; snapshots, crops and regions are in the world.
+        `group`: the processes that share each batch; every one of them has a trainer made alike."""
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
         self.views = views
+        self.centre = np.zeros(3) if centre is None else centre
         self.extent = float(extent)
         self.threads = threads or available_threads()
         self.group: Group = group or Alone()
@@ -88,8 +96,10 @@ class Trainer:
         self.clock = StageClock()
         """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
         _, strategy = STRATEGIES[settings.strategy]
-        self.control: Strategy = strategy(settings, self.extent)
+        self.control: Strategy = strategy(self._local(settings), self.extent)
         self.control.begin(len(self.splats))
+        self._unseen = 0
+        """Photos in a row that show no splat."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
@@ -117,7 +127,19 @@ class Trainer:
         for name in KEPT:
             if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
                 raise ValueError(f"{name} cannot be changed in a run")
-        self.settings = self.control.settings = replace(self.settings, **settings)
+        self.settings = replace(self.settings, **settings)
+        self.control.settings = self._local(self.settings)
+
+    def _local(self, settings: TrainSettings) -> TrainSettings:
+        """The settings with their regions relative to the centre."""
+        return replace(settings, no_growth=self._about_centre(settings.no_growth))
+
+    def _about_centre(self, crops: Sequence[Crop]) -> tuple[Crop, ...]:
+        x, y, z = self.centre.tolist()
+        return tuple(
+            replace(crop, centre=(crop.centre[0] - x, crop.centre[1] - y, crop.centre[2] - z))
+            for crop in crops
+        )
 
     def delete(self, ids: np.ndarray) -> int:
         """Takes out the splats of these numbers, see `Splats.ids`; those that are gone already do not matter.
@@ -132,7 +154,7 @@ class Trainer:
 
     def crop(self, crops: Sequence[Crop]) -> int:
         """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
-        return self._keep(cropped_in(tuple(crops), self.splats.parameters.means))
+        return self._keep(cropped_in(self._about_centre(crops), self.splats.parameters.means))
 
     def add_cut(self, crops: Sequence[Crop]) -> int:
         """As `crop`, and from now on what comes to where they cut is soon taken out too.
@@ -159,14 +181,18 @@ class Trainer:
         return int(len(kept) - kept.sum())
 
     def snapshot(self) -> Gaussians:
-        """A copy of the scene as it stands, which later steps leave alone."""
-        return self.splats.snapshot(comments=("Trained by splatview", *comments_for(self.settings.model)))
+        """A copy of the scene as it stands, in the world, which later steps leave alone. Positions about a
+        centre are float64."""
+        comments = ("Trained by splatview", *comments_for(self.settings.model))
+        scene = self.splats.snapshot(comments=comments)
+        return replace(scene, means=scene.means + self.centre) if self.centre.any() else scene
 
     def step(self, seconds: float | None = None) -> StepReport:
         """One step of the recipe. `seconds`: wall-clock time of the run; None: the steps' own time.
 
         Raises:
             KeyboardInterrupt, PeerLost: see `Group.agreed`; the scene is as the last step left it.
+            NothingSeen: all photos have been looked at, and the scene is in none of them.
         """
         begun = time.perf_counter()
         counters, settings = self.counters, self.settings
@@ -183,6 +209,13 @@ class Trainer:
                 self.threads,
             )
         gradients, visible, loss = self._batch_gradients(progress)
+        self._unseen = 0 if any(map(len, visible)) else self._unseen + settings.batch
+        # Of so many in a row each photo is one: orders of the photos differ from round to round.
+        if self._unseen >= 2 * len(self.views):
+            raise NothingSeen(
+                f"training has stopped, as none of its {len(self.views)} photos shows a splat; check that the"
+                f" points of the capture lie before its cameras, {settings.model.near:g} units away at least"
+            )
 
         counters.iteration += 1
         rates = settings.rates(progress, self.extent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,10 @@ class TrainView:
                 f"photo {self.camera.name}: {size[1]}x{size[0]} is too small to train; at least"
                 f" {SSIM_WINDOW}x{SSIM_WINDOW} is needed: use a smaller --downscale"
             )
+
+    def about(self, origin: np.ndarray) -> TrainView:
+        """The same photo in a world whose origin is at `origin` (3,) of this one."""
+        return replace(self, camera=self.camera.about(origin))
 
     def smaller(self, factor: int) -> TrainView:
         """The same by area averaging, floor(W/factor) x floor(H/factor), but not below what SSIM needs."""

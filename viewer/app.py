@@ -17,10 +17,12 @@ from imgui_bundle import hello_imgui, imgui, implot
 
 from splatview.renderers.gl.context import describe
 from splatview.renderers.precompile import ShaderPrecompiler
-from splatview.scene.user_dirs import cache_folder, config_folder
+from splatview.scene import InputError
+from splatview.scene.user_dirs import cache_folder
 from splatview.viewer import commands, layout, theme
 from splatview.viewer import open as opening
 from splatview.viewer.background import WindowBackground
+from splatview.viewer.camera import CameraLists
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
@@ -33,7 +35,15 @@ from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
-FEATURES: tuple[type[Feature], ...] = (DepthOfField, WindowBackground, Editing, Restoring, Accuracy, Effects)
+FEATURES: tuple[type[Feature], ...] = (
+    CameraLists,
+    DepthOfField,
+    WindowBackground,
+    Editing,
+    Restoring,
+    Accuracy,
+    Effects,
+)
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
 
@@ -267,8 +277,8 @@ class Window:
         self._saved = self.app.preferences
         try:
             save_preferences(self._saved)
-        except OSError as error:
-            return f"{config_folder()}: the preferences cannot be saved ({error.strerror})"
+        except InputError as error:
+            return f"the preferences cannot be saved: {error}"
         return None
 
 

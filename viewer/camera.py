@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from splatview.scene import Camera, InputError
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
 from splatview.scene.errors import one_line
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.cameras import camera_values, is_orthographic, lens_of
 from splatview.scene.framing import SAMPLE, bulk
+from splatview.scene.progress import Progress
+from splatview.viewer.loading import Reading
 from splatview.viewer.navigation import View, axis_view, focus, frame, level, pick, view_from_camera, with_up
 from splatview.viewer.navigation.controllers import axis
 from splatview.viewer.navigation.view import MAX_FOV, MIN_FOV
 from splatview.viewer.preferences import Bookmark, load_bookmarks, save_bookmarks
-from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState, Feature
 
 UP_NAMES = ("+Y", "-Y", "+Z", "-Z", "+X", "-X")
 """In the order in which one key goes through them: the likeliest first."""
@@ -34,12 +37,18 @@ LEAST_CAMERAS_FOR_UP = 3
 def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float] | None:
     """Centre (3,) float64 and radius > 0, world, of the bulk of all splats that are shown, or of the selected
     ones. None where there are none."""
-    scene, edits = app.scene, app.edits
+    sample = shown_sample(app, selected=selected)
+    return None if sample is None else bulk(sample)
+
+
+def shown_sample(app: AppState, *, selected: bool = False) -> Gaussians | None:
+    """Some of the splats that are shown, or of the selected ones, as they are after edits; None where there
+    are none."""
+    gaussians, edits = app.scene.gaussians, app.edits
     if not app.is_open or (selected and edits is None):
         return None
     if edits is None:
-        return scene.centre, scene.radius
-    gaussians = scene.gaussians
+        return gaussians
     kept = shown(gaussians, edits)
     if selected:
         kept &= (edits.marks & SELECTED) != 0
@@ -48,7 +57,7 @@ def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float]
         return None
     indices = indices[:: -(-len(indices) // SAMPLE)]
     sample = replace(gaussians, sh=gaussians.sh[:, :1], extras={}).take(indices)
-    return bulk(bake(sample, SceneEdits(marks=edits.marks[indices], palette=edits.palette)))
+    return bake(sample, SceneEdits(marks=edits.marks[indices], palette=edits.palette))
 
 
 def frame_all(app: AppState) -> None:
@@ -210,19 +219,67 @@ def camera_from_text(text: str) -> Camera:
         raise ValueError(one_line(str(error))) from None
 
 
-def open_camera_list(app: AppState, path: Path) -> None:
-    """Loads the cameras of `path` and jumps to the first."""
-    try:
-        cameras = load_cameras(path, on_note=lambda line: app.tell(f"{path.name}: {line}"))
-    except InputError as error:
-        app.complain(str(error))
-        return
-    app.cameras, app.camera_index = cameras, -1
-    app.tell(f"{path.name}: {len(cameras)} cameras")
-    up = common_up(cameras)
-    if up is not None:
-        app.steer(replace(app.destination, up=up))
-    go_to_camera(app, 0)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraList:
+    """What a file of cameras holds."""
+
+    cameras: list[Camera]
+    up: np.ndarray | None
+    """Their common up axis, see `common_up`."""
+    notes: list[str]
+
+
+class CameraLists(Feature):
+    """Files of cameras on their way, one after another."""
+
+    def __init__(self) -> None:
+        self.reading: Reading[CameraList] | None = None
+        self._waiting: list[Path] = []
+
+    def open(self, path: Path) -> None:
+        self._waiting.append(path)
+
+    def before_frame(self, app: AppState) -> None:
+        """Takes over a list that has been read, after the scene that was opened with it, and jumps to its
+        first camera."""
+        if self.reading is None and self._waiting:
+            path = self._waiting.pop(0)
+            self.reading = Reading(path.name, partial(read_camera_list, path))
+        reading = self.reading
+        if reading is None or not reading.done or app.loading is not None:
+            return
+        self.reading, found = None, reading.result
+        if reading.problem is not None:
+            app.complain(reading.problem)
+        if found is None:
+            return
+        app.cameras, app.camera_index = found.cameras, -1
+        for note in (*found.notes, f"{len(found.cameras):,} cameras"):
+            app.tell(f"{reading.name}: {note}")
+        if found.up is not None:
+            app.steer(replace(app.destination, up=found.up))
+        go_to_camera(app, 0)
+
+    def busy(self, app: AppState) -> bool:
+        return self.reading is not None or bool(self._waiting)
+
+    def cancel(self, app: AppState) -> bool:
+        reading, self.reading = self.reading, None
+        self._waiting.clear()
+        if reading is not None:
+            reading.cancel()
+            app.tell(f"Cancelled loading {reading.name}")
+        return reading is not None
+
+    def close(self, app: AppState) -> None:
+        if self.reading is not None:
+            self.reading.cancel()
+
+
+def read_camera_list(path: Path, progress: Progress) -> CameraList:
+    notes: list[str] = []
+    cameras = load_cameras(path, on_note=notes.append, progress=progress)
+    return CameraList(cameras=cameras, up=common_up(cameras), notes=notes)
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
@@ -234,7 +291,7 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
 
 def choose_cameras(app: AppState) -> None:
     app.choose_files(
-        "Load cameras", lambda paths: [app.post(open_camera_list, path) for path in paths], kind="cameras"
+        "Load cameras", lambda paths: [app.feature(CameraLists).open(path) for path in paths], kind="cameras"
     )
 
 
@@ -281,7 +338,7 @@ def keep_bookmarks(app: AppState) -> None:
         ]
         path = save_bookmarks(app.scene_path, app.bookmarks)
         app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
-    except (OSError, InputError) as error:
+    except InputError as error:
         app.complain(f"The bookmarks cannot be saved: {error}")
         return
     app.tell(f"Bookmarks saved in {path}")

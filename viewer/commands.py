@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import get_args
+from typing import Any, Literal, get_args
 
 from imgui_bundle import imgui
 
@@ -88,35 +88,33 @@ class Command:
     """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
     menu: str = ""
     """Title in a menu, where `title` would be too long."""
-    enabled: Callable[[AppState], bool] = lambda app: True
-    """Whether menus offer it. Keys and the palette run it all the same; it then says why it does nothing."""
+    words: str = ""
+    """Further words that the palette finds it by."""
+    lacks: Callable[[AppState], str] = lambda app: ""
+    """What must be there first, as a sentence; "" where it can be done. Menus and buttons are grey without it
+    and say so; keys and the palette run the command all the same, which then says why it does nothing."""
     checked: Callable[[AppState], bool] = lambda app: False
     """Whether menus show it as chosen."""
 
 
-def _counts(name: str) -> Callable[[AppState], bool]:
-    """Whether any splat has the state `name` of the document's counts."""
+def _needs(check: Callable[[AppState], bool], otherwise: str) -> Callable[[AppState], str]:
+    return lambda app: "" if check(app) else otherwise
+
+
+def _has(part: Literal["counts", "history"], name: str, otherwise: str) -> Callable[[AppState], str]:
+    """Whether the document has any `name` in a part of it."""
 
     def check(app: AppState) -> bool:
         session = session_of(app)
-        return session is not None and getattr(session.document.counts, name) > 0
+        return session is not None and bool(getattr(getattr(session.document, part), name))
 
-    return check
-
-
-_has_selection = _counts("selected")
+    return _needs(check, otherwise)
 
 
-def _history(name: str) -> Callable[[AppState], bool]:
-    def check(app: AppState) -> bool:
-        session = session_of(app)
-        return session is not None and getattr(session.document.history, name)
-
-    return check
-
-
-def _has_cameras(app: AppState) -> bool:
-    return bool(app.cameras)
+_a_scene = _needs(can_edit, "Open a scene first")
+_a_scene_at_rest = _needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
+_a_selection = _has("counts", "selected", editing.SELECT_FIRST)
+_cameras = _needs(lambda app: bool(app.cameras), "Load cameras first")
 
 
 def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
@@ -130,7 +128,7 @@ def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
         group=group,
         run=partial(editing.take_tool, tool=name),
         keys=tuple(keys.split()),
-        enabled=can_edit,
+        lacks=_a_scene,
         checked=in_hand,
     )
 
@@ -152,9 +150,9 @@ def _command(
     title: str,
     run: Callable[[AppState], object],
     menu: str = "",
-    **states: Callable[[AppState], bool],
+    **more: Any,
 ) -> Command:
-    return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **states)
+    return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **more)
 
 
 _file, _camera, _navigation, _picture, _edit, _select, _training, _window = (
@@ -181,24 +179,24 @@ COMMANDS: dict[str, Command] = {
     for command in (
         _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open..."),
         _file("add", "Ctrl+Shift+O", "Add another scene to this one", files.choose_addition,
-            "Add to the scene...", enabled=lambda app: app.is_open),
+            "Add to the scene...", lacks=_needs(lambda app: app.is_open, "Open a scene first")),
         _file("reload", "F5", "Read the scene's files again", opening.reload,
-            enabled=lambda app: app.scene_path is not None),
+            lacks=_needs(lambda app: app.scene_path is not None, "Open a file first")),
         _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
         _file("screenshot", "F12", "Save a picture beside the scene", saving.screenshot, "Save a picture"),
         _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
             partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
         _file("quit", "Ctrl+Q", "Quit", quit_window),
         _file("export", "Ctrl+E", "Export the edited scene", files.choose_export,
-            "Export the edited scene...", enabled=can_edit),
+            "Export the edited scene...", lacks=_a_scene),
         _file("save_recipe", "Ctrl+S", "Save what was done as a recipe", files.choose_recipe_to_save,
-            "Save recipe...", enabled=at_rest),
+            "Save recipe...", lacks=_a_scene_at_rest),
         _file("replay_recipe", "Ctrl+R", "Do the steps of a recipe", files.choose_recipe_to_replay,
-            "Replay recipe...", enabled=at_rest),
+            "Replay recipe...", lacks=_a_scene_at_rest),
         _file("merge", "Ctrl+M", "Merge another scene into this one, as a step of editing",
-            files.choose_merge, "Merge as an edit...", enabled=at_rest),
+            files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
-            "Selection to its own file...", enabled=at_rest),
+            "Selection to its own file...", lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
         _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
         _camera("frame_selection", "F", "Show what is selected, else the whole scene",
             camera.frame_selection),
@@ -218,7 +216,8 @@ COMMANDS: dict[str, Command] = {
             checked=lambda app: app.destination.lens.orthographic),
         _camera("toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without",
             camera.toggle_lenses, "Camera lenses",
-            enabled=lambda app: any(camera.lens is not None for camera in app.cameras),
+            lacks=_needs(lambda app: any(camera.lens is not None for camera in app.cameras),
+                "Load cameras with lenses first"),
             checked=lambda app: app.through_lenses),
         _camera("depth_of_field", "Shift+B", "Depth of field on or off", depth_of_field.switch,
             "Depth of field", checked=lambda app: app.feature(DepthOfField).on),
@@ -228,13 +227,13 @@ COMMANDS: dict[str, Command] = {
             factor=1 / camera.FOV_STEP)),
         _camera("wider", "[", "Wider field of view", partial(camera.change_fov, factor=camera.FOV_STEP)),
         _camera("next_camera", "PageDown", "Next loaded camera", partial(camera.step_camera, step=1),
-            enabled=_has_cameras),
+            lacks=_cameras),
         _camera("previous_camera", "PageUp", "Previous loaded camera",
-            partial(camera.step_camera, step=-1), enabled=_has_cameras),
+            partial(camera.step_camera, step=-1), lacks=_cameras),
         _camera("add_bookmark", "B", "Bookmark this view", camera.add_bookmark),
         _camera("next_bookmark", "N", "Next bookmark",
             lambda app: camera.go_to_bookmark(app, app.bookmark_index + 1),
-            enabled=lambda app: bool(app.bookmarks)),
+            lacks=_needs(lambda app: bool(app.bookmarks), "Bookmark a view first")),
         _camera("copy_camera", "Ctrl+C", "Copy the camera as JSON", camera.copy_camera),
         _camera("paste_camera", "Ctrl+V", "Go to the camera on the clipboard", camera.paste_camera),
         _navigation_mode("orbit", "F2", "turn about a point, horizon level"),
@@ -250,26 +249,27 @@ COMMANDS: dict[str, Command] = {
             background.ask_for_picture),
         _edit("duplicate", "Ctrl+D", "Make a copy of the selected splats",
             editing.operation_on_selection("duplicate"),
-            enabled=lambda app: _has_selection(app) and at_rest(app)),
-        _edit("undo", "Ctrl+Z", "Undo", editing.undo, enabled=_history("can_undo")),
-        _edit("redo", "Ctrl+Shift+Z Ctrl+Y", "Redo", editing.redo, enabled=_history("can_redo")),
+            lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
+        _edit("undo", "Ctrl+Z", "Undo", editing.undo, lacks=_has("history", "can_undo", "Nothing to undo")),
+        _edit("redo", "Ctrl+Shift+Z Ctrl+Y", "Redo", editing.redo,
+            lacks=_has("history", "can_redo", "Nothing to redo")),
         _edit("delete", "Delete Backspace", "Delete the selected splats",
-            editing.operation_on_selection("delete"), enabled=_has_selection),
+            editing.operation_on_selection("delete"), lacks=_a_selection),
         _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"),
-            enabled=_has_selection),
+            lacks=_a_selection),
         _edit("show", "Shift+J", "Show all hidden splats again", editing.operation("show"),
-            enabled=_counts("hidden")),
+            lacks=_has("counts", "hidden", "Nothing is hidden")),
         _edit("isolate", "Shift+I", "Hide all but the selected splats",
-            editing.operation_on_selection("isolate"), enabled=_has_selection),
+            editing.operation_on_selection("isolate"), lacks=_a_selection),
         _edit("lock", "K", "Lock the selected splats: seen, but not to be changed",
-            editing.operation_on_selection("lock"), enabled=_has_selection),
+            editing.operation_on_selection("lock"), lacks=_a_selection),
         _edit("unlock", "Shift+K", "Unlock all locked splats", editing.operation("unlock"),
-            enabled=_counts("locked")),
-        _select("select_all", "Ctrl+A", "Select all", editing.operation("select_all"), enabled=can_edit),
+            lacks=_has("counts", "locked", "Nothing is locked")),
+        _select("select_all", "Ctrl+A", "Select all", editing.operation("select_all"), lacks=_a_scene),
         _select("select_none", "Ctrl+Shift+A", "Select none", editing.operation("select_none"),
-            enabled=can_edit),
+            lacks=_has("counts", "selected", "Nothing is selected")),
         _select("select_inverse", "Ctrl+I", "Invert the selection", editing.operation("select_inverse"),
-            enabled=can_edit),
+            lacks=_a_scene),
         _tool("Select", "rectangle", "R", "Rectangle: select what is inside"),
         _tool("Select", "brush", "C", "Brush: paint a selection"),
         _tool("Select", "lasso", "O", "Lasso: draw around what to select"),
@@ -277,23 +277,27 @@ COMMANDS: dict[str, Command] = {
         _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour"),
         _tool("Select", "colour", "I", "Eyedropper: select everything of one colour"),
         _select("next_depth", "T", "Screen tools: through everything, or the front surface only",
-            editing.next_depth, "Only the front surface", enabled=can_edit, checked=_selects_front),
+            editing.next_depth, "Only the front surface", lacks=_a_scene, checked=_selects_front),
         _select("larger_brush", "Shift+]", "Larger brush",
             partial(editing.scale_brush, factor=editing.BRUSH_STEP)),
         _select("smaller_brush", "Shift+[", "Smaller brush",
             partial(editing.scale_brush, factor=1 / editing.BRUSH_STEP)),
         _tool("Edit", "measure", "M", "Measure the distance between two points"),
         _select("grow", "", "Grow the selection by its neighbours",
-            partial(editing.grow_or_shrink, operation=Grow(neighbours=editing.NEIGHBOURS))),
+            partial(editing.grow_or_shrink, operation=Grow(neighbours=editing.NEIGHBOURS)),
+            lacks=_a_selection),
         _select("shrink", "", "Shrink the selection by one layer",
-            partial(editing.grow_or_shrink, operation=Shrink(neighbours=editing.NEIGHBOURS))),
-        _edit("add_box", "", "Add a crop box", partial(editing.add_crop, shape="box")),
-        _edit("add_sphere", "", "Add a crop sphere", partial(editing.add_crop, shape="sphere")),
+            partial(editing.grow_or_shrink, operation=Shrink(neighbours=editing.NEIGHBOURS)),
+            lacks=_a_selection),
+        _edit("add_box", "", "Add a crop box", partial(editing.add_crop, shape="box"),
+            lacks=_a_scene),
+        _edit("add_sphere", "", "Add a crop sphere", partial(editing.add_crop, shape="sphere"),
+            lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
             _edit(f"find_{name}", "", f"Clean up: find {detector.label.lower()}",
-                partial(cleanup.find, detector=name))
+                partial(cleanup.find, detector=name), words=detector.what, lacks=_a_scene)
             for name, detector in DETECTORS.items()
         ),
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",
@@ -307,7 +311,7 @@ COMMANDS: dict[str, Command] = {
             "Save a checkpoint"),
         _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
         _training("show_training", "", "Show the scene in training", training.show_training,
-            enabled=_shows_something_else),
+            lacks=_needs(_shows_something_else, "It is what is shown")),
         _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
             checked=lambda app: app.panels_hidden),
         _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
@@ -391,22 +395,32 @@ def _key(name: str) -> imgui.Key:
 
 
 def post_pressed(app: AppState) -> None:
-    """Posts every command whose key is pressed in this frame.
-
-    None while the user is typing, and only the way out while a menu or question is open.
-    """
+    """Posts every command whose key is pressed in this frame; an open menu closes then, and Escape does no
+    more than that. None while the user is typing, and only the way out while a question is open."""
     if imgui.get_io().want_text_input:
         return
-    asked = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-    for command in (COMMANDS["cancel"],) if asked else COMMANDS.values():
-        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys):
-            app.post(command.run)
+    asked = under_question()
+    pressed = [
+        command
+        for command in ((COMMANDS["cancel"],) if asked else COMMANDS.values())
+        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys)
+    ]
+    if pressed and not asked and imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+        imgui.internal.close_popups_except_modals()
+        pressed = [command for command in pressed if command.id != "cancel"]
+    for command in pressed:
+        app.post(command.run)
+
+
+def under_question() -> bool:
+    """Whether a dialog waits for its answer before anything else."""
+    return imgui.internal.get_top_most_popup_modal() is not None
 
 
 def held_step() -> tuple[float, float, float] | None:
     """(right, up, forward) of the held keys, times 4 when fast and 1/4 when slow; None where none is."""
     io = imgui.get_io()
-    if io.want_text_input or io.key_ctrl or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+    if io.want_text_input or io.key_ctrl or under_question():
         return None
     down = [held.direction for held in HELD_KEYS if any(imgui.is_key_down(_key(key)) for key in held.keys)]
     if not down:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable
@@ -36,13 +37,14 @@ LOADING_SHOWN_AFTER = 0.3
 
 
 def loading(app: AppState) -> None:
-    """Progress of the scene on its way, with a button to stop it."""
-    if app.loading is None or app.now() - app.loading.began < LOADING_SHOWN_AFTER:
+    """Progress of the scene or another file on its way, with a button to stop it."""
+    reading = app.loading or next((f.reading for f in app.features.values() if f.reading is not None), None)
+    if reading is None or app.now() - reading.began < LOADING_SHOWN_AFTER:
         return
     centred(24)
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
-    imgui.text_unformatted(f"{app.loading.stage} {app.loading.name}")
-    progress = app.loading.progress
+    imgui.text_unformatted(f"{reading.stage} {reading.name}")
+    progress = reading.progress
     share, text = (-imgui.get_time(), "") if progress < 0 else (progress, f"{progress:.0%}")
     imgui.progress_bar(share, (imgui.get_font_size() * 22, 0), text)
     widgets.command_button(app, "Cancel", "cancel")
@@ -205,6 +207,8 @@ class FileDialogs:
             return
         self._title, self._done, self._saving = title, done, kind.startswith("save")
         proposal = str((self.folder or Path.cwd()) / name) if name else str(self.folder or Path.cwd())
+        if any("\ud800" <= one <= "\udfff" for one in proposal):
+            proposal = name  # no dialog takes names that are no text
         if not has_native_dialogs():
             self._typed, self._fresh = (proposal if self._saving else ""), True
         elif self._saving:
@@ -255,7 +259,7 @@ class FileDialogs:
 
     def _finish(self, names: list[str]) -> None:
         done, self._done, self._typed = self._done, None, None
-        paths = [Path(name).expanduser() for name in names if name]
+        paths = [Path(os.path.expanduser(name)) for name in names if name]
         if paths and done is not None:
             self.folder = paths[0].parent
             done(paths)

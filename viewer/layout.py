@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
 from splatview.viewer.dialogs import FileDialogs
+from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels import accuracy, camera, edit, effects, history, rendering, scene, statistics
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
@@ -152,7 +153,8 @@ def title(app: AppState) -> str:
 
 
 def hide_or_show_panels(app: AppState) -> None:
-    """Makes what is visible follow `app.panels_hidden`; what the user had closed stays closed."""
+    """Makes what is visible follow `app.panels_hidden`; what the user had closed stays closed. Brings the
+    Edit panel to the front where a section of it is to open."""
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows[1:]
     if app.panels_hidden and app.open_panels is None:
         app.open_panels = {window.label for window in windows if window.is_visible}
@@ -162,3 +164,7 @@ def hide_or_show_panels(app: AppState) -> None:
         for window in windows:
             window.is_visible = window.label in app.open_panels
         app.open_panels = None
+    session = session_of(app)
+    if session is not None and session.forms.open_section and not app.panels_hidden:
+        panel = next(window for window in windows if window.label == "Edit")
+        panel.is_visible = panel.focus_window_at_next_frame = True

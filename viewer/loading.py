@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,12 +16,13 @@ from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects
+from splatview.scene.errors import printable
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
 from splatview.scene.progress import Cancelled, Progress
 from splatview.viewer.picture import EMPTY
-from splatview.viewer.tasks import Task
+from splatview.viewer.tasks import Result, Task
 
 Stamp = tuple[int, int, int]
 """Inode, size and time of a file, which tell whether it is still the one that was read."""
@@ -37,7 +39,7 @@ def stamp_of(path: Path) -> Stamp | None:
 
 def stamps_of(paths: Sequence[Path]) -> dict[Path, Stamp]:
     """Stamps of `paths`, by the files that links lead to."""
-    found = {path.resolve(): stamp_of(path) for path in paths}
+    found = {Path(os.path.realpath(path)): stamp_of(path) for path in paths}
     return {path: stamp for path, stamp in found.items() if stamp is not None}
 
 
@@ -76,23 +78,19 @@ EMPTY_SCENE = LoadedScene(
 """The scene of a window in which nothing is open."""
 
 
-class Loading(Task[LoadedScene]):
-    """One load under way. `read` makes the scene; it is called in the thread with `progress(0..1)` and
-    `cancelled()`."""
+class Reading(Task[Result]):
+    """Files under way: `read(progress)` in a thread."""
 
-    def __init__(
-        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], *, stage: str = "Reading"
-    ):
+    def __init__(self, name: str, read: Callable[[Progress], Result], *, stage: str = "Reading"):
         self.name = name
         self.stage = stage
         self.began = time.monotonic()
-        self._paths = tuple(paths)
-        self._read = read
-        super().__init__(self._load, name="splatview-load")
+        progress = Progress(report=self._advance, cancelled=lambda: self.cancelled)
+        super().__init__(lambda _: read(progress), name="splatview-load")
 
     @property
     def problem(self) -> str | None:
-        """Error of the load in one line; None where it was cancelled."""
+        """Error in one line; None where it was cancelled."""
         error = self.error
         if error is None or isinstance(error, Cancelled):
             return None
@@ -106,12 +104,22 @@ class Loading(Task[LoadedScene]):
     def _advance(self, share: float) -> None:
         self.progress = min(max(share, self.progress, 0.0), 1.0)
 
-    def _load(self, task: Task[LoadedScene]) -> LoadedScene:
+
+class Loading(Reading[LoadedScene]):
+    """A scene under way, which `read(progress=...)` makes."""
+
+    def __init__(
+        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], *, stage: str = "Reading"
+    ):
+        self._paths = tuple(paths)
+        self._read = read
+        super().__init__(name, self._load, stage=stage)
+
+    def _load(self, progress: Progress) -> LoadedScene:
         began = time.perf_counter()
         stamps = stamps_of(self._paths)
-        gaussians = self._read(progress=Progress(report=self._advance, cancelled=lambda: self.cancelled))
-        if self.cancelled:
-            raise Cancelled
+        gaussians = self._read(progress=progress)
+        progress.check()
         centre, radius = robust_bounds(gaussians.means)
         return LoadedScene(
             gaussians=gaussians,
@@ -145,7 +153,7 @@ class Examination(Task[None]):
 
 def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
     """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
-    sizes = [path.stat().st_size if path.is_file() else 0 for path in paths]
+    sizes = [os.path.getsize(path) if os.path.isfile(path) else 0 for path in paths]
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 
@@ -159,7 +167,7 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
     if added_to and not added_to.paths:
         name = f"{added_to.name} and {name}"
-    return Loading(name, all_paths, read)
+    return Loading(printable(name), all_paths, read)
 
 
 def load_demo() -> Loading:

@@ -14,6 +14,7 @@ from splatview.viewer.camera import UP_NAMES, set_up, up_name
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
+from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -45,18 +46,19 @@ def item(app: AppState, command: Command, title: str = "") -> None:
     """A menu entry with its key."""
     keys = command.keys[0] if command.keys else ""
     name = title or command.menu or command.title
-    if imgui.menu_item(name, keys, command.checked(app), command.enabled(app))[0]:
+    lacks = command.lacks(app)
+    if imgui.menu_item(name, keys, command.checked(app), not lacks)[0]:
         app.post(command.run)
+    widgets.tooltip(lacks)
 
 
 def recent_files(app: AppState) -> None:
     if not imgui.begin_menu("Recent", bool(app.preferences.recent)):
         return
     for name in app.preferences.recent:
-        if imgui.menu_item(f"{Path(name).name}##{name}", "", False)[0]:
+        if imgui.menu_item(widgets.item(Path(name).name, name), "", False)[0]:
             app.post(opening.open_paths, [Path(name)])
-        if imgui.is_item_hovered():
-            imgui.set_tooltip(name)
+        widgets.tooltip(name)
     imgui.separator()
     if imgui.menu_item("Forget these", "", False)[0]:
         app.prefer(recent=())
@@ -94,6 +96,8 @@ def panels(app: AppState) -> None:
     imgui.separator()
     if imgui.menu_item("Put the panels back", "", False)[0]:
         app.panels_hidden, app.open_panels = False, None
+        for window in params.docking_params.dockable_windows:
+            window.is_visible = True
         params.docking_params.layout_reset = True
 
 
@@ -137,11 +141,8 @@ ROWS = 14
 
 
 def matching(query: str) -> list[Command]:
-    """Commands that have every word of `query` in title, group or keys, the likeliest first.
-
-    A word that begins a word of the title counts more than one within; letters alone, in order, still find
-    what no word does.
-    """
+    """Commands that have every word of `query` in title, group, keys or further words, the likeliest first: a
+    word that begins one of the title counts more than one within."""
     words = query.casefold().split()
     scored = []
     for place, command in enumerate(COMMANDS.values()):
@@ -162,16 +163,11 @@ def _score(words: list[str], command: Command) -> int | None:
             total += 1
         elif word in text:
             total += 3
-        elif _letters_in_order(word, text):
+        elif any(part.startswith(word) for part in command.words.casefold().split()):
             total += 9
         else:
             return None
     return total
-
-
-def _letters_in_order(word: str, text: str) -> bool:
-    letters = iter(text)
-    return len(word) > 1 and all(letter in letters for letter in word)
 
 
 def show_palette(app: AppState) -> None:

@@ -11,15 +11,13 @@ import numpy as np
 
 from splatview.scene import InputError
 from splatview.scene.demo import demo_camera
+from splatview.scene.formats import is_camera_list
 from splatview.scene.framing import frame_camera
-from splatview.viewer.camera import open_camera_list
+from splatview.viewer.camera import CameraLists
 from splatview.viewer.loading import Examination, LoadedScene, load_demo, load_files
 from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.preferences import load_bookmarks, with_recent, without_missing
 from splatview.viewer.state import AppState
-
-CAMERA_SUFFIXES = {".json", ".bin", ".txt"}
-"""A dropped file with one of these is a camera list."""
 
 UPLOAD_SECONDS = 0.012
 """Seconds of each frame for uploading; the rest keeps the window alive."""
@@ -29,8 +27,8 @@ def open_paths(app: AppState, paths: Sequence[Path]) -> None:
     """Opens what was dropped or chosen: scenes (several are merged), camera lists, a COLMAP folder."""
     scenes = []
     for path in paths:
-        if path.suffix.lower() in CAMERA_SUFFIXES or path.is_dir():
-            open_camera_list(app, path)
+        if is_camera_list(path):
+            app.feature(CameraLists).open(path)
         else:
             scenes.append(path)
     if scenes:
@@ -110,7 +108,10 @@ def adopt(app: AppState, scene: LoadedScene) -> None:
     app.scene = scene
     for feature in app.features.values():
         feature.on_scene_opened(app, scene)
-    if not same_place:
+    if same_place:
+        app.call_for(scene.settings)
+    else:
+        app.called_for = scene.settings
         app.settings = replace(
             scene.settings, background=app.preferences.background, blend=app.preferences.blend
         )

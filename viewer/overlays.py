@@ -10,17 +10,20 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.renderers import MODES
 from splatview.scene import Camera
+from splatview.scene.errors import printable
 from splatview.scene.image_model import NEAR
 from splatview.viewer import theme
 from splatview.viewer.camera import go_to_camera
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, keys_of, set_mode
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.editing.tool_state import ToolName
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.navigation.controllers import axis
 from splatview.viewer.panels import recipe, split_view, widgets
 from splatview.viewer.panels.camera import NAVIGATION_NAMES
 from splatview.viewer.panels.rendering import MODE_TIP
+from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -158,7 +161,7 @@ def show_frusta(app: AppState, corner: ImVec2) -> None:
         return
     index = drawn[under][0] * step
     held_out = " (held out)" if training is not None and training.photos[index].held_out else ""
-    imgui.set_tooltip(f"{app.cameras[index].name or f'Camera {index + 1}'}{held_out}")
+    imgui.set_tooltip(printable(f"{app.cameras[index].name or f'Camera {index + 1}'}{held_out}"))
     dragged = imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     if imgui.is_mouse_released(imgui.MouseButton_.left) and not (dragged.x or dragged.y):
         app.post(go_to_camera, index)
@@ -216,11 +219,35 @@ def picture_corners(camera: Camera, size: float) -> np.ndarray:
     return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
 
 
-HINTS = {
+HINTS: dict[NavigationMode, str] = {
     "orbit": "Drag: orbit   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
     "fly": "Drag: look   W A S D E Q: move   Wheel: speed   Shift: fast   F1: keys",
     "trackball": "Drag: turn   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
 }
+
+TOOL_HINTS: dict[ToolName, str] = {
+    "rectangle": "Drag: select",
+    "lasso": "Drag: draw around",
+    "brush": "Drag: paint   Shift + [ ]: radius",
+    "polygon": "Click: corner   Double click: close",
+    "flood": "Click: select what hangs together",
+    "colour": "Click: select the colour",
+    "measure": "Click: two points",
+    "ground": "Click: three points of the ground",
+}
+
+SELECTING = "Shift: add   Ctrl: remove   Both: keep common"
+
+
+def hint(app: AppState) -> str:
+    """What the mouse does on the picture now."""
+    session = session_of(app)
+    if app.feature(DepthOfField).picking:
+        return "Click: what shall be sharp   Esc: done"
+    if session is None or session.tool == "none":
+        return HINTS[app.preferences.navigation]
+    selects = () if session.tool in ("measure", "ground") else (SELECTING,)
+    return "   ".join((TOOL_HINTS[session.tool], *selects, "Alt + drag: turn   Esc: done"))
 
 
 def over_picture(app: AppState) -> None:
@@ -319,10 +346,10 @@ def status_bar(app: AppState) -> None:
         else:
             imgui.text_unformatted(latest.text)
     imgui.same_line()
-    hint = HINTS[app.preferences.navigation]
-    start = imgui.get_window_width() - imgui.calc_text_size(hint).x - imgui.get_font_size()
+    text = hint(app)
+    start = imgui.get_window_width() - imgui.calc_text_size(text).x - imgui.get_font_size()
     if start < imgui.get_cursor_pos_x():
         imgui.new_line()
         return
     imgui.same_line(start)
-    imgui.text_colored(theme.QUIET, hint)
+    imgui.text_colored(theme.QUIET, text)

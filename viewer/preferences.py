@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
-import tempfile
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -14,6 +14,7 @@ import numpy as np
 
 from splatview.scene import InputError
 from splatview.scene.formats.cameras import is_orthographic, lens_of
+from splatview.scene.formats.io import atomic_write, read_json
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.navigation import Lens, View
 from splatview.viewer.navigation.view import MAX_FOV, MIN_FOV, orthonormal, unit
@@ -62,6 +63,8 @@ class Preferences:
     """Whether training takes all cores while the view is not moved."""
     training_updates: TrainingUpdates = "live"
     """How often the growing scene is shown."""
+    edit_memory_gib: float = 0.0
+    """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
     closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
@@ -73,6 +76,7 @@ RANGES = {
     "fov_y": (5.0, 140.0),
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
+    "edit_memory_gib": (0.0, 1024.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
@@ -95,10 +99,10 @@ def load_preferences() -> tuple[Preferences, str | None]:
     sense, a later version's say, are replaced by their defaults. Never raises.
     """
     path = config_folder() / FILE_NAME
+    if not os.path.isfile(path):
+        return Preferences(), None
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return Preferences(), None
     except OSError as error:
         return Preferences(), f"Cannot read {path}: {error.strerror}. Defaults are used."
     except (ValueError, RecursionError):
@@ -158,29 +162,22 @@ def save_preferences(preferences: Preferences) -> None:
     """Writes the file whole or not at all.
 
     Raises:
-        OSError: the folder cannot be written to.
+        InputError: the folder cannot be written to.
     """
     write_json(config_folder() / FILE_NAME, asdict(preferences))
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Writes `data` as JSON beside `path`, then puts it in place: a crash leaves the old file whole.
+    """Writes `data` as JSON, whole or not at all, into a folder that is made.
 
     Raises:
-        OSError: the folder cannot be made or written to.
+        InputError: the folder cannot be made or written to.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(data, file, indent=2, allow_nan=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    with contextlib.suppress(OSError):  # writing tells why
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as file:
+        file.write(text.encode())
 
 
 def with_recent(preferences: Preferences, path: Path) -> Preferences:
@@ -210,8 +207,9 @@ def beside(scene: Path) -> Path:
 
 def in_config(scene: Path) -> Path:
     """Where they go if the scene's folder cannot be written to; told apart by the scene's full path."""
-    digest = hashlib.sha256(str(scene.absolute()).encode()).hexdigest()[:12]
-    return config_folder() / "bookmarks" / f"{scene.name}.{digest}.bookmarks.json"
+    digest = hashlib.sha256(os.fsencode(scene.absolute())).hexdigest()[:12]
+    name = scene.name if len(os.fsencode(scene.name)) <= 200 else scene.name[:50]
+    return config_folder() / "bookmarks" / f"{name}.{digest}.bookmarks.json"
 
 
 def load_bookmarks(scene: Path) -> list[Bookmark]:
@@ -222,15 +220,12 @@ def load_bookmarks(scene: Path) -> list[Bookmark]:
     """
     found = []
     for path in (beside(scene), in_config(scene)):
-        try:
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:
+        if not os.path.lexists(path):  # or its name is too long for a file
             continue
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: cannot read the bookmarks ({error})") from None
+        data = read_json(path, what="bookmarks file")
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                found += [_bookmark(entry) for entry in json.loads(text)["bookmarks"]]
+                found += [_bookmark(entry) for entry in data["bookmarks"]]
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise InputError(f"{path}: not a bookmarks file ({error}); move it away to start anew") from None
     return found
@@ -243,12 +238,12 @@ def save_bookmarks(scene: Path, bookmarks: list[Bookmark]) -> Path:
         The file that now holds them all.
 
     Raises:
-        OSError: neither place can be written to.
+        InputError: neither place can be written to.
     """
     data = {"version": 1, "bookmarks": [_as_json(bookmark) for bookmark in bookmarks]}
     try:
         write_json(beside(scene), data)
-    except OSError:
+    except InputError:
         write_json(in_config(scene), data)
         return in_config(scene)
     # What an earlier run had to put elsewhere is now here: it must not come back twice.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from splatview.renderers.request import FrameRequest
 from splatview.scene import Camera, InputError
 from splatview.scene.depth_of_field import mean_picture
 from splatview.scene.formats import save_camera
+from splatview.scene.formats.io import atomic_write
 from splatview.viewer.depth_of_field import SAVED_SAMPLES, DepthOfField, is_pinhole
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
@@ -44,8 +44,6 @@ def save_picture(app: AppState, camera: Camera, path: Path) -> None:
         write_png(path, image)
     except InputError as error:
         app.complain(str(error))
-    except OSError as error:
-        app.complain(f"{path}: cannot be written ({error.strerror or error})")
     else:
         app.tell(f"Picture saved: {path}")
 
@@ -77,7 +75,7 @@ def picture_stem(app: AppState) -> str:
 def next_free(path: Path) -> Path:
     """`path`, or with -2, -3, ... before its suffix the first that does not exist."""
     number, candidate = 1, path
-    while candidate.exists():
+    while os.path.lexists(candidate):
         number += 1
         candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
     return candidate
@@ -87,17 +85,11 @@ def write_png(path: Path, image: np.ndarray) -> None:
     """Writes the colours of `image` (H, W, 4) float, clipped to [0, 1], as 8-bit RGB, whole or not at all.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written.
     """
     levels = (np.clip(np.nan_to_num(image[..., :3]), 0, 1) * 255 + 0.5).astype(np.uint8)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            Image.fromarray(levels).save(file, format="PNG")
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with atomic_write(path) as file:
+        Image.fromarray(levels).save(file, format="PNG")
 
 
 def save_current_camera(app: AppState, path: Path) -> None:
@@ -106,7 +98,5 @@ def save_current_camera(app: AppState, path: Path) -> None:
         save_camera(app.camera, path)
     except InputError as error:
         app.complain(str(error))
-    except OSError as error:
-        app.complain(f"{path}: cannot be written ({error.strerror or error})")
     else:
         app.tell(f"Camera saved: {path}")

@@ -22,7 +22,9 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
-from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading
+from splatview.scene.effects.overrides import followed
+from splatview.scene.errors import printable
+from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading, Reading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
 from splatview.viewer.picture import NullPicture, Picture
@@ -58,6 +60,9 @@ class Palette:
 class Feature:
     """One subject of the window with a state of its own, such as editing or depth of field. `viewer.app`
     registers them; all methods run on the GL thread, between two frames."""
+
+    reading: Reading[Any] | None = None
+    """A file on its way, to be told of with its progress; `cancel` ends it."""
 
     @property
     def edits(self) -> SceneEdits | None:
@@ -112,6 +117,8 @@ class AppState:
     view: View = field(default_factory=lambda: look_from(np.array([0.0, 1.0, 4.0]), np.zeros(3), Y_UP))
     transition: Transition | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
+    called_for: RenderSettings = field(default_factory=RenderSettings)
+    """Settings that the scene calls for as it is edited; the user may have set others."""
     mode: VisualMode = "splats"
 
     cameras: list[Camera] = field(default_factory=list)
@@ -194,12 +201,17 @@ class AppState:
 
     def tell(self, text: str) -> None:
         """One line into the messages panel and the status bar."""
-        self.messages.append(Message(text=text, error=False, at=time.time()))
+        self.messages.append(Message(text=printable(text), error=False, at=time.time()))
 
     def complain(self, text: str) -> None:
         """One line that the user must not miss: a dialog, and the messages panel."""
-        self.messages.append(Message(text=text, error=True, at=time.time()))
-        self.problem = text
+        self.problem = printable(text)
+        self.messages.append(Message(text=self.problem, error=True, at=time.time()))
+
+    def call_for(self, wanted: RenderSettings) -> None:
+        """Has the scene call for `wanted`: settings follow, where the user has not set them otherwise."""
+        self.settings = followed(self.settings, self.called_for, wanted)
+        self.called_for = wanted
 
     def go_to(self, view: View, *, smooth: bool = True) -> None:
         """Changes the view, as a short motion where the user likes that."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from splatview.edit.operations.appearance import ColourGrade, Opacity, Size
 from splatview.edit.operations.base import Operation
-from splatview.edit.operations.cleanup import Decimate, Prune, Repair
+from splatview.edit.operations.cleanup import Decimate, Prune, Repair, SelectDetected
 from splatview.edit.operations.crop import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
 from splatview.edit.operations.flags import Delete, Hide, Isolate, Lock, Show, Unlock
 from splatview.edit.operations.merge_split import Duplicate, Merge, Split
@@ -42,6 +42,7 @@ OPERATIONS: dict[str, type[Operation]] = {
         Size,
         Opacity,
         ColourGrade,
+        SelectDetected,
         Prune,
         Decimate,
         Repair,

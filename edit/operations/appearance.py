@@ -9,7 +9,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from splatview.edit.changes import Change, Rewrite, splats_in_words
-from splatview.edit.operations.base import Operation, Scope, adjusting, check_scope, splats_of
+from splatview.edit.operations.base import (
+    Operation,
+    Scope,
+    adjusting,
+    check_scope,
+    require_rewrite,
+    splats_of,
+)
 from splatview.edit.state import SplatSet, State
 from splatview.scene.edits import PALETTE_SHIFT, Adjustment, Four
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -144,6 +151,7 @@ class Size(Operation):
             adjustment = Adjustment(size=float(self.value))
             return adjusting(state, self.scope, adjustment, f"Size x {self.value:g}:")
         splats = splats_of(state, self.scope)
+        require_rewrite(state, "log_scales", len(splats))
         at = splats.indices
         before = state.gaussians.log_scales[at]
         factors = np.array([entry.scale * entry.size for entry in state.palette])

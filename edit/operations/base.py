@@ -80,6 +80,12 @@ def moved_crop(crop: Crop, adjustment: Adjustment) -> Crop:
     return replace(crop, centre=(cx, cy, cz), half_extents=(ex, ey, ez), rotation=(w, x, y, z))
 
 
+def require_rewrite(state: State, attribute: str, count: int) -> None:
+    """Raises InputError where there is no room for new values of `count` splats, computed in float64."""
+    values = getattr(state.gaussians, attribute)
+    state.require_room(values.nbytes + 6 * count * values[:1].nbytes)
+
+
 def deleting(state: State, to_delete: np.ndarray, title: str, notes: tuple[str, ...] = ()) -> Change:
     """The change that deletes the splats `to_delete` (N,) bool, none of which is deleted yet."""
     splats = SplatSet.of_mask(to_delete)

@@ -10,8 +10,8 @@ import numpy as np
 
 from splatview.edit import detectors as detecting
 from splatview.edit.changes import Change, Part, Rewrite, splats_in_words
-from splatview.edit.operations.base import Operation, deleting
-from splatview.edit.operations.select import kind_of, one_of
+from splatview.edit.operations.base import Operation, deleting, require_rewrite
+from splatview.edit.operations.select import MODES, VERBS, Mode, kind_of, one_of, selection
 from splatview.edit.selectors.base import finding_mask
 from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet, State
@@ -22,33 +22,50 @@ from splatview.scene.progress import NO_PROGRESS, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prune(Operation):
+class _ByDetector(Operation):
     """In JSON `by` is an object whose ``kind`` is a name in DETECTORS, its other keys the fields of that
     detector."""
-
-    op: ClassVar[str] = "prune"
-    summary: ClassVar[str] = "Delete floaters, needles, giants, faint or unseen splats above a threshold"
 
     by: Any
     """One of DETECTORS."""
     threshold: float
-    """Splats that score above it are deleted."""
+    """Splats that score above it are meant."""
     cameras: tuple[Camera, ...] = ()
     """Views, for detectors that render; none: views from around the scene."""
 
-    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+    def found(self, state: State, progress: Progress) -> np.ndarray:
+        """(N,) bool."""
         scores = state.scores(self.by, self.cameras, progress=progress)
-        to_delete = self.by.mask(scores, self.threshold) & state.editable
-        title = f"Prune {splats_in_words(int(np.count_nonzero(to_delete)))} by {kind_of(self.by)}"
-        return deleting(state, to_delete, title)
+        return self.by.mask(scores, self.threshold) & state.editable
 
     def to_json(self) -> dict[str, Any]:
-        by = {"kind": kind_of(self.by), **to_json(self.by)}
-        return {"op": self.op, "by": by, "threshold": self.threshold, "cameras": to_json(self.cameras)}
+        return {**super().to_json(), "by": {"kind": kind_of(self.by), **to_json(self.by)}}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Self:
         return super().from_json({**data, **one_of(detecting.DETECTORS, data, "by")})
+
+
+class Prune(_ByDetector):
+    op = "prune"
+    summary = "Delete floaters, needles, giants, faint or unseen splats above a threshold"
+
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        to_delete = self.found(state, progress)
+        title = f"Prune {splats_in_words(int(np.count_nonzero(to_delete)))} by {kind_of(self.by)}"
+        return deleting(state, to_delete, title)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectDetected(_ByDetector):
+    op: ClassVar[str] = "select_detected"
+    summary: ClassVar[str] = "Select floaters, needles, giants, faint or unseen splats above a threshold"
+
+    mode: Mode = "set"
+
+    def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
+        title = f"{VERBS[self.mode]} by {kind_of(self.by)}"
+        return selection(state, self.found(state, progress), MODES[self.mode], title)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +148,7 @@ class Repair(Operation):
         if REPAIRS[self.finding].endswith("deleted"):
             return deleting(state, invalid, title)
         at = np.flatnonzero(invalid)
+        require_rewrite(state, "sh" if "SH" in self.finding else "quats", len(at))
         attribute, values = self._repaired(state, at)
         before = getattr(state.gaussians, attribute)[at]
         parts: tuple[Part, ...] = ()

@@ -12,6 +12,7 @@ from splatview.edit.operations.base import Operation, deleting
 from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, LOCKED, SELECTED, Crop, shown
+from splatview.scene.errors import printable
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 MOST_CROPS = 64
@@ -106,6 +107,7 @@ class DeleteCropped(Operation):
 
 def _recropped(state: State, crops: tuple[Crop, ...], title: str) -> Change:
     """Replaces the crops and deselects what they cut away, so that nothing invisible is edited."""
+    title = printable(title)
     if crops == state.crops:
         return Change(title=title, count=0)
     parts: list[Part] = [Recrop(state.crops, crops)]

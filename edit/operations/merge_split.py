@@ -12,9 +12,10 @@ from splatview.edit.operations.base import Operation
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
+from splatview.scene.errors import printable
 from splatview.scene.progress import NO_PROGRESS, Progress
 
-ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")
+MARK_BYTES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +30,10 @@ class Merge(Operation):
         _check_path(self.path)
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
-        other = state.load(state.path(self.path))
+        # The scene of both is made while the file's splats are held: two copies of those.
+        other = state.load(state.path(self.path), room=state.room / 2)
         marks = np.full(len(other), SELECTED, np.uint32)
-        title = f"Merge {splats_in_words(len(other))} of {state.path(self.path).name}"
+        title = f"Merge {splats_in_words(len(other))} of {printable(state.path(self.path).name)}"
         return _appended(state, other, marks, title)
 
 
@@ -41,9 +43,12 @@ class Duplicate(Operation):
     summary: ClassVar[str] = "Make a copy of the selected splats, in the same place; the copy is selected"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
-        at = state.selected.indices
-        title = f"Duplicate {splats_in_words(len(at))}"
-        return _appended(state, state.gaussians.take(at), state.marks[at], title)
+        selected = state.selected
+        title = f"Duplicate {splats_in_words(len(selected))}"
+        scene = state.gaussians
+        state.require_room((len(scene) + 2 * len(selected)) * (scene.row_bytes + MARK_BYTES))
+        at = selected.indices
+        return _appended(state, scene.take(at), state.marks[at], title)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,13 +66,14 @@ class Split(Operation):
         splats = state.selected
         if not len(splats):
             return Change(title="Split nothing", count=0)
+        state.require_room(2 * len(splats) * state.gaussians.row_bytes)
         # All others count as deleted; crops do not count: the whole selection is split off.
         marks = np.where(splats.mask, state.marks, state.marks | np.uint32(DELETED))
         edits = replace(state.edits, marks=marks, crops=(), flags=SELECTED | DELETED)
         target = state.path(self.path)
         scene = bake(state.gaussians, edits, hidden=True)
         return Change(
-            title=f"Split {splats_in_words(len(splats))} to {target.name}",
+            title=f"Split {splats_in_words(len(splats))} to {printable(target.name)}",
             count=len(splats),
             parts=(SaveOnce(state.save, target, scene), Toggle(splats, SELECTED | DELETED)),
         )
@@ -85,22 +91,12 @@ def _appended(state: State, added: Gaussians, marks: np.ndarray, title: str) -> 
     before = state.gaussians
     if len(before) + len(added) > MAX_SPLATS:
         raise InputError(f"more than {MAX_SPLATS:,} splats cannot be edited")
-    after = concatenate([before, added])
+    row = concatenate([before.take(slice(0)), added.take(slice(0))]).row_bytes + MARK_BYTES
+    state.require_room((len(before) + len(added)) * row + added.nbytes)
     selected = state.selected
     parts: list[Part] = [Toggle(selected, SELECTED)] if len(selected) else []
-    parts.append(Append(_sharing(before, after), after, (marks & _ENTRY) | np.uint32(SELECTED)))
+    parts.append(Append(before, added, (marks & _ENTRY) | np.uint32(SELECTED)))
     return Change(title=title, count=len(added), parts=tuple(parts))
 
 
 _ENTRY = np.uint32(0xFFFFFFFF << PALETTE_SHIFT & 0xFFFFFFFF)
-
-
-def _sharing(before: Gaussians, after: Gaussians) -> Gaussians:
-    """`before` with its arrays as views of those of `after` where their types are the same, so that one scene
-    is in memory, not two."""
-    shared = {}
-    for name in ARRAYS:
-        own, longer = getattr(before, name), getattr(after, name)
-        if own.dtype == longer.dtype and own.shape[1:] == longer.shape[1:]:
-            shared[name] = longer[: len(own)]
-    return replace(before, **shared)

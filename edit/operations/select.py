@@ -10,7 +10,7 @@ import numpy as np
 
 from splatview.edit import detectors as detecting
 from splatview.edit import selectors as selecting
-from splatview.edit.changes import Change, splats_in_words, toggling
+from splatview.edit.changes import Change, toggling
 from splatview.edit.kernels import marks as kernels
 from splatview.edit.operations.base import Operation
 from splatview.edit.selectors.base import above_zero
@@ -116,13 +116,14 @@ class SelectInverse(Operation):
 
 
 def selection(state: State, hits: np.ndarray, mode: int, title: str) -> Change:
-    """The change to the selection by `hits` (N,) bool."""
+    """The change to the selection by `hits` (N,) bool; its title ends with what is selected afterwards."""
     hits = np.ascontiguousarray(hits, bool)
     visible = state.cropped_in()
     if not len(visible):
         visible = hits
-    changed = SplatSet.of_mask(kernels.selection_change(state.marks, hits, visible, mode))
-    return toggling(changed, SELECTED, f"{title}: {splats_in_words(len(changed))}")
+    changed = kernels.selection_change(state.marks, hits, visible, mode)
+    selected = np.count_nonzero(((state.marks & SELECTED) != 0) != changed)
+    return toggling(SplatSet.of_mask(changed), SELECTED, f"{title}: {selected:,} selected")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -99,9 +99,7 @@ CASES = (
         lambda: coloured(constant(1e6)),
         visible=(0,),
     ),
-    case(
-        "SH of 1e30", "Near the end of float32.", lambda: coloured(constant(1e30)), visible=(0,), trains=False
-    ),
+    case("SH of 1e30", "Near the end of float32.", lambda: coloured(constant(1e30)), visible=(0,)),
     case("SH of -1e30", "As black as -1.", lambda: coloured(constant(-1e30)), visible=(0,)),
     case(
         "SH sum beyond float32",

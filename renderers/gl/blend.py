@@ -17,9 +17,10 @@ import numpy as np
 
 from splatview.renderers.gl.context import reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import Variants, load_compute
-from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector
+from splatview.renderers.gl.programs import Variants, load_compute, run_groups
+from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector, Records
 from splatview.renderers.gl.scene_buffers import SceneBuffers
+from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
 from splatview.renderers.modes import MODES, VisualMode, mode_flags
@@ -34,11 +35,10 @@ HIDE_GROUP = 64
 class OcclusionPass:
     """Which blocks of the picture are opaque so far, and which splats that hides."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants) -> None:
         self._ctx = ctx
-        flags = {"BLOCK": BLOCK, "SLABS": SLABS}
-        self._close = load_compute(ctx, "quads/opaque_blocks.comp.glsl", flags)
-        self._hide = load_compute(ctx, "quads/cull_occluded.comp.glsl", flags)
+        self._variants = variants
+        self._close = load_compute(ctx, "quads/opaque_blocks.comp.glsl", {"BLOCK": BLOCK})
         self._closed: moderngl.Buffer | None = None
         self._size = (0, 0)
 
@@ -64,7 +64,7 @@ class OcclusionPass:
         self._closed.bind_to_storage_buffer(0)
         grid = {"u_columns": self._columns, "u_blocks": self._blocks, "u_accumulation": 0}
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})
-        self._close.run(-(-self._blocks // 8))
+        run_groups(self._close, -(-self._blocks // 8))
         self._ctx.memory_barrier()
         buffers = (
             *(projector.order, projector.slab_starts, projector.shapes, projector.bounds),
@@ -73,13 +73,20 @@ class OcclusionPass:
         for slot, buffer in enumerate(buffers):
             buffer.bind_to_storage_buffer(slot)
         size = {"u_size": (float(self._size[0]), float(self._size[1]))}
-        set_uniforms(self._hide, {**grid, **size, "u_slab": slab})
-        self._hide.run(projector.most_in_slab(slab) // HIDE_GROUP + 1)
+        flags = {
+            "BLOCK": BLOCK,
+            "SLABS": SLABS,
+            "TEXTURED": projector.textured,
+            "TEXTURE_WIDTH": TEXTURE_WIDTH,
+        }
+        program = self._variants.compute("quads/cull_occluded.comp.glsl", flags)
+        set_uniforms(program, {**grid, **size, "u_slab": slab})
+        run_groups(program, -(-projector.most_in_slab // HIDE_GROUP))
         self._ctx.memory_barrier()
         return projector.drawn
 
     def release(self) -> None:
-        for thing in (self._close, self._hide, self._closed):
+        for thing in (self._close, self._closed):
             if thing is not None:
                 thing.release()
 
@@ -124,7 +131,7 @@ class BlendPass:
         self._ctx = ctx
         self._variants = variants
         self._indices = ctx.buffer(quad_indices(QUADS_PER_INSTANCE))
-        self._closing = OcclusionPass(ctx)
+        self._closing = OcclusionPass(ctx, variants)
 
     def draw(
         self,
@@ -144,11 +151,12 @@ class BlendPass:
         `stochastic`: splats need no order, and each pixel shows one of them, chosen by chance.
         `weights`: nor do they where each counts by its depth; the uniforms of that.
         """
-        stored = (
+        stored: dict[str, float | bool] = (
             {**scene.flags(), **ray_flags(uniforms), "DISCS": False}
             if MODES[mode].surfaces
             else {"STOCHASTIC": stochastic, "WEIGHTED": weights is not None, **disc_flags(uniforms)}
         )
+        stored["TEXTURED"] = projector.textured
         program, array = mode_program(self._variants, self._indices, "quads", mode, edits, stored)
         set_uniforms(program, uniforms)
         if MODES[mode].surfaces:
@@ -211,6 +219,6 @@ class BlendPass:
         self._indices.release()
 
 
-def _bind(*buffers: moderngl.Buffer) -> None:
+def _bind(*buffers: Records) -> None:
     for slot, buffer in enumerate(buffers):
         buffer.bind_to_storage_buffer(slot)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,6 +133,15 @@ def _best_device(versions: Sequence[int]) -> tuple[moderngl.Context | None, list
     if software is not None:
         software.__enter__()  # the latest context made is the current one
     return software, problems
+
+
+def discard(ctx: moderngl.Context) -> None:
+    """Releases a context of `create_headless_context`, the current one, and leaves none current: GLX refuses
+    windows theirs in a thread that has one of EGL's."""
+    ctx.release()
+    if sys.platform.startswith("linux"):
+        with suppress(OSError):
+            ctypes.CDLL("libEGL.so.1").eglReleaseThread()
 
 
 def missing_nvidia_gl() -> str | None:

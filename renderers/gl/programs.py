@@ -153,6 +153,21 @@ def load_compute(
         raise _explain(error, origins) from error
 
 
+def most_groups(ctx: moderngl.Context) -> int:
+    """Work groups of a dispatch in its first dimension, 65,535 at least."""
+    return int(ctx.info["GL_MAX_COMPUTE_WORK_GROUP_COUNT"][0])
+
+
+def run_groups(program: moderngl.ComputeShader, groups: int) -> None:
+    """Runs `groups` work groups, which know their numbers by ``common/groups.glsl``, and perhaps a few more.
+
+    What a driver refuses is not drawn, without a word: too many groups, and none in a dimension.
+    """
+    rows = -(-groups // most_groups(program.ctx))
+    if rows:
+        program.run(-(-groups // rows), rows)
+
+
 # Programs by their flags: the specialised one, or until that is at hand the general one.
 #
 # A specialised program has the instructions of what its flags ask for and no others. A general one has all,

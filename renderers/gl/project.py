@@ -10,11 +10,11 @@ import numpy as np
 
 from splatview.renderers.gl.context import reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import Variants, load_compute
+from splatview.renderers.gl.programs import Variants, load_compute, run_groups
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, storage_limit
+from splatview.renderers.gl.scene_textures import TexelArray
 from splatview.renderers.gl.sort import KEY_BITS, RadixSort
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, ray_flags, set_uniforms
-from splatview.scene import InputError
 from splatview.scene.order_reuse import ResortPolicy
 
 # An order by depth that serves more frames than the one it was made for, on the GPU.
@@ -69,7 +69,7 @@ class KeptOrder:
         for page in scene.pages:
             page.positions.bind_to_storage_buffer(0)
             set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count, **shortened})
-            program.run(-(-page.count // GROUP_SIZE))
+            run_groups(program, -(-page.count // GROUP_SIZE))
         self._ctx.memory_barrier()
         sort_keys, splats, count = self._buffers
         self.order = self._sorter.sort(sort_keys, splats, count, key_bits=keys.bits)[1]
@@ -86,8 +86,7 @@ class KeptOrder:
         for slot, buffer in enumerate((depth_keys, self.order, group_counts)):
             buffer.bind_to_storage_buffer(slot)
         set_uniforms(self._count_kept, {"u_splats": self._splats})
-        if self._splats:
-            self._count_kept.run(-(-self._splats // GROUP_SIZE))
+        run_groups(self._count_kept, -(-self._splats // GROUP_SIZE))
         self._ctx.memory_barrier()
 
     def _release_buffers(self) -> None:
@@ -119,10 +118,6 @@ class VisibleCount:
         self._read = 0
         self._latest = 0
 
-    def forget(self) -> None:
-        """What was counted so far is of another scene."""
-        self._written = self._read = self._latest = 0
-
     def frame_done(self) -> None:
         """Keeps this frame's count for a later `read`; call after the scan."""
         self._ctx.copy_buffer(self._ring[self._written % FRAMES_IN_FLIGHT], self.buffer)
@@ -153,16 +148,35 @@ QUADS_PER_INSTANCE = 512
 
 SCAN_SIZE = 256
 
-SLAB_ENDS = tuple((slab + 1) / 16 for slab in range(16))
-"""The sorted splats are drawn in parts, nearest first, and between two of them opaque blocks of the picture
-are closed: each part ends at this share of the visible splats. On llvmpipe, 500,000 splats, time of the draw
+SLABS = 16
+"""The sorted splats are drawn in so many equal parts, nearest first, and between two of them opaque blocks of
+the picture are closed. On llvmpipe, 500,000 splats, time of the draw
 relative to no early stop: 16 parts 0.77, 8 parts 0.83, 32 parts 0.80, 64 parts 0.83; closing single pixels
 by a depth test instead of blocks 0.93, because llvmpipe blends masked pixels all the same."""
 
-SLABS = len(SLAB_ENDS)
-
 RECORD_BYTES = 16
 """A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
+
+FIRST_RECORD_UNIT = 3
+"""Texture units from here on are those of records, in textures: shapes, bounds, colours, discs, slopes."""
+
+
+class RecordTexture(TexelArray):
+    """Records in a texture, for drivers whose storage buffers are too small: see ``common/records.glsl``."""
+
+    def __init__(self, ctx: moderngl.Context, unit: int, splats: int, what: str) -> None:
+        """Raises InputError where there is no room for it."""
+        super().__init__(ctx, 4, "f4", what)
+        self._unit = unit
+        self.reserve(splats)
+
+    def bind_to_storage_buffer(self, slot: int) -> None:
+        """Binds it to its unit: a buffer would be bound to `slot`."""
+        self.texture.use(self._unit)
+        self.texture.bind_to_image(self._unit, read=False, write=True)
+
+
+Records = moderngl.Buffer | RecordTexture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +206,6 @@ class Projector:
             "quads/scan.comp.glsl",
             {"SCAN_SIZE": SCAN_SIZE, "QUADS_PER_INSTANCE": QUADS_PER_INSTANCE, "SLABS": SLABS},
         )
-        set_uniforms(self._scan, {"u_slab_ends": SLAB_ENDS})
         flags = {"GROUP_SIZE": GROUP_SIZE, "KEPT": False}
         self._compact = load_compute(ctx, "quads/compact.comp.glsl", flags)
         self._compact_kept: moderngl.ComputeShader | None = None
@@ -200,11 +213,13 @@ class Projector:
         self.commands = ctx.buffer(reserve=20 * SLABS)
         """DrawElementsIndirectCommand a slab."""
         self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
-        self.slopes: moderngl.Buffer | None = None
+        self.textured = False
+        """Whether records are in textures."""
+        self.slopes: Records | None = None
         """A record a splat, once pictures in per-pixel order have been drawn."""
-        self.discs: moderngl.Buffer | None = None
+        self.discs: Records | None = None
         """Two records a splat beside the others, once flat splats have been drawn."""
-        self._sized: list[moderngl.Buffer] = []
+        self._sized: list[Records] = []
         self._sorter: RadixSort | None = None
 
     def resize(self, splats: int) -> None:
@@ -214,21 +229,52 @@ class Projector:
             InputError: there is not enough graphics memory; nothing has changed then.
         """
         room, groups = max(1, splats), -(-splats // GROUP_SIZE)
-        sizes = (*[room * RECORD_BYTES] * 3, *[room * 4] * 4, *[max(1, groups) * 4] * 2)
-        made = reserve(self._ctx, sizes, f"{splats:,} splats")
+        sizes = (*[room * 4] * 4, *[max(1, groups) * 4] * 2)
+        textured = room * RECORD_BYTES > storage_limit(self._ctx)
+        made: list[moderngl.Buffer] = []
+        records: list[Records] = []
         try:
+            made = reserve(self._ctx, sizes, f"{splats:,} splats")
+            records = self._make_records(room, 3, "splats", textured=textured)
             sorter = RadixSort(self._ctx, room)
         except BaseException:
-            for buffer in made:
-                buffer.release()
+            for thing in (*made, *records):
+                thing.release()
             raise
         self._release_sized()
-        self._sized, self._sorter = made, sorter
-        self.splats, self._groups = splats, groups
-        self.shapes, self.bounds, self.colours = made[:3]
-        self.depth_keys, self.keys, self.order, self.drawn = made[3:7]
-        self._counts, self._starts = made[7:]
+        self._sized, self._sorter = [*made, *records], sorter
+        self.splats, self._groups, self.textured = splats, groups, textured
+        self.shapes, self.bounds, self.colours = records
+        self.depth_keys, self.keys, self.order, self.drawn = made[:4]
+        self._counts, self._starts = made[4:]
         self._counts.write(np.zeros(max(1, groups), dtype=np.uint32))
+
+    def _make_records(
+        self, count: int, arrays: int, what: str, *, textured: bool, unit: int = FIRST_RECORD_UNIT
+    ) -> list[Records]:
+        """Arrays of `count` records of `what`, in textures from `unit` on or in buffers; all or none."""
+        made: list[Records] = []
+        if not textured:
+            made += reserve(self._ctx, [count * RECORD_BYTES] * arrays, f"{count:,} {what}")
+            return made
+        try:
+            for own in range(unit, unit + arrays):
+                made.append(RecordTexture(self._ctx, own, count, what))
+        except BaseException:
+            for thing in made:
+                thing.release()
+            raise
+        return made
+
+    def _move_to_textures(self) -> None:
+        """What was projected is lost."""
+        made = self._make_records(max(1, self.splats), 3, "splats", textured=True)
+        for thing in (self.shapes, self.bounds, self.colours):
+            self._sized.remove(thing)
+            thing.release()
+        self._sized += made
+        self.shapes, self.bounds, self.colours = made
+        self.textured = True
 
     def project(
         self,
@@ -255,6 +301,7 @@ class Projector:
         if flags["DISCS"]:
             flags["ANTIALIASED"] = False  # of no effect on discs
             self._disc_buffer().bind_to_storage_buffer(9)
+        flags["TEXTURED"] = self.textured
         if slopes:
             flags["SLOPES"] = True
             self.slope_buffer().bind_to_storage_buffer(10)
@@ -269,7 +316,7 @@ class Projector:
             for slot, buffer in enumerate((page.positions, page.quats, page.scales_opacity, page.sh)):
                 buffer.bind_to_storage_buffer(slot)
             set_uniforms(program, {"u_page_first": page.first, "u_page_count": page.count})
-            program.run(-(-page.count // GROUP_SIZE))
+            run_groups(program, -(-page.count // GROUP_SIZE))
         self._ctx.memory_barrier()
         if kept is not None:
             kept.count(self.depth_keys, self._counts)
@@ -288,33 +335,31 @@ class Projector:
             kept.order.bind_to_storage_buffer(4)
             compact = self._compacting_kept()
         set_uniforms(compact, {"u_splats": scene.splats, **shortened})
-        if self._groups:
-            compact.run(self._groups)
+        run_groups(compact, self._groups)
         self._ctx.memory_barrier()
         self.visible.frame_done()
 
-    def slope_buffer(self) -> moderngl.Buffer:
+    def slope_buffer(self) -> Records:
         """Slopes of depth, (x, y), and depth, a splat. Raises InputError where there is no room for it."""
         if self.slopes is None:
-            what = f"{self.splats:,} depths along rays"
-            (self.slopes,) = reserve(self._ctx, [max(1, self.splats) * RECORD_BYTES], what)
+            count, unit = max(1, self.splats), FIRST_RECORD_UNIT + 4
+            (self.slopes,) = self._make_records(
+                count, 1, "depths along rays", textured=self.textured, unit=unit
+            )
             self._sized.append(self.slopes)
         return self.slopes
 
-    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[moderngl.Buffer, ...]:
+    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[Records, ...]:
         """What drawing needs besides, where the splats of `view_uniforms` are flat."""
         return (self._disc_buffer(),) if disc_flags(uniforms)["DISCS"] else ()
 
-    def _disc_buffer(self) -> moderngl.Buffer:
+    def _disc_buffer(self) -> Records:
         """Raises InputError where there is no room for it."""
         if self.discs is None:
-            size, what = max(1, self.splats) * 2 * RECORD_BYTES, f"{self.splats:,} discs"
-            if size > storage_limit(self._ctx):
-                raise InputError(
-                    f"{what} need a storage buffer of {size >> 20} MiB, more than this driver allows; "
-                    "use --renderer cpu or --footprint ellipsoid"
-                )
-            (self.discs,) = reserve(self._ctx, [size], what)
+            count, unit = 2 * max(1, self.splats), FIRST_RECORD_UNIT + 3
+            if count * RECORD_BYTES > storage_limit(self._ctx) and not self.textured:
+                self._move_to_textures()
+            (self.discs,) = self._make_records(count, 1, "halves of discs", textured=self.textured, unit=unit)
             self._sized.append(self.discs)
         return self.discs
 
@@ -331,10 +376,10 @@ class Projector:
         self._sorter.sort(self.keys, self.order, self.visible.buffer, key_bits=key_bits)
         self._ctx.memory_barrier()
 
-    def most_in_slab(self, slab: int) -> int:
+    @property
+    def most_in_slab(self) -> int:
         """An upper bound that needs no read-back: as if every splat were visible."""
-        start = SLAB_ENDS[slab - 1] if slab else 0.0
-        return int(self.splats * (SLAB_ENDS[slab] - start)) + 2
+        return -(-self.splats // SLABS)
 
     def _release_sized(self) -> None:
         if self._sorter is not None:

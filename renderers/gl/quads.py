@@ -10,10 +10,11 @@ import numpy as np
 
 from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.programs import Variants
-from splatview.renderers.gl.project import RECORD_BYTES, DepthKeys, KeptOrder, Projector, short_keys
+from splatview.renderers.gl.project import DepthKeys, KeptOrder, Projector, short_keys
 from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
 from splatview.renderers.gl.resolve import depth_range
-from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit, upload_steps
+from splatview.renderers.gl.scene_buffers import SceneBuffers, upload_steps
+from splatview.renderers.gl.sort import check_count
 from splatview.renderers.gl.uniforms import Uniform, view_uniforms
 from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
@@ -78,12 +79,7 @@ class QuadsRenderer(GLRenderer):
         self, gaussians: Gaussians, attributes: Attributes = "float32"
     ) -> Generator[float, None, None]:
         n = len(gaussians)
-        limit = storage_limit(self._ctx)
-        if n * RECORD_BYTES > limit:
-            raise InputError(
-                f"{n:,} splats need a storage buffer of {n * RECORD_BYTES >> 20} MiB, this driver allows "
-                f"{limit >> 20} MiB; use --renderer cpu or fewer splats"
-            )
+        check_count(self._ctx, n)
         try:
             for step in upload_steps(self._ctx, gaussians, attributes=attributes, every_band=self.every_band):
                 if isinstance(step, SceneBuffers):

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import moderngl
 
 from splatview.renderers.gl.context import describe, reserve
-from splatview.renderers.gl.programs import load_compute
+from splatview.renderers.gl.programs import load_compute, most_groups
+from splatview.renderers.gl.scene_buffers import storage_limit
 from splatview.scene import InputError
 
 KEY_BITS = 32
@@ -54,6 +55,16 @@ HARDWARE = SortTuning(digit_bits=4, workgroup=256, keys_per_invocation=16)
 """GPUs: enough invocations to hide memory latency, and counters for all of them (16 KiB) in local memory."""
 
 
+def check_count(ctx: moderngl.Context, splats: int) -> None:
+    """Raises InputError where there are more splats than a storage buffer of this driver has keys."""
+    most = storage_limit(ctx) // 4
+    if not splats <= most:
+        raise InputError(
+            f"{splats:,} splats are more than this OpenGL driver can sort ({most:,});"
+            " use --renderer cpu or fewer splats"
+        )
+
+
 class RadixSort:
     """Sorts up to `capacity` keys; owns scratch memory of the same size.
 
@@ -65,12 +76,7 @@ class RadixSort:
     def __init__(self, ctx: moderngl.Context, capacity: int, *, tuning: SortTuning | None = None) -> None:
         if not capacity >= 0:
             raise ValueError(f"sort capacity must not be negative, got {capacity}")
-        limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
-        if not 4 * capacity <= limit:
-            raise InputError(
-                f"{capacity:,} splats are more than this OpenGL driver can sort ({limit // 4:,});"
-                " use --renderer cpu"
-            )
+        check_count(ctx, capacity)
         self.capacity = capacity
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
         self._ctx = ctx
@@ -78,6 +84,7 @@ class RadixSort:
             "DIGIT_BITS": self.tuning.digit_bits,
             "WORKGROUP": self.tuning.workgroup,
             "KEYS_PER_INVOCATION": self.tuning.keys_per_invocation,
+            "MOST_GROUPS": most_groups(ctx),
         }
         self._make_plan, self._count, self._scan, self._scatter = (
             load_compute(ctx, f"sort/{name}.comp.glsl", flags)

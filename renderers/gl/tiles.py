@@ -6,18 +6,21 @@ whatever the target's precision is to be, as a tile keeps them in registers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import moderngl
+import numpy as np
 
 from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.context import describe, has_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
-from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute
-from splatview.renderers.gl.project import Projector, VisibleCount
+from splatview.renderers.gl.programs import COMPUTE_VERSION, Variants, load_compute, run_groups
+from splatview.renderers.gl.project import Projector, Records
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
+from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.renderers.gl.sort import RadixSort
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, disc_flags, set_uniforms
@@ -28,10 +31,10 @@ from splatview.scene import Gaussians, InputError
 # Which splats each tile of the picture has: pairs of tile and splat, by tile and then front to back.
 #
 # The visible splats come sorted by depth; their pairs, written in that order, need only a stable sort by
-# tile, which takes a few bits. How many pairs there are is known to the GPU alone, and storage is limited, so
-# pairs are made in rounds of as many as there is room for. Room and rounds follow the count of a frame a few
-# back. Where that was too few, splats are left over, the farthest ones: `rest_first` on. Whoever blends must
-# try those in every tile; that is slow and right, and the next frames have room.
+# tile, which takes a few bits. Storage is limited, so pairs are made in rounds of as many as there is room
+# for. Their count is waited for in each frame: that of an older one is wrong after a jump of the camera, and
+# what found no room then kept a weak GPU busy for seconds. Where even the most rounds have no room for all,
+# splats are left over, the farthest ones: `rest_first` on. Whoever blends must try those in every tile.
 
 
 BLOCK = 256
@@ -44,11 +47,7 @@ LEAST_PAIRS = 1 << 16
 HEADROOM = 1.5
 """Room made beyond what was counted: pairs change little from one frame to the next."""
 
-SPARE = 1.1
-"""Counted pairs that need more than the room over this make it grow."""
-
-REST_GROUPS_OFFSET = 0
-ROUND_PAIRS_OFFSET = 20
+ROUND_PAIRS_OFFSET = 8
 """Layout of `plan` in shaders/tiles/plan.glsl, in bytes."""
 
 
@@ -68,8 +67,9 @@ class PairTuning:
 class TilePairs:
     """Makes the pairs of one frame, round by round."""
 
-    def __init__(self, ctx: moderngl.Context, *, tile: int, tuning: PairTuning) -> None:
+    def __init__(self, ctx: moderngl.Context, variants: Variants, *, tile: int, tuning: PairTuning) -> None:
         self._ctx = ctx
+        self._variants = variants
         self._tile = tile
         self._tuning = tuning
         flags = {
@@ -79,25 +79,22 @@ class TilePairs:
             "BLOCK": BLOCK,
             "ROUNDS": tuning.most_rounds,
         }
-        self._count, self._make_plan, self._emit = (
-            load_compute(ctx, f"tiles/{name}.comp.glsl", flags) for name in ("count", "plan", "emit")
-        )
+        self._flags = {**flags, "TEXTURE_WIDTH": TEXTURE_WIDTH}
+        self._make_plan = load_compute(ctx, "tiles/plan.comp.glsl", flags)
         self._scan = load_compute(ctx, "tiles/scan.comp.glsl", {"WORKGROUP": SCAN_SIZE})
         self._most = min(tuning.most_pairs, storage_limit(ctx) // 4)
         self.plan = ctx.buffer(reserve=ROUND_PAIRS_OFFSET + 4 * tuning.most_rounds)
-        self.found = VisibleCount(ctx)
-        """Pairs in all, or 2³² - 1 if they are more."""
+        self._found = ctx.buffer(reserve=4)
+        self.found = 0
+        """Pairs of the latest frame, or 2³² - 1 if they are more."""
         self._slots: tuple[moderngl.Buffer, moderngl.Buffer] | None = None
         self._pairs: tuple[moderngl.Buffer, moderngl.Buffer] | None = None
         self._sorter: RadixSort | None = None
         self.capacity = 0
         """Pairs a round."""
-        self._fresh = True
 
     def start_anew(self) -> None:
-        """Forgets what was counted: another scene is loaded."""
-        self._fresh = True
-        self.found.forget()
+        """Another scene is loaded."""
         for buffer in self._slots or ():
             buffer.release()
         self._slots = None
@@ -117,10 +114,7 @@ class TilePairs:
         return -(-size[0] // self._tile), -(-size[1] // self._tile)
 
     def count(self, projector: Projector, uniforms: Mapping[str, Uniform], size: tuple[int, int]) -> int:
-        """Counts the pairs of the sorted splats in a picture of `size` px; returns the rounds they take.
-
-        Waits for the GPU in the first frame of a scene only, when no older count tells.
-        """
+        """Counts the pairs of the sorted splats in a picture of `size` px; returns the rounds they take."""
         self.tiles = self._tiles_of(size)
         blocks = -(-projector.splats // BLOCK)
         if not self._slots:
@@ -129,29 +123,37 @@ class TilePairs:
         self._uniforms = {**uniforms, "u_tiles": self.tiles}
         if blocks:
             bind(projector.order, projector.visible.buffer, *records(projector), ends, starts)
-            set_uniforms(self._count, self._uniforms)
-            self._count.run(blocks)
+            count = self._program("count", projector)
+            set_uniforms(count, self._uniforms)
+            run_groups(count, blocks)
             self._ctx.memory_barrier()
-        bind(starts, self.found.buffer)
+        bind(starts, self._found)
         set_uniforms(self._scan, {"u_blocks": blocks})
         self._scan.run(1)
         self._ctx.memory_barrier()
-        self.found.frame_done()
-        rounds = self._make_room(self.found.read_now() if self._fresh else self.found.read())
-        self._fresh = False
+        self.found = int(np.frombuffer(self._found.read(), np.uint32)[0])
+        rounds = self._make_room()
         self._room = rounds * self.capacity
         bind(projector.visible.buffer, ends, starts)
         self.plan.bind_to_storage_buffer(6)
-        plan: dict[str, Uniform] = {"u_capacity": self.capacity, "u_rounds": rounds, "u_tiles": self.tiles}
-        set_uniforms(self._make_plan, plan)
+        set_uniforms(self._make_plan, {"u_capacity": self.capacity, "u_rounds": rounds})
         self._make_plan.run(1)
         self._ctx.memory_barrier()
         return rounds
 
-    def _make_room(self, found: int) -> int:
-        """Room for `found` pairs and some more, as far as the driver and the tuning allow."""
-        wanted = int(found * SPARE)
-        if not self.capacity or (wanted > self.capacity and self.capacity < self._most):
+    def _program(self, name: str, projector: Projector) -> moderngl.ComputeShader:
+        flags = {**self._flags, "TEXTURED": projector.textured}
+        return self._variants.compute(f"tiles/{name}.comp.glsl", flags)
+
+    @property
+    def leaves_over(self) -> bool:
+        """Whether some splats of the frame have found no room."""
+        return self.found > self._room
+
+    def _make_room(self) -> int:
+        """Room for the pairs found and some more, as far as driver and tuning allow; returns the rounds."""
+        found = self.found
+        if not self.capacity or (found > self.capacity and self.capacity < self._most):
             self._release_pairs()
             # Should there be no room, the next picture tries again.
             self.capacity = 0
@@ -159,7 +161,7 @@ class TilePairs:
             self._pairs = self._room_for(capacity, capacity)
             self._sorter = RadixSort(self._ctx, capacity)
             self.capacity = capacity
-        return min(max(-(-wanted // self.capacity), 1), self._tuning.most_rounds)
+        return min(max(-(-found // self.capacity), 1), self._tuning.most_rounds)
 
     def _room_for(self, first: int, second: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
         """For so many numbers each."""
@@ -177,9 +179,9 @@ class TilePairs:
             "u_capacity": self.capacity,
             "u_room": self._room,
         }
-        set_uniforms(self._emit, {**self._uniforms, **place})
-        if blocks:
-            self._emit.run(blocks)
+        emit = self._program("emit", projector)
+        set_uniforms(emit, {**self._uniforms, **place})
+        run_groups(emit, blocks)
         nowhere = self.tiles[0] * self.tiles[1]
         return self._sorter.sort(
             *self._pairs, self.plan, ROUND_PAIRS_OFFSET + 4 * index, key_bits=nowhere.bit_length()
@@ -196,17 +198,16 @@ class TilePairs:
     def release(self) -> None:
         self.start_anew()
         self._release_pairs()
-        self.found.release()
-        for thing in (self.plan, self._count, self._scan, self._make_plan, self._emit):
+        for thing in (self.plan, self._found, self._scan, self._make_plan):
             thing.release()
 
 
-def records(projector: Projector) -> tuple[moderngl.Buffer, ...]:
+def records(projector: Projector) -> tuple[Records, ...]:
     """What shaders/tiles/outline.glsl reads, for bindings from 2 on."""
     return projector.shapes, projector.bounds, projector.colours
 
 
-def bind(*buffers: moderngl.Buffer) -> None:
+def bind(*buffers: Records) -> None:
     for slot, buffer in enumerate(buffers):
         buffer.bind_to_storage_buffer(slot)
 
@@ -226,8 +227,10 @@ class TileTuning:
     """Invocations a tile, a multiple or a divisor of `tile`; each has as many pixels."""
     batch: int
     """Splats that a work group keeps in local memory; a multiple of 32."""
-    most_walked: int | None = None
-    """Splats of one tile in a dispatch; None: all."""
+    most_walked: int = 1 << 18
+    """Splats of one tile in a dispatch."""
+    most_tried: int = 1 << 24
+    """Tiles times splats that were left over in a dispatch: no more than a round has pairs."""
     pairs: PairTuning = field(default_factory=lambda: PairTuning(workgroup=256))
 
 
@@ -249,7 +252,9 @@ class TilesBlendPass(BlendPass):
     def __init__(self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None) -> None:
         super().__init__(ctx, variants)
         self.tuning = tuning or (SOFTWARE if describe(ctx).is_software else HARDWARE)
-        self.pairs = TilePairs(ctx, tile=self.tuning.tile, tuning=self.tuning.pairs)
+        self.pairs = TilePairs(ctx, variants, tile=self.tuning.tile, tuning=self.tuning.pairs)
+        self._next_parts = ctx.buffer(reserve=12)
+        """Indirect dispatches, see ``tiles/batches.glsl``."""
 
     def start_anew(self) -> None:
         """Another scene is loaded."""
@@ -280,48 +285,57 @@ class TilesBlendPass(BlendPass):
             given = (mode, target, scene, projector, uniforms, edits)
             super().draw(*given, early_stop=early_stop, stochastic=stochastic, weights=weights)
             return
-        target.framebuffer.use()
-        target.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
         rounds = self.pairs.count(projector, uniforms, target.size)
         values = {**uniforms, "u_tiles": self.pairs.tiles, "u_early_stop": early_stop}
+        layers = self.tuning.tile**2 // self.tuning.workgroup if by_pixel else 1
+        groups = (*self.pairs.tiles, layers)
+
+        def blend(
+            rest: bool, *splats: moderngl.Buffer, most_walked: int, longest: int, **more: Uniform
+        ) -> None:
+            program = self._ready(rest, projector, target, edits, {**values, **more}, by_pixel)
+            bind(*splats, *records(projector))
+            if by_pixel:
+                projector.slope_buffer().bind_to_storage_buffer(8)
+            for buffer in projector.disc_buffers(uniforms):
+                buffer.bind_to_storage_buffer(7)
+            self._run_parts(program, groups, most_walked, longest)
+
+        most, longest = self.tuning.most_walked, projector.visible.read_now()
         for index in range(rounds):
-            tiles, splats = self.pairs.make(projector, index)
-            program = self._ready(False, target, edits, {**values, "u_round": index, "u_pixel": 0}, by_pixel)
-            bind(tiles, splats, *records(projector))
-            self._bind_more(projector, uniforms, by_pixel)
-            for _ in self._parts(program, projector):
-                program.run(*self.pairs.tiles, self._pixels if by_pixel else 1)
-        program = self._ready(True, target, edits, values, by_pixel)
-        bind(projector.order, projector.order, *records(projector))
-        self._bind_more(projector, uniforms, by_pixel)
-        for pixel in range(self._pixels if by_pixel else 1):
-            set_uniforms(program, {"u_pixel": pixel})
-            for _ in self._parts(program, projector):
-                program.run_indirect(self.pairs.plan, REST_GROUPS_OFFSET)
+            # Not cleared as a framebuffer: zink defers that beyond the dispatch.
+            place = {"u_round": index, "u_starts": index == 0}
+            blend(False, *self.pairs.make(projector, index), most_walked=most, longest=longest, **place)
+        if self.pairs.leaves_over:
+            most = max(min(most, self.tuning.most_tried // math.prod(groups)), 1)
+            order = projector.order
+            blend(True, order, order, most_walked=most, longest=longest, u_starts=False)
 
-    @property
-    def _pixels(self) -> int:
-        """Of an invocation."""
-        return self.tuning.tile**2 // self.tuning.workgroup
-
-    def _bind_more(self, projector: Projector, uniforms: Mapping[str, Uniform], by_pixel: bool) -> None:
-        if by_pixel:
-            projector.slope_buffer().bind_to_storage_buffer(8)
-        for buffer in projector.disc_buffers(uniforms):
-            buffer.bind_to_storage_buffer(7)
-
-    def _parts(self, program: moderngl.ComputeShader, projector: Projector) -> Iterator[int]:
-        """Sets `program` up for each part of a tile's splats, which are at most as many as the scene's."""
+    def _run_parts(
+        self, program: moderngl.ComputeShader, groups: tuple[int, int, int], most: int, longest: int
+    ) -> None:
+        """Has every tile walk its splats, which are `longest` at most, in dispatches of `most` of them; one
+        after the first is empty unless a tile has called for it."""
+        parts = max(-(-longest // most), 1)
+        if self._next_parts.size < 12 * parts:
+            self._next_parts.orphan(12 * parts)
+        self._next_parts.write(bytes(12 * parts))
+        self._next_parts.bind_to_storage_buffer(5)
         self.pairs.plan.bind_to_storage_buffer(6)
-        most = self.tuning.most_walked or max(projector.splats, 1)
-        for first in range(0, projector.splats, most):
-            set_uniforms(program, {"u_first": first, "u_most": most})
-            yield first
+        set_uniforms(program, {"u_most": most})
+        for part in range(parts):
+            set_uniforms(program, {"u_first": part * most})
+            if part == 0:
+                program.run(*groups)
+            else:
+                set_uniforms(program, {"u_starts": False})
+                program.run_indirect(self._next_parts, 12 * (part - 1))
             self._ctx.memory_barrier()
 
     def _ready(
         self,
         rest: bool,
+        projector: Projector,
         target: ColourTarget,
         edits: EditTextures,
         values: dict[str, Uniform],
@@ -330,6 +344,7 @@ class TilesBlendPass(BlendPass):
         tuning = self.tuning
         flags = {
             "REST": rest,
+            "TEXTURED": projector.textured,
             "TILE": tuning.tile,
             "WORKGROUP": tuning.workgroup,
             "BATCH": tuning.batch,
@@ -348,6 +363,7 @@ class TilesBlendPass(BlendPass):
 
     def release(self) -> None:
         super().release()
+        self._next_parts.release()
         self.pairs.release()
 
 

@@ -38,34 +38,38 @@ def load_capture(
     path = Path(path)
     # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        folder, posed = _read_poses(path)
+        folder, posed = _read_poses(path, progress.part(0.0, POSES))
         return capture_of(
             posed,
             name=capture_name(folder),
             downscale=downscale,
             background=background,
             lens=lens,
-            progress=progress,
+            progress=progress.part(POSES, 1.0),
         )
 
 
-def _read_poses(path: Path) -> tuple[Path, PosedPhotos]:
+POSES = 0.05
+"""Share of the work that finding the photos is taken to be."""
+
+
+def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     """The folder of the capture and what it says. COLMAP first: of several models in one folder it is the
     one that has points."""
-    if path.is_file() and path.suffix.lower() == ".json":
+    if os.path.isfile(path) and path.suffix.lower() == ".json":
         if path.name == FILE_NAME:
             return path.parent, read_camera_list(path.parent, path)
-        return path.parent, read_transforms(path.parent, [(path, None)])
-    if not path.is_dir():
-        problem = "is no capture; name its folder" if path.exists() else "no such folder"
+        return path.parent, read_transforms(path.parent, [(path, None)], progress)
+    if not os.path.isdir(path):
+        problem = "is no capture; name its folder" if os.path.lexists(path) else "no such folder"
         raise InputError(f"{path}: {problem}")
     model = find_colmap(path)
     if model is not None:
-        return path, read_colmap(path, model)
+        return path, read_colmap(path, model, progress)
     transforms = find_transforms(path)
     if transforms:
-        return path, read_transforms(path, transforms)
-    if (path / FILE_NAME).is_file():
+        return path, read_transforms(path, transforms, progress)
+    if os.path.isfile(path / FILE_NAME):
         return path, read_camera_list(path, path / FILE_NAME)
     raise InputError(
         f"{path}: holds no capture: neither a COLMAP model (sparse/0) nor transforms.json, "

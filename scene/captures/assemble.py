@@ -14,15 +14,16 @@ from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     LEAST_DISPLACEMENT,
     Capture,
+    Files,
     LensUse,
     Photo,
     PhotoStatistics,
     Pixels,
     PosedPhoto,
     PosedPhotos,
-    find_mask,
-    find_photo,
+    check_photos,
     largest_displacement,
+    some,
     tidy_name,
 )
 from splatview.scene.captures.photos import downscaled_size, read_pixels
@@ -42,8 +43,6 @@ MAX_READERS = 8
 
 LEAST_RADIUS, LARGEST_RADIUS = 1e-9, 1e12
 """Of scenes, in their own units: float32 holds sizes and their squares with room to spare."""
-
-NAMES_SHOWN = 5
 
 LOSS_TO_MENTION = 0.05
 """Share of a photo that its undistorted picture does not show."""
@@ -90,21 +89,21 @@ def capture_of(
         )
 
     if all(photo.held_out for photo in photos):
-        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {_some(hidden)}")
+        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {some(hidden)}")
 
     warnings = list(posed.warnings)
     if hidden:
         warnings.append(
-            f"{len(hidden)} photos are left out, for their masks hide all of them: {_some(hidden)}"
+            f"{len(hidden)} photos are left out, for their masks hide all of them: {some(hidden)}"
         )
     if posed.missing:
         total = len(posed.missing) + len(posed.entries)
         warnings.append(
             f"{len(posed.missing)} of {total} photos are not in {posed.images} and are left out: "
-            f"{_some(posed.missing)}"
+            f"{some(posed.missing)}"
         )
     if twice:
-        warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {_some(twice)}")
+        warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
@@ -169,13 +168,6 @@ def _unique(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]
 
 
 def _check_count(posed: PosedPhotos, entries: Sequence[PosedPhoto]) -> None:
-    if not entries:
-        if not posed.missing:
-            raise InputError(f"{posed.source}: names no photos")
-        raise InputError(
-            f"{posed.source}: none of its {len(posed.missing)} photos is in {posed.images} "
-            f"(the first is {_some(posed.missing[:1])}); put them there"
-        )
     if len(entries) == 1:
         raise InputError(
             f"{posed.source}: only one photo ({entries[0].name}) is left to learn from; at least two are "
@@ -238,11 +230,6 @@ def _on_demand(
     return lambda: read_pixels(entry, downscale, background, lens)[0]
 
 
-def _some(names: Sequence[str]) -> str:
-    shown = ", ".join(ascii(name)[1:-1] for name in names[:NAMES_SHOWN])
-    return shown + (", ..." if len(names) > NAMES_SHOWN else "")
-
-
 def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:
     """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
     notes = []
@@ -284,19 +271,21 @@ def read_camera_list(folder: Path, path: Path) -> PosedPhotos:
     ``images``, ``input`` and the folder itself.
     """
     cameras = load_cameras(path)
-    places = (folder / "images", folder / "input", folder)
-    photos = next((p for p in places if any(find_photo(p, camera.name) for camera in cameras)), places[0])
+    places = [Files(place) for place in (folder / "images", folder / "input", folder)]
+    photos = next((p for p in places if any(p.photo(camera.name) for camera in cameras)), places[0])
+    masks = Files(folder / "masks")
     entries, missing = [], []
     for camera in cameras:
-        name, photo = tidy_name(camera.name), find_photo(photos, camera.name)
+        name, photo = tidy_name(camera.name), photos.photo(camera.name)
         if photo is None:
             missing.append(name)
             continue
-        entries.append(PosedPhoto(name=name, path=photo, camera=camera, mask=find_mask(folder, name)))
+        entries.append(PosedPhoto(name=name, path=photo, camera=camera, mask=masks.mask(name)))
+    check_photos(path, photos.root, entries, missing)
     points, colours, warnings = first_points(folder, (), POINTS)
     return PosedPhotos(
         source=path,
-        images=photos,
+        images=photos.root,
         entries=entries,
         missing=missing,
         points=points,

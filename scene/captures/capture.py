@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from splatview.scene.camera import Camera
+from splatview.scene.errors import InputError
 
 LEAST_DISPLACEMENT = 0.05
 """Px of a photo at its final size. A lens that moves no point of the picture by more is left out: nothing is
@@ -62,6 +64,10 @@ DEFAULT_LENS_USE: LensUse = "through"
 """By measurement (tools/bench/bench_lens.py), as all of the photo is used and no pixel interpolated: as
 good with a lens that bends little, some dB better with one that bends much, at all but equal times a step.
 The exception are very wide pinhole views of a scene that a fisheye saw: undistorted photos are such views."""
+
+NEAR_ORIGIN = 16.0
+"""Scene radii: float32 holds a scene well whose cameras are no farther from the origin. It rounds positions
+there to less than 1e-6 radii, a sixth of the largest step that the end of a run takes."""
 
 EXTENT_MARGIN = 1.1
 """How far a scene reaches beyond its cameras, by Kerbl et al. 2023."""
@@ -138,6 +144,22 @@ class Capture:
             radius = float(np.median(np.linalg.norm(self.points - centre, axis=1)))
         return EXTENT_MARGIN * radius
 
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) float64, world units: what float32 positions should be relative to. 0 where the cameras are
+        near the origin, else their mean, rounded: then a position and this add up without loss."""
+        radius = self.scene_radius
+        middle = np.mean([photo.camera.eye for photo in self.train], axis=0)
+        if not np.linalg.norm(middle) > NEAR_ORIGIN * radius:
+            return np.zeros(3)
+        step = 2.0 ** math.floor(math.log2(radius))
+        return np.round(middle / step) * step
+
+    def about(self, origin: np.ndarray) -> Capture:
+        """The same capture in a world whose origin is at `origin` (3,) of this one."""
+        photos = tuple(replace(photo, camera=photo.camera.about(origin)) for photo in self.photos)
+        return replace(self, photos=photos, points=self.points - origin)
+
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Suffixes of photos whose names come without."""
@@ -174,35 +196,73 @@ class PosedPhotos:
     warnings: Sequence[str] = ()
 
 
-def find_photo(folder: Path, name: str) -> Path | None:
-    """The photo `name` in `folder`, its suffix added where it has none; None where there is none."""
-    path = folder / name.replace("\\", "/")
-    candidates = [path, *(path.with_name(path.name + suffix) for suffix in SUFFIXES)]
-    return next((candidate for candidate in candidates if _is_file(candidate)), None)
+AT_ONCE = 4096
+"""Photos looked for between two questions whether to go on."""
 
 
-def find_mask(capture: Path, name: str) -> Path | None:
-    """The mask of photo `name` in the capture's ``masks`` folder.
+class Files:
+    """The files below a folder, which may not exist. Each of its folders is listed once: to ask the system
+    for the names of a large model one by one takes minutes."""
 
-    It has the photo's name, the same with ".png" behind it (COLMAP's way), or with another suffix.
-    `name` is relative to the folder of the photos, whatever that is called.
-    """
-    folder = capture / "masks"
-    path = folder / name.replace("\\", "/")
-    candidates = [
-        path,
-        path.with_name(path.name + ".png"),
-        *(path.with_suffix(suffix) for suffix in SUFFIXES),
-    ]
-    return next((candidate for candidate in candidates if _is_file(candidate)), None)
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._listed: dict[str, set[str]] = {}
+
+    def photo(self, name: str) -> Path | None:
+        """The photo `name`, its suffix added where it has none; None where there is none."""
+        return self._first(name, lambda file: (file, *(file + suffix for suffix in SUFFIXES)))
+
+    def mask(self, name: str) -> Path | None:
+        """The mask of photo `name`, as it is named from the folder of the photos: the photo's name, the same
+        with ".png" behind it (COLMAP's way), or with another suffix."""
+
+        def names(file: str) -> tuple[str, ...]:
+            stem = os.path.splitext(file)[0]
+            return (file, file + ".png", *(stem + suffix for suffix in SUFFIXES))
+
+        return self._first(name, names)
+
+    def _first(self, name: str, candidates: Callable[[str], Sequence[str]]) -> Path | None:
+        folder, _, file = name.replace("\\", "/").rpartition("/")
+        if folder not in self._listed:
+            self._listed[folder] = _files_in(os.path.join(self.root, folder))
+        there = self._listed[folder]
+        if not there:
+            return None
+        found = next((one for one in candidates(file) if os.path.normcase(one) in there), None)
+        return None if found is None else self.root / folder / found
 
 
-def _is_file(path: Path) -> bool:
+def _files_in(folder: str) -> set[str]:
+    """Names of the files in a folder, in one case where the system knows but one; none where it cannot be
+    read."""
     try:
-        return path.is_file()
+        with os.scandir(folder) as entries:
+            return {os.path.normcase(entry.name) for entry in entries if entry.is_file()}
     except (OSError, ValueError):
-        # A name that no file can have (too long, a zero byte) is the name of none.
-        return False
+        # A name that no folder can have (too long, a zero byte) is the name of none.
+        return set()
+
+
+def check_photos(source: Path, images: Path, entries: Sequence[PosedPhoto], missing: Sequence[str]) -> None:
+    """Raises InputError where there is not one photo: `entries` are those found of `source`, `missing` the
+    names of the others."""
+    if not entries and not missing:
+        raise InputError(f"{source}: names no photos")
+    if not entries:
+        raise InputError(
+            f"{source}: none of its {len(missing):,} photos is in {images} "
+            f"(the first is {some(missing[:1])}); put them there"
+        )
+
+
+NAMES_SHOWN = 5
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names, on one line."""
+    shown = ", ".join(ascii(name)[1:-1] for name in names[:NAMES_SHOWN])
+    return shown + (", ..." if len(names) > NAMES_SHOWN else "")
 
 
 def tidy_name(name: str) -> str:

@@ -6,15 +6,17 @@ nothing about single photos and are not read.
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
 import numpy as np
 
-from splatview.scene.captures.capture import PosedPhoto, PosedPhotos, find_mask, find_photo, tidy_name
+from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
 from splatview.scene.formats.io import excerpt
+from splatview.scene.progress import Progress
 
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 
@@ -29,23 +31,26 @@ _POINT = np.dtype(
 def find_colmap(folder: Path) -> Path | None:
     """The folder of the model in a capture's folder; None where there is none."""
     for name in MODEL_FOLDERS:
-        if any((folder / name / f"images{suffix}").is_file() for suffix in (".bin", ".txt")):
+        if any(os.path.isfile(folder / name / f"images{suffix}") for suffix in (".bin", ".txt")):
             return folder / name
     return None
 
 
-def read_colmap(folder: Path, model: Path) -> PosedPhotos:
-    """The capture in `folder` whose model is in `model`, a folder. Raises InputError."""
+def read_colmap(folder: Path, model: Path, progress: Progress) -> PosedPhotos:
+    """The capture in `folder` whose model is in `model`, a folder. Raises InputError, Cancelled."""
     paths = find_model(model)
     intrinsics = read_cameras(paths[0])
-    images = read_images(paths[1])
+    images = read_images(paths[1], progress.part(0.0, 0.5))
     if not images:
         raise InputError(f"{paths[1]}: holds no images: the reconstruction found no poses")
-    root, photos = _photo_folder(folder, model, [image.name for image in images])
+    root, photos = _photo_folder(folder, model, [image.name for image in images], progress)
+    masks = Files(root / "masks")
     held_out = _held_out_names(model)
     entries, missing = [], []
-    for image in images:
-        path = find_photo(photos, image.name)
+    for number, image in enumerate(images):
+        if number % AT_ONCE == 0:
+            progress.step(0.5 + 0.5 * number / len(images))
+        path = photos.photo(image.name)
         name = tidy_name(image.name)
         if path is None:
             missing.append(name)
@@ -56,14 +61,15 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
                 name=name,
                 path=path,
                 camera=image_camera(image, lens, paths[1]),
-                mask=find_mask(root, name),
+                mask=masks.mask(name),
                 held_out=None if held_out is None else name in held_out,
             )
         )
+    check_photos(paths[1], photos.root, entries, missing)
     points, colours = _points(model)
     return PosedPhotos(
         source=paths[1],
-        images=photos,
+        images=photos.root,
         entries=entries,
         missing=missing,
         points=points,
@@ -71,23 +77,24 @@ def read_colmap(folder: Path, model: Path) -> PosedPhotos:
     )
 
 
-def _photo_folder(folder: Path, model: Path, names: list[str]) -> tuple[Path, Path]:
+def _photo_folder(folder: Path, model: Path, names: list[str], progress: Progress) -> tuple[Path, Files]:
     """(capture, photos): the folder of the capture and where in it the first photo is that there is at all.
 
     The user may have named the capture or, deeper, its model.
     """
     roots = list(dict.fromkeys((folder, model, *model.absolute().parents[:2])))
     for root in roots:
-        for photos in (root / "images", root / "input", root):
-            if any(find_photo(photos, name) for name in names):
+        for photos in map(Files, (root / "images", root / "input", root)):
+            progress.check()
+            if any(photos.photo(name) for name in names):
                 return root, photos
-    return folder, folder / "images"
+    return folder, Files(folder / "images")
 
 
 def _held_out_names(model: Path) -> set[str] | None:
     """Of ``test.txt`` beside the model: one photo a line, held out instead of every 8th."""
     path = model / "test.txt"
-    if not path.is_file():
+    if not os.path.isfile(path):
         return None
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -100,7 +107,7 @@ def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
     """``points3D`` as (P, 3) float64 and (P, 3) uint8; empty where the model has none. Raises InputError."""
     for suffix, parse in ((".bin", _points_binary), (".txt", _points_text)):
         path = model / f"points3D{suffix}"
-        if path.is_file():
+        if os.path.isfile(path):
             try:
                 return parse(path)
             except OSError as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,13 @@ from plyfile import PlyData, PlyElement
 
 from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
+    AT_ONCE,
     Capture,
+    Files,
     Photo,
     PosedPhoto,
     PosedPhotos,
-    find_mask,
-    find_photo,
+    check_photos,
     tidy_name,
 )
 from splatview.scene.captures.photos import image_size
@@ -33,6 +35,7 @@ from splatview.scene.captures.points import first_points
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import array, excerpt, integer, number, read_json
 from splatview.scene.lens import Lens
+from splatview.scene.progress import Progress
 
 PERSPECTIVE = ("", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
@@ -48,15 +51,16 @@ DEFAULT_POINTS = ("sparse_pc.ply", "points3d.ply")
 def find_transforms(folder: Path) -> list[Frames]:
     """The files that make up the capture in `folder`; none where there is none."""
     train, *others = (folder / f"transforms_{part}.json" for part in ("train", "test", "val"))
-    if train.is_file():
-        held_out = next((other for other in others if other.is_file()), None)
+    if os.path.isfile(train):
+        held_out = next(filter(os.path.isfile, others), None)
         return [(train, None)] if held_out is None else [(train, False), (held_out, True)]
     single = folder / "transforms.json"
-    return [(single, None)] if single.is_file() else []
+    return [(single, None)] if os.path.isfile(single) else []
 
 
-def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
-    """The capture in `folder` by `files` of `find_transforms`. Raises InputError."""
+def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> PosedPhotos:
+    """The capture in `folder` by `files` of `find_transforms`. Raises InputError, Cancelled."""
+    photos, masks = Files(folder), Files(folder / "masks")
     entries, missing, ply_names = [], [], []
     for path, held_out in files:
         content = read_json(path, what="capture")
@@ -65,20 +69,23 @@ def read_transforms(folder: Path, files: list[Frames]) -> PosedPhotos:
             raise InputError(f"{path}: is no capture: the list 'frames' is missing")
         held_out_names = _held_out_names(content, path)
         for i, frame in enumerate(frames):
+            if i % AT_ONCE == 0:
+                progress.step(i / len(frames))
             where = f"{path}: frame {i}"
             if not (isinstance(frame, dict) and isinstance(frame.get("file_path"), str)):
                 raise InputError(f"{where}: must be an object with the keys file_path, transform_matrix")
             name = tidy_name(frame["file_path"])
-            photo = find_photo(folder, frame["file_path"])
+            photo = photos.photo(frame["file_path"])
             if photo is None:
                 missing.append(name)
                 continue
             shot_held_out = held_out if held_out_names is None else name in held_out_names
-            entries.append(
-                _shot({**content, **frame}, f"{where} ({excerpt(name)})", folder, photo, shot_held_out)
-            )
+            values, where = {**content, **frame}, f"{where} ({excerpt(name)})"
+            mask = _mask(values, where, photos, masks, name)
+            entries.append(_shot(values, where, photo, mask, shot_held_out))
         if isinstance(content.get("ply_file_path"), str):
             ply_names.append(content["ply_file_path"])
+    check_photos(files[0][0], folder, entries, missing)
     points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
     return PosedPhotos(
         source=files[0][0],
@@ -103,7 +110,7 @@ def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:
 
 
 def _shot(
-    values: Mapping[str, Any], where: str, folder: Path, photo: Path, held_out: bool | None
+    values: Mapping[str, Any], where: str, photo: Path, mask: Path | None, held_out: bool | None
 ) -> PosedPhoto:
     name = tidy_name(values["file_path"])
     try:
@@ -116,19 +123,19 @@ def _shot(
         name=name,
         path=photo,
         camera=camera,
-        mask=_mask(values, where, folder, name),
+        mask=mask,
         held_out=held_out,
     )
 
 
-def _mask(values: Mapping[str, Any], where: str, folder: Path, name: str) -> Path | None:
+def _mask(values: Mapping[str, Any], where: str, files: Files, masks: Files, name: str) -> Path | None:
     if isinstance(values.get("mask_path"), str):
-        mask = find_photo(folder, values["mask_path"])
+        mask = files.photo(values["mask_path"])
         if mask is None:
-            raise InputError(f"{where}: the mask {excerpt(values['mask_path'])} is not in {folder}")
+            raise InputError(f"{where}: the mask {excerpt(values['mask_path'])} is not in {files.root}")
         return mask
     # Photos are named from the capture's folder, masks from that of the photos.
-    return find_mask(folder, name) or find_mask(folder, name.partition("/")[2] or name)
+    return masks.mask(name) or masks.mask(name.partition("/")[2] or name)
 
 
 def _world_to_camera(values: Mapping[str, Any], where: str) -> np.ndarray:

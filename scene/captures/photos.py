@@ -273,8 +273,6 @@ def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, f
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
                 return Decoded(np.array(image.convert("RGB")), False)
             rgba = np.array(image.convert("RGBA"))
-    except InputError:
-        raise
     except Exception as error:
         raise _undecodable(path, error) from None
     rgb = np.empty((*rgba.shape[:2], 3), np.uint8)
@@ -307,13 +305,13 @@ def _decode_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
                 # Cut-outs: what is transparent is ignored, whatever colour lies under it.
                 return np.asarray(image.getchannel("A")) >= MASK_THRESHOLD
             return np.asarray(image.convert("L")) >= MASK_THRESHOLD
-    except InputError:
-        raise
     except Exception as error:
         raise _undecodable(path, error) from None
 
 
 def _undecodable(path: Path, error: Exception) -> InputError:
+    if isinstance(error, InputError):
+        return error
     # Decoders of damaged files raise nearly anything: OSError, SyntaxError, struct.error, ValueError...
     reason = str(error).partition("\n")[0].replace(str(path), "file").replace(repr(str(path)), "file")
     return InputError(f"{path}: is no readable image ({reason}); replace it or take it out of the capture")

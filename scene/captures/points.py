@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def _in_front(
         rays = camera.points_at(pixel[mine] * (camera.width, camera.height), 1.0)
         # Pixels that the lens shows nothing at: straight ahead instead.
         rays = np.where(np.isfinite(rays), rays, (0.0, 0.0, 1.0)) * depth[mine, None]
-        points[mine] = (rays - camera.t_camera_world) @ camera.R_camera_world
+        points[mine] = camera.eye + rays @ camera.R_world_camera.T
     return points
 
 
@@ -93,11 +94,11 @@ def first_points(
     tried then. No points where there is no file. Raises InputError where it is damaged.
     """
     warnings = [
-        f"the points {excerpt(name)} are not on disk" for name in named if not (folder / name).is_file()
+        f"the points {excerpt(name)} are not on disk" for name in named if not os.path.isfile(folder / name)
     ]
     for name in (*named, *usual):
         path = folder / name
-        if path.is_file():
+        if os.path.isfile(path):
             cloud = load_scene(path)
             colours = np.clip(cloud.sh[:, 0] * SH_C0 + 0.5, 0, 1)
             colours = (np.nan_to_num(colours, nan=0.5) * 255 + 0.5).astype(np.uint8)

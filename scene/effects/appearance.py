@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
+from splatview.scene.edits import Adjustment, is_graded
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
-from splatview.scene.effects.sh_bands import SLICE
+from splatview.scene.effects.sh_bands import colour_reach
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.health import Finding, sh_bound
-from splatview.scene.image_model import BLUR, RenderSettings
+from splatview.scene.health import Finding
+from splatview.scene.image_model import BLUR, DISC_BLUR, RenderSettings
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
 
@@ -25,23 +27,8 @@ FOOTPRINT_OPERATIONS = 250
 """Additions and multiplications of a footprint, about."""
 
 
-def brightest_colour(gaussians: Gaussians) -> float:
-    """An upper bound of every colour that a drawn splat can have from any side, at least 1 for backgrounds.
-
-    What is not finite is culled, and does not count.
-    """
-    brightest = 1.0
-    for start in range(0, len(gaussians), SLICE):
-        sh = gaussians.sh[start : start + SLICE]
-        with np.errstate(over="ignore", invalid="ignore"):
-            colours = 0.5 + SH_C0 * sh[:, 0] + sh_bound(sh)[:, 1:].sum(axis=1)
-            drawn = np.isfinite(sh).all(axis=(1, 2))
-        brightest = max(brightest, float(colours[drawn].max(initial=0.0)))
-    return brightest
-
-
 def brightness_is_ordinary(gaussians: Gaussians) -> bool:
-    """Whether `brightest_colour` surely is so low that LEAST_LIGHT of it cannot be seen, at a glance."""
+    """Whether the brightest colour surely is so low that LEAST_LIGHT of it cannot be seen, at a glance."""
     if not len(gaussians):
         return True
     constant, rest = gaussians.sh[:, 0], gaussians.sh[:, 1:]
@@ -51,21 +38,20 @@ def brightness_is_ordinary(gaussians: Gaussians) -> bool:
     return bool((0.5 + SH_C0 * (float(constant.max()) + most * bands)) * LEAST_LIGHT <= VISIBLE)
 
 
-def early_stop_for(gaussians: Gaussians) -> float | None:
-    """The light below which pixels may end, for `RenderSettings`; None: as renderers do by themselves."""
-    if brightness_is_ordinary(gaussians):
+def early_stop_for(gaussians: Gaussians, palette: Sequence[Adjustment] = ()) -> float | None:
+    """The light below which pixels may end where splats may have the grades of `palette`, for
+    `RenderSettings`; None: as renderers do by themselves."""
+    if not is_graded(palette) and brightness_is_ordinary(gaussians):
         return None
-    brightest = brightest_colour(gaussians)
+    brightest = colour_reach(gaussians).graded(palette).brightest
     if brightest * LEAST_LIGHT <= VISIBLE:
         return None
     return VISIBLE / brightest if brightest < math.inf else 0.0
 
 
-def hidden_light_effect(gaussians: Gaussians, brightest: float) -> Effect:
-    """The light that comes through nearly opaque pixels from what lies behind; `brightest_colour`."""
+def hidden_light_effect(brightest: float) -> Effect:
+    """The light that comes through nearly opaque pixels from what lies behind; `ColourReach.brightest`."""
     bound = brightest * LEAST_LIGHT
-    with np.errstate(invalid="ignore"):
-        opaque = int((sigmoid(gaussians.opacity_logits) >= 0.5).sum())
     why = (
         f"no colour exceeds {short(brightest)} from any side, so where less than {LEAST_LIGHT:g} of the "
         f"light gets through, what lies behind adds at most {grey_levels(bound)}"
@@ -75,17 +61,20 @@ def hidden_light_effect(gaussians: Gaussians, brightest: float) -> Effect:
     return Effect(
         name="light behind opaque pixels",
         on=not bound <= VISIBLE,
-        why=f"{why}; {opaque:,} of {len(gaussians):,} splats have an opacity of at least 0.5",
+        why=why,
         saving=Saving(what="splats behind opaque pixels"),
         bound=bound,
     )
+
+
+TRANSPARENCY = "transparency"
 
 
 def transparency_effect(gaussians: Gaussians, brightest: float) -> Effect:
     with np.errstate(invalid="ignore"):
         translucent = int((sigmoid(gaussians.opacity_logits) < OPAQUE).sum())
     return Effect(
-        name="transparency",
+        name=TRANSPARENCY,
         on=len(gaussians) > 0,
         why=f"{translucent:,} of {len(gaussians):,} splats have an opacity below {OPAQUE:g}, and every splat "
         "fades to its edge: all are blended in depth order",
@@ -155,29 +144,40 @@ ANTIALIASED_OPERATIONS = 3
 """A division, a root and a product per splat."""
 
 
+SAYS_MODE = re.compile(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", re.IGNORECASE)
+SAYS_RASTERISER = re.compile(r"\s*rasteri[sz]e_mode\s*[:=]?\s*(antialiased|classic)\s*$", re.IGNORECASE)
+SAYS_FLAG = re.compile(r"\s*antialias(?:ed|ing)\s*[:=]?\s*(1|true|0|false)\s*$", re.IGNORECASE)
+SOUNDS_LIKE_IT = re.compile(r"rasteri[sz]e_mode|anti[-_ ]?alias|mip[-_ ]?splat", re.IGNORECASE)
+
+
 def antialiasing(comments: tuple[str, ...]) -> tuple[bool, float, str]:
     """Whether the file says that it was trained antialiased; the kernel in px²; the comment that says so.
 
-    Two tags are in use: ``SplatRenderMode: mip`` (Brush, with Mip-Splatting's kernel of 0.1) and
-    ``antialiased 1`` (Postshot, with the usual kernel of 0.3). The last tag counts.
+    Three tags are in use: ``SplatRenderMode: mip`` (Brush, with Mip-Splatting's kernel of 0.1),
+    ``rasterize_mode antialiased`` (gsplat and nerfstudio) and ``antialiased 1`` (Postshot), both with the
+    usual kernel of 0.3. The last tag counts.
     """
     result = False, BLUR, ""
     for comment in comments:
-        if mode := re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", comment, re.IGNORECASE):
+        if mode := SAYS_MODE.match(comment):
             mip = mode[1].lower() == "mip"
             result = mip, MIP_BLUR if mip else BLUR, comment.strip()
-        elif flag := re.match(r"\s*antialiased\s*[:=]?\s*(\w+)\s*$", comment, re.IGNORECASE):
-            result = flag[1].lower() in ("1", "true"), BLUR, comment.strip()
+        elif flag := SAYS_RASTERISER.match(comment) or SAYS_FLAG.match(comment):
+            result = flag[1].lower() in ("antialiased", "1", "true"), BLUR, comment.strip()
     return result
 
 
 def antialiased_effect(gaussians: Gaussians) -> Effect:
     on, blur, comment = antialiasing(gaussians.comments)
     said = f"the file says {comment!r}" if comment else "the file does not say that it was trained so"
+    unclear = [text.strip() for text in gaussians.comments if SOUNDS_LIKE_IT.search(text)]
+    if unclear and not comment:
+        said += f", unless {unclear[-1]!r} means that: then switch it on"
+    kernel = f"{DISC_BLUR:g} px², the dot that a disc is at least" if is_flat(gaussians) else f"{blur:g} px²"
     return Effect(
         name=ANTIALIASED,
         on=on,
-        why=f"{said}; kernel {blur:g} px²",
+        why=f"{said}; kernel {kernel}",
         saving=Saving(operations=ANTIALIASED_OPERATIONS * len(gaussians)),
         # Of splats much smaller than a pixel nothing is left of the opacity.
         bound=1.0 if on else 0.0,
@@ -186,12 +186,13 @@ def antialiased_effect(gaussians: Gaussians) -> Effect:
 
 
 def is_flat(gaussians: Gaussians) -> bool:
-    """Whether splats are meant as planar discs: only the file can say so.
+    """Whether splats are meant as planar discs: only the file can say so; of several tags the last counts.
 
     Not their shapes: a training of solid splats leaves flat ones too, which were fitted to the photos as
     ellipsoids are drawn, with their blur, and differ from discs wherever they are seen from the side.
     """
-    return _said_flat(gaussians.comments)
+    said = [mode[1].lower() for mode in map(SAYS_MODE.match, gaussians.comments) if mode]
+    return bool(said) and said[-1] == "2dgs"
 
 
 def flat_effect(gaussians: Gaussians) -> Effect:
@@ -212,13 +213,6 @@ def flat_effect(gaussians: Gaussians) -> Effect:
         bound=math.inf if on else 0.0,
         can_override=True,
     )
-
-
-def _said_flat(comments: tuple[str, ...]) -> bool:
-    """Whether the file says so; of several tags the last counts."""
-    modes = [re.match(r"\s*SplatRenderMode\s*[:=]\s*(\w+)", text, re.IGNORECASE) for text in comments]
-    said = [mode[1].lower() for mode in modes if mode]
-    return bool(said) and said[-1] == "2dgs"
 
 
 def _thinner(gaussians: Gaussians, ratio: float) -> int:

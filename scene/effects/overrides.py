@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
+from splatview.scene.edits import Adjustment
 from splatview.scene.effects.appearance import ANTIALIASED, FLAT, antialiasing, early_stop_for, is_flat
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.sh_bands import band_name, used_sh_degree
@@ -18,11 +19,13 @@ Overrides = Mapping[str, bool | None]
 NOTHING_FORCED: Overrides = MappingProxyType({})
 
 
-def settings_for(gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED) -> RenderSettings:
+def settings_for(
+    gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED, *, palette: Sequence[Adjustment] = ()
+) -> RenderSettings:
     """The settings that the scene calls for: its image model, and SH as far as it can be seen.
 
     `overrides`: effects that the user forces on or off, by name; of an SH band that is off, those above are
-    off too.
+    off too. `palette`: adjustments that splats may have.
 
     Raises:
         ValueError: an effect that this scene has not, or that cannot be forced, is named.
@@ -33,7 +36,7 @@ def settings_for(gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED) ->
         if name not in possible:
             raise ValueError(f"{name!r} cannot be switched by hand, only {', '.join(possible)}")
     stored = gaussians.sh_degree
-    used = used_sh_degree(gaussians)
+    used = used_sh_degree(gaussians, palette)
     used = max([used, *(band for band in range(1, stored + 1) if forced.get(band_name(band)) is True)])
     used = min([used, *(band - 1 for band in range(1, stored + 1) if forced.get(band_name(band)) is False)])
     antialiased, blur, _ = antialiasing(gaussians.comments)
@@ -42,7 +45,7 @@ def settings_for(gaussians: Gaussians, overrides: Overrides = NOTHING_FORCED) ->
     return RenderSettings(
         model=replace(model, antialiased=forced.get(ANTIALIASED, antialiased)),
         sh_degree=used if used < stored else None,
-        early_stop=early_stop_for(gaussians),
+        early_stop=early_stop_for(gaussians, palette),
     )
 
 
@@ -93,3 +96,15 @@ def switched(gaussians: Gaussians, settings: RenderSettings, name: str, on: bool
 def _has(name: str, settings: RenderSettings) -> bool:
     model = settings.model
     return {ANTIALIASED: model.antialiased, FLAT: model.footprint == "disc"}[name]
+
+
+def followed(settings: RenderSettings, before: RenderSettings, after: RenderSettings) -> RenderSettings:
+    """`settings` with everything that is as a scene called for `before` as it calls for `after`."""
+    near = settings.model.near
+    if settings.model == replace(before.model, near=near):
+        settings = replace(settings, model=replace(after.model, near=near))
+    if settings.sh_degree == before.sh_degree:
+        settings = replace(settings, sh_degree=after.sh_degree)
+    if settings.early_stop == before.early_stop:
+        settings = replace(settings, early_stop=after.early_stop)
+    return settings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,14 +15,15 @@ from splatview.scene.edits import (
     NOT_SHOWN,
     PALETTE_SHIFT,
     SELECTED,
+    Adjustment,
     SceneEdits,
     adjusted_means,
     cropped_in,
 )
 from splatview.scene.effects.appearance import (
+    TRANSPARENCY,
     antialiased_effect,
     background_effect,
-    brightest_colour,
     flat_effect,
     hidden_light_effect,
     left_out_effects,
@@ -29,7 +31,7 @@ from splatview.scene.effects.appearance import (
 )
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.scene.effects.overrides import NOTHING_FORCED, Overrides
-from splatview.scene.effects.sh_bands import band_effects, own_degrees_effect
+from splatview.scene.effects.sh_bands import band_effects, colour_reach, own_degrees_effect
 from splatview.scene.framing import robust_bounds
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.health import FAR_SPACING, Finding, check
@@ -234,7 +236,8 @@ def effects_report(
     the scene is looked at, as far as that is known: by which `camera` after which `previous` one, with which
     `edits` in force and which `settings`.
     """
-    return scene_effects(gaussians, findings=findings, overrides=overrides) + view_effects(
+    own = scene_effects(gaussians, findings=findings, overrides=overrides)
+    return with_grade(own, gaussians, edits.palette if edits else ()) + view_effects(
         gaussians, camera=camera, previous=previous, edits=edits, settings=settings
     )
 
@@ -243,19 +246,30 @@ def scene_effects(
     gaussians: Gaussians, *, findings: list[Finding] | None = None, overrides: Overrides = NOTHING_FORCED
 ) -> list[Effect]:
     """What the scene alone decides, which takes time: a second for some millions of splats."""
-    brightest = brightest_colour(gaussians)
+    colours = colour_reach(gaussians)
     effects = [
-        *band_effects(gaussians),
+        *band_effects(gaussians, colours),
         own_degrees_effect(gaussians),
         antialiased_effect(gaussians),
         flat_effect(gaussians),
         centred_effect(gaussians),
-        transparency_effect(gaussians, brightest),
-        hidden_light_effect(gaussians, brightest),
+        transparency_effect(gaussians, colours.brightest),
+        hidden_light_effect(colours.brightest),
         *left_out_effects(gaussians, check(gaussians) if findings is None else findings),
         sorting_effect(gaussians),
     ]
     return with_overrides(effects, overrides)
+
+
+def with_grade(
+    effects: Sequence[Effect], gaussians: Gaussians, palette: Sequence[Adjustment]
+) -> list[Effect]:
+    """`scene_effects`, as they are where splats may have the colour maps of `palette`."""
+    colours = colour_reach(gaussians).graded(palette)
+    anew = [*band_effects(gaussians, colours), hidden_light_effect(colours.brightest)]
+    anew += [replace(e, bound=colours.brightest) for e in effects if e.name == TRANSPARENCY and e.on]
+    by_name = {effect.name: effect for effect in anew}
+    return [replace(by_name.get(effect.name, effect), forced=effect.forced) for effect in effects]
 
 
 def view_effects(

@@ -1,15 +1,21 @@
-"""Spherical harmonics: which bands can be seen, over the whole scene and splat by splat."""
+"""Spherical harmonics: how far colours go, and which bands can be seen, over the whole scene and splat by
+splat."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels
+from splatview.scene.edits import Adjustment, is_graded
+from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.health import sh_bound
 from splatview.scene.projection import FLOAT32_MAX
+from splatview.scene.sh import SH_C0
 
 # Leaving out zeros changes no picture, not in its last bit, so nobody need be asked. What it saves depends on
 # the scene. Trained ones have hardly a zero: in `playbot` (500,000 splats, degree 2) and `skull` (94,936,
@@ -102,16 +108,57 @@ def band_name(band: int) -> str:
     return f"SH band {band}"
 
 
-def used_sh_degree(gaussians: Gaussians) -> int:
-    """The lowest SH degree that shows the scene as the stored one does, to within VISIBLE in every pixel.
+class ColourReach(NamedTuple):
+    """How far the colours of a scene go, over all splats and directions."""
+
+    bands: tuple[float, ...]
+    """Per degree d: how far bands d and up together can move a colour.
+
+    A coefficient that is not finite culls its splat, and leaving out its band would bring the splat back:
+    that gives inf or NaN, unless a lower band culls the splat all the same.
+    """
+    brightest: float
+    """An upper bound of every colour that is drawn, at least 1 for backgrounds."""
+    largest: float
+    """The same of magnitudes before colours are cut at 0."""
+    gain: float = 1.0
+    """Of the colour grade: how many times as far bands reach by it."""
+
+    def graded(self, palette: Sequence[Adjustment]) -> ColourReach:
+        """The reach where splats may have the colour maps of `palette`."""
+        if not is_graded(palette):
+            return self
+        maps = np.abs([entry.colour for entry in palette])
+        with np.errstate(over="ignore", invalid="ignore"):
+            gains = maps[..., :3].sum(axis=2)
+            colours = gains * self.largest + maps[..., 3]
+            brightest = float(np.where(np.isnan(colours), np.inf, colours).max())  # 0·inf
+        gain = max(1.0, float(gains.max()))
+        bands = tuple(gain * band for band in self.bands)
+        return ColourReach(bands, max(self.brightest, brightest), max(self.largest, brightest), gain)
+
+
+_known: WeakKeyDictionary[Gaussians, ColourReach] = WeakKeyDictionary()
+
+
+def colour_reach(gaussians: Gaussians) -> ColourReach:
+    """The reach of a scene, found once, as its arrays never change; a second for a million splats."""
+    if gaussians not in _known:
+        _known[gaussians] = _reach(gaussians.sh)
+    return _known[gaussians]
+
+
+def used_sh_degree(gaussians: Gaussians, palette: Sequence[Adjustment] = ()) -> int:
+    """The lowest SH degree that shows the scene, with the grades of `palette`, as the stored one does, to
+    within VISIBLE in every pixel.
 
     All bands above it together cannot move the colour of any splat by more; blending is a weighted mean
     of colours, so no pixel moves by more either.
     """
     sample = gaussians.sh[:: max(1, len(gaussians) // SAMPLE)]
-    if _used_degree(_largest_reach(sample)) == gaussians.sh_degree:
-        return gaussians.sh_degree  # the others can add nothing to that
-    return _used_degree(_largest_reach(gaussians.sh))
+    if gaussians not in _known and _used_degree(_reach(sample).bands) == gaussians.sh_degree:
+        return gaussians.sh_degree  # neither the others nor a grade can add to that
+    return _used_degree(colour_reach(gaussians).graded(palette).bands)
 
 
 def sh_operations(degree: int) -> int:
@@ -126,15 +173,15 @@ def visible_degrees(sh: np.ndarray) -> np.ndarray:
     """
     degrees = np.zeros(len(sh), np.uint8)
     for start in range(0, len(sh), SLICE):
-        dropped, found = _dropped(sh[start : start + SLICE]), degrees[start : start + SLICE]
+        dropped, found = _dropped(sh[start : start + SLICE]).max(axis=2), degrees[start : start + SLICE]
         for band in range(1, dropped.shape[1]):
             found[~_invisible(dropped[:, band])] = band
     return degrees
 
 
-def band_effects(gaussians: Gaussians) -> list[Effect]:
-    """An effect a band, as far as the file has them."""
-    reach = _largest_reach(gaussians.sh)
+def band_effects(gaussians: Gaussians, colours: ColourReach) -> list[Effect]:
+    """An effect a band, as far as the file has them; `colours` of the scene as it is graded."""
+    reach = colours.bands
     used, stored, n = _used_degree(reach), len(reach) - 1, len(gaussians)
     effects = []
     for band in range(1, stored + 1):
@@ -142,6 +189,8 @@ def band_effects(gaussians: Gaussians) -> list[Effect]:
             f"the coefficients from this band up move a colour by at most {reach[band]:.2g} "
             f"({grey_levels(reach[band])})"
         )
+        if colours.gain > 1:
+            change += f", {short(colours.gain)} times as far as without the colour grade"
         if not math.isfinite(reach[band]):
             change = "a coefficient from this band up is infinite, NaN or nearly so"
         limit = "below half a grey level: not computed" if band > used else "above half a grey level"
@@ -190,33 +239,36 @@ def _listed(counts: np.ndarray) -> str:
 
 
 def _dropped(sh: np.ndarray) -> np.ndarray:
-    """(n, K, 3) -> (n, degree + 1): how far bands d and up together can move a splat's colour."""
+    """(n, K, 3) -> (n, degree + 1, 3): how far bands d and up together can move a splat's colour."""
     with np.errstate(over="ignore", invalid="ignore"):
         # From the highest band down: what dropping this band and all above it would cost.
-        return np.cumsum(sh_bound(sh)[:, ::-1], axis=1)[:, ::-1].max(axis=2)
+        return np.cumsum(sh_bound(sh)[:, ::-1], axis=1)[:, ::-1]
 
 
-def _largest_reach(all_sh: np.ndarray) -> list[float]:
-    """Per degree d of (N, K, 3): how far bands d and up together can move the colour of any splat.
-
-    A coefficient that is not finite culls its splat, and leaving out its band would bring the splat back:
-    that gives inf or NaN, unless a lower band culls the splat all the same.
-    """
-    largest = np.zeros(SH_COEFFICIENTS.index(all_sh.shape[1]) + 1, np.float32)
+def _reach(all_sh: np.ndarray) -> ColourReach:
+    """Of the colours of (N, K, 3)."""
+    bands = np.zeros(SH_COEFFICIENTS.index(all_sh.shape[1]) + 1, np.float32)
+    brightest = largest = 1.0
     for start in range(0, len(all_sh), SLICE):
         sh = all_sh[start : start + SLICE]
         dropped = _dropped(sh)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             finite = np.abs(sh) <= FLOAT32_MAX
+            constant = 0.5 + SH_C0 * sh[:, 0]
+            rest = dropped[:, 1] if len(bands) > 1 else 0
+            drawn = finite.all(axis=(1, 2))
+            brightest = max(brightest, float((constant + rest)[drawn].max(initial=0.0)))
+            largest = max(largest, float((np.abs(constant) + rest)[drawn].max(initial=0.0)))
+        moved = dropped.max(axis=2)
         culled = np.zeros(len(sh), dtype=bool)
-        for band in range(len(largest)):
-            dropped[culled, band] = 0
+        for band in range(len(bands)):
+            moved[culled, band] = 0
             culled |= ~finite[:, band * band : (band + 1) ** 2].all(axis=(1, 2))
-        largest = np.maximum(largest, dropped.max(axis=0, initial=0.0))
-    return [float(value) for value in largest]
+        bands = np.maximum(bands, moved.max(axis=0, initial=0.0))
+    return ColourReach(bands=tuple(map(float, bands)), brightest=brightest, largest=largest)
 
 
-def _used_degree(reach: list[float]) -> int:
+def _used_degree(reach: Sequence[float]) -> int:
     return max((band for band in range(1, len(reach)) if not _invisible(reach[band])), default=0)
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
+from splatview.scene.formats.colmap import find_model, is_colmap
 from splatview.scene.formats.compressed_ply import save_compressed
 from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
-from splatview.scene.formats.io import CONVERT, open_scene
+from splatview.scene.formats.io import open_regular, target_of
 from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.formats.sog import is_sog_folder, is_zip, read_sog, read_sog_folder
@@ -21,7 +24,7 @@ from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_spz, read_spz, save_spz
 from splatview.scene.gaussians import Gaussians
-from splatview.scene.progress import NO_PROGRESS, Progress
+from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,24 +35,29 @@ class Format:
     """Lower case, with its dot."""
     sniff: Callable[[bytes], bool] | None = None
     """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
-    read: Callable[[io.BufferedReader, Path, Progress], Gaussians] | None = None
-    """Reader of a file from its start; the path is for messages. None: recognised and refused."""
+    read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians]
+    """Reader of a file from its start into so many bytes of memory at most; the path is for messages."""
     write: Callable[[Gaussians, Path, Progress], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
-    article: str = "a"
-    namesakes: str = ""
-    """What else begins with the same bytes, for messages."""
     lost: tuple[str, ...] = ()
     """What a scene loses by being written so, a line each."""
 
 
+QUANTISED = "positions, rotations, sizes, colours and opacities are rounded to fewer bits"
+NO_COMMENTS = "comments and properties that are not a splat's own are left out"
+
 FORMATS = {
     "ply": Format(suffix=".ply", sniff=is_ply, read=read_ply, write=save_ply),
-    "splat": Format(suffix=".splat", read=read_splat, write=save_splat),
-    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz),
+    "splat": Format(
+        suffix=".splat",
+        read=read_splat,
+        write=save_splat,
+        lost=("SH above the constant band are left out", NO_COMMENTS, QUANTISED),
+    ),
+    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz, lost=(NO_COMMENTS, QUANTISED)),
     "ksplat": Format(suffix=".ksplat", sniff=is_ksplat, read=read_ksplat),
-    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog),
-    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb),
+    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog, lost=(NO_COMMENTS, QUANTISED)),
+    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb, lost=(NO_COMMENTS,)),
     "gltf": Format(suffix=".gltf", read=read_gltf),
 }
 """Every format that is known, by name; readers, writers, messages and file dialogs go by it."""
@@ -57,46 +65,65 @@ FORMATS = {
 SNIFFED = 8
 """Bytes that tell a format."""
 
+CHECKED_BYTES = 1 << 20
+"""Camera lists up to this size are looked through before a window is opened for them."""
+
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8")
 
 
-def load_scene(path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS) -> Gaussians:
-    """The splats in a file; the format is told by its first bytes.
+def load_scene(
+    path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS, room: float = math.inf
+) -> Gaussians:
+    """The splats in a file, in `room` bytes of memory at most; the format is told by its first bytes.
 
     Raises:
-        InputError: the file is missing, damaged or of another kind.
+        InputError: the file is missing, damaged, too large or of another kind.
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
     if is_sog_folder(path):
-        return read_sog_folder(path, progress)
-    with open_scene(path) as file:
-        return _reader(file, path)(file, path, progress)
+        return read_sog_folder(path, progress, room)
+    with open_regular(path, folder="is a folder, not a scene; name the file in it") as file:
+        return _reader(file, path)(file, path, progress, room)
 
 
-def _reader(file: io.BufferedReader, path: Path) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
+def is_camera_list(path: Path) -> bool:
+    """Whether `path` is that of cameras rather than of a scene, by its name."""
+    return not is_sog_folder(path) and (is_colmap(path) or path.suffix.lower() == ".json")
+
+
+def check_opening(path: Path) -> None:
+    """Raises InputError where `path` is neither a scene nor cameras, as far as a moment's look tells."""
+    if not is_camera_list(path):
+        with suppress(Cancelled):
+            load_scene(path, progress=Progress(cancelled=lambda: True))
+    elif path.is_dir():
+        find_model(path)
+    elif not path.is_file() or path.stat().st_size <= CHECKED_BYTES:
+        load_cameras(path)
+
+
+def _reader(
+    file: io.BufferedReader, path: Path
+) -> Callable[[io.BufferedReader, Path, Progress, float], Gaussians]:
     """The reader of the file's format; `file` is at its start before and after. Raises InputError."""
     start = file.read(SNIFFED)
     file.seek(0)
     if not start:
         raise InputError(f"{path}: is empty")
-    sniffed = next((known for known in FORMATS.values() if known.sniff and known.sniff(start)), None)
     suffix = path.suffix.lower()
+    told = (known.read for known in FORMATS.values() if known.sniff is not None and known.sniff(start))
     # Where the bytes do not tell a format, the suffix does.
-    named = (
-        known for known in FORMATS.values() if known.suffix == suffix and not (known.sniff and known.read)
-    )
-    known = sniffed or next(named, None)
-    if known is not None and known.read is not None:
-        return known.read
-    if known is not None:
-        namesakes = known.namesakes if sniffed else ""
-        raise InputError(
-            f"{path}: {known.article} {known.suffix} file{namesakes} is not supported yet; {CONVERT}"
-        )
+    named = (known.read for known in FORMATS.values() if known.sniff is None and known.suffix == suffix)
+    reader = next(told, None) or next(named, None)
+    if reader is not None:
+        return reader
+    suffixes = [known.suffix for known in FORMATS.values()]
     if start.startswith(PICTURES):
-        raise InputError(f"{path}: is a picture, not a scene; give a .ply file")
-    raise InputError(f"{path}: is not a .ply file (it does not begin with the line 'ply')")
+        raise InputError(f"{path}: is a picture, not a scene; scenes are {', '.join(suffixes)}")
+    if suffix in suffixes:
+        raise InputError(f"{path}: is not a {suffix} file (it begins otherwise); export it again")
+    raise InputError(f"{path}: is no scene that is known; there are {', '.join(suffixes)}")
 
 
 def name_patterns(*, written: bool = False) -> str:
@@ -128,20 +155,14 @@ def check_format(path: Path) -> Callable[[Gaussians, Path, Progress], None]:
 def check_saving(path: Path) -> None:
     """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
     check_format(path)
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        folder = path.resolve().parent
-        if not folder.is_dir():
-            raise InputError(f"{path}: the folder {folder} does not exist; make it first")
-        if not os.access(folder, os.W_OK):
-            raise InputError(f"{path}: the folder {folder} cannot be written to")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    target_of(path)
 
 
 def load_cameras(
-    path: str | os.PathLike[str], *, on_note: Callable[[str], None] | None = None
+    path: str | os.PathLike[str],
+    *,
+    on_note: Callable[[str], None] = lambda note: None,
+    progress: Progress = NO_PROGRESS,
 ) -> list[Camera]:
     """The cameras in a file or folder, at least one.
 
@@ -151,8 +172,9 @@ def load_cameras(
 
     Raises:
         InputError: the file is missing, damaged or of another kind.
+        Cancelled: nobody waits for it any more.
     """
-    return read_cameras_file(Path(path), on_note or (lambda note: None))
+    return read_cameras_file(Path(path), on_note, progress)
 
 
 def save_camera(camera: Camera, path: str | os.PathLike[str]) -> None:

@@ -14,18 +14,25 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import is_colmap, load_colmap_cameras
 from splatview.scene.formats.io import array, atomic_write, excerpt, integer, number, read_json
 from splatview.scene.lens import Lens
+from splatview.scene.progress import Progress
 
 MAX_SIDE = 1 << 16
 """Pixels; a larger picture fits in no memory."""
 
+PARSING = 0.2
+"""Share of the time that a list of cameras takes which is spent on its JSON."""
+
 INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
-def read_cameras_file(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
+def read_cameras_file(path: Path, on_note: Callable[[str], None], progress: Progress) -> list[Camera]:
     """See `load_cameras`."""
     # What numbers out of all bounds make of a pose is told by `Camera`.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        cameras = load_colmap_cameras(path, on_note) if is_colmap(path) else _load_json(path)
+        if is_colmap(path):
+            cameras = load_colmap_cameras(path, on_note, progress)
+        else:
+            cameras = _load_json(path, progress)
     if not cameras:
         raise InputError(f"{path}: holds no cameras")
     for camera in cameras:
@@ -79,13 +86,15 @@ def is_orthographic(entry: dict[str, Any], where: str) -> bool:
     return value
 
 
-def _load_json(path: Path) -> list[Camera]:
-    content = read_json(path, what="camera file")
+def _load_json(path: Path, progress: Progress) -> list[Camera]:
+    content = read_json(path, what="camera file", progress=progress.part(0.0, PARSING))
+    progress = progress.part(PARSING, 1.0)
     if isinstance(content, dict) and "frames" in content and "world_to_camera" not in content:
         raise InputError(f"{path}: is a capture's transforms.json, not a list of cameras")
     entries = content if isinstance(content, list) else [content]
     cameras = []
     for i, entry in enumerate(entries):
+        progress.step(i / len(entries))
         where = f"{path}: camera {i}" if isinstance(content, list) else str(path)
         if not isinstance(entry, dict):
             raise InputError(

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import excerpt
+from splatview.scene.formats.io import excerpt, open_regular, require_regular_file
 from splatview.scene.lens import COUNTS, Lens
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
 
 MAX_NAME_BYTES = 4096
@@ -70,22 +73,24 @@ class ColmapImage:
 
 def is_colmap(path: Path) -> bool:
     """Whether `path` names a COLMAP model: a folder, or its ``cameras`` or ``images`` file."""
-    return path.is_dir() or path.suffix.lower() in (".bin", ".txt")
+    return os.path.isdir(path) or path.suffix.lower() in (".bin", ".txt")
 
 
-def load_colmap_cameras(path: Path, on_note: Callable[[str], None]) -> list[Camera]:
+def load_colmap_cameras(path: Path, on_note: Callable[[str], None], progress: Progress) -> list[Camera]:
     """A camera for each image, sorted by name. `path`: see `is_colmap`.
 
     `on_note` gets a line about each lens that is no pinhole.
 
     Raises:
         InputError: a file is missing, truncated or holds an unknown camera model.
+        Cancelled: nobody waits for it any more.
     """
     cameras_path, images_path = find_model(path)
     intrinsics = read_cameras(cameras_path)
     images = read_images(images_path)
     cameras = []
-    for image in images:
+    for i, image in enumerate(images):
+        progress.step(i / len(images))
         lens = image_lens(image, intrinsics, (cameras_path, images_path))
         cameras.append(image_camera(image, lens, images_path))
     for note in _distortion_notes(intrinsics, images):
@@ -129,22 +134,21 @@ def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[Colm
 
 def find_model(path: Path) -> tuple[Path, Path]:
     """The files (cameras, images) of the model at `path`; a folder may also hold it in ``sparse/0``."""
-    if path.is_dir():
+    if os.path.isdir(path):
         for folder in (path, path / "sparse" / "0", path / "sparse"):
             for suffix in (".bin", ".txt"):
                 pair = folder / f"cameras{suffix}", folder / f"images{suffix}"
-                if all(file.is_file() for file in pair):
+                if all(map(os.path.isfile, pair)):
                     return pair
         raise InputError(
             f"{path}: holds no COLMAP model (cameras and images, .bin or .txt, here or in sparse/0)"
         )
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    require_regular_file(path)
     if path.stem not in ("cameras", "images"):
         raise InputError(f"{path}: is no camera file; COLMAP's are cameras and images (.bin or .txt)")
     pair = path.with_stem("cameras"), path.with_stem("images")
     for file in pair:
-        if not file.is_file():
+        if not os.path.isfile(file):
             raise InputError(f"{path}: needs {file.name} in the same folder")
     return pair
 
@@ -154,17 +158,14 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
     return _read(path, _cameras_binary if path.suffix == ".bin" else _cameras_text)
 
 
-def read_images(path: Path) -> list[ColmapImage]:
-    """``images.bin`` or ``.txt`` in the order of the file. Raises InputError."""
-    return _read(path, _images_binary if path.suffix == ".bin" else _images_text)
+def read_images(path: Path, progress: Progress = NO_PROGRESS) -> list[ColmapImage]:
+    """``images.bin`` or ``.txt`` in the order of the file. Raises InputError, Cancelled."""
+    return _read(path, partial(_images_binary if path.suffix == ".bin" else _images_text, progress))
 
 
 def _read(path: Path, parse: Callable):
-    try:
-        with open(path, "rb") as file:
-            return parse(file, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    with open_regular(path) as file:
+        return parse(file, path)
 
 
 def _focal_lengths(model: str) -> int:
@@ -237,11 +238,17 @@ def _cameras_text(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera
     return cameras
 
 
-def _images_binary(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+AT_ONCE = 4096
+"""Images read between two questions whether to go on."""
+
+
+def _images_binary(progress: Progress, file: io.BufferedReader, path: Path) -> list[ColmapImage]:
     images = []
     (count,) = _unpack(file, "<Q", path)
     file_bytes = path.stat().st_size
-    for _ in range(count):
+    for number in range(count):
+        if number % AT_ONCE == 0:
+            progress.step(number / count)
         _, *pose, camera_id = _unpack(file, "<I7dI", path)
         name = bytearray()
         while (byte := file.read(1)) != b"\0":
@@ -257,12 +264,14 @@ def _images_binary(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
     return images
 
 
-def _images_text(file: io.BufferedReader, path: Path) -> list[ColmapImage]:
-    images = []
+def _images_text(progress: Progress, file: io.BufferedReader, path: Path) -> list[ColmapImage]:
+    images, file_bytes = [], path.stat().st_size
     lines = (line.decode("utf-8", "replace").strip() for line in file)
     for line in lines:
         if not line or line.startswith("#"):
             continue
+        if len(images) % AT_ONCE == 0:
+            progress.step(file.tell() / max(file_bytes, 1))
         words = line.split(maxsplit=9)
         try:
             pose = [float(word) for word in words[1:8]]

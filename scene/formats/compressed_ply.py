@@ -1,7 +1,7 @@
 """Scenes from and to compressed .ply: 16 bytes per splat relative to the bounds of its chunk of 256 splats.
 
-Source: playcanvas/splat-transform, decompress-ply.ts and compressed-chunk.ts (MIT), read for facts. Chunks have
-12 numbers, or 18 with bounds of colours; SH, where there are any, are an element of bytes.
+Chunks have 12 numbers, or 18 with bounds of colours; SH, where there are any, are an element of bytes.
+Source: playcanvas/splat-transform, decompress-ply.ts and compressed-chunk.ts (MIT), read for facts.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
     SLICE,
+    check_room,
     from_smallest_three,
     logits_of,
     morton_order,
@@ -44,7 +45,7 @@ SH_RANGE = 8.0
 """Width of the range of coefficients, about 0."""
 
 
-def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress) -> Gaussians:
+def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room: float) -> Gaussians:
     """The splats of a file whose vertices are packed. Raises InputError and Cancelled."""
     path, elements = body.path, body.header.elements
     chunk, sh_element = elements.get("chunk"), elements.get("sh")
@@ -57,6 +58,8 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress) -> Ga
             f"{path}: {vertex.count:,} splats need {-(-vertex.count // CHUNK):,} chunks, and there are "
             f"{chunk.count:,}: it is damaged; export it again"
         )
+    body.check_size(list(elements.values())[-1])
+    check_room(path, vertex.count, 3 if sh_element is not None else 0, room)
     coloured = set(COLOUR_BOUNDS) <= set(scalar_types(chunk))
     bounds = np.empty((chunk.count, 18 if coloured else 12), np.float32)
     packed = [np.empty(vertex.count, np.uint32) for _ in PACKED]
@@ -78,7 +81,6 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress) -> Ga
         rest = np.empty((vertex.count, len(rest_names)), np.uint8)
         if rest_names:
             wanted["sh"] = [Target(names=rest_names, array=rest)]
-    body.check_size(list(elements.values())[-1])
     read = [element for name, element in elements.items() if name in wanted]
     for i, element in enumerate(read):
         body.read_rows(
@@ -136,7 +138,12 @@ SH_LEVELS[[0, 255]] = -SH_RANGE / 2, SH_RANGE / 2
 
 
 def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> None:
-    """Writes chunks of 18 numbers, packed splats, and SH where there are any. Raises InputError, Cancelled."""
+    """Writes chunks of 18 numbers, packed splats, and SH where there are any.
+
+    Raises:
+        InputError: the system refuses.
+        Cancelled: nobody waits for it any more.
+    """
     gaussians = gaussians.take(storable(gaussians))
     order = morton_order(gaussians.means)
     n, per_channel = len(gaussians), SH_COEFFICIENTS[gaussians.sh_degree] - 1
@@ -180,8 +187,8 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
 
 
 def _within_chunks(values: np.ndarray, bounds: np.ndarray, first: int) -> np.ndarray:
-    """Shares (N, 3) of the way from the lowest to the highest value of each chunk; the two go to `bounds`, from
-    column `first` on."""
+    """Shares (N, 3) of the way from the lowest to the highest value of each chunk; those two go to `bounds`,
+    from column `first` on."""
     starts = np.arange(0, len(values), CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     bounds[:, first : first + 3], bounds[:, first + 3 : first + 6] = low, high

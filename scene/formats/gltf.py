@@ -22,8 +22,8 @@ import numpy as np
 
 from splatview.scene.edits import quat_product
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import atomic_write, excerpt, open_scene
-from splatview.scene.formats.packing import logits_of, too_short, unit_quats
+from splatview.scene.formats.io import atomic_write, excerpt, open_regular
+from splatview.scene.formats.packing import check_room, logits_of, too_short, unit_quats
 from splatview.scene.frames import OURS, reframed, turned
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
@@ -51,7 +51,7 @@ def is_glb(start: bytes) -> bool:
     return start.startswith(GLB)
 
 
-def read_glb(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_glb(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of all primitives, moved as their nodes say. Raises InputError and Cancelled."""
     size = os.fstat(file.fileno()).st_size
     header = file.read(20)
@@ -66,15 +66,15 @@ def read_glb(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussia
     chunk = file.read(8)
     if len(chunk) == 8 and struct.unpack("<2I", chunk)[1] == BINARY_CHUNK:
         binary = file.read(min(struct.unpack("<2I", chunk)[0], size))
-    return _Document(text, binary, path).read(progress)
+    return _Document(text, binary, path).read(progress, room)
 
 
-def read_gltf(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_gltf(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """As `read_glb`, with numbers in files beside it or within its text."""
     text = file.read(MAX_JSON_BYTES + 1)
     if len(text) > MAX_JSON_BYTES:
         raise InputError(f"{path}: is too large for the text of a scene")
-    return _Document(text, b"", path).read(progress)
+    return _Document(text, b"", path).read(progress, room)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +93,15 @@ class _Document:
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path}: its description is no JSON ({error}); export it again") from None
 
-    def read(self, progress: Progress) -> Gaussians:
+    def read(self, progress: Progress, room: float) -> Gaussians:
         try:
             placed = self._placed()
             if not placed:
                 raise InputError(f"{self.path}: has no splats ({EXTENSION}): it is a scene of something else")
             parts = []
             for one in placed:
+                count = self.json["accessors"][_index(one.primitive["attributes"]["POSITION"])]["count"]
+                check_room(self.path, sum(map(len, parts)) + _index(count), 3, room)
                 parts.append(self._moved(self._splats(one.primitive), one.matrix))
                 progress.step(len(parts) / len(placed))
             return reframed(concatenate(parts), FRAME)
@@ -230,7 +232,7 @@ class _Document:
             elif re.search(r"[/\\:%\0]", uri) or uri in ("", ".", ".."):
                 raise InputError(f"{self.path}: names {excerpt(uri)}: only files beside it are read")
             else:
-                with open_scene(self.path.parent / uri) as file:
+                with open_regular(self.path.parent / uri) as file:
                     content = file.read()
             self._buffers[number] = content
         return self._buffers[number]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import io
 import json
 import math
 import os
+import re
 import secrets
 import stat
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from splatview.scene.errors import InputError
+from splatview.scene.progress import NO_PROGRESS, Progress
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -26,10 +31,35 @@ Ghostscript on PostScript."""
 
 
 def open_image(path: Path) -> Image.Image:
-    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises."""
+    """A picture of `IMAGE_FORMATS`, its pixels not yet decoded. Raises whatever Pillow raises, and InputError
+    for what is no file."""
     from PIL import Image
 
+    require_regular_file(path)
     return Image.open(path, formats=IMAGE_FORMATS)
+
+
+def target_of(path: Path) -> Path:
+    """The file behind all links that is written for `path`.
+
+    Raises:
+        InputError: there can be none: its folder is missing or out of reach, or something else is there.
+    """
+    target = Path(os.path.realpath(path))
+    try:
+        mode = target.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise InputError(f"{path}: is a folder; name a file in it")
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
+    except FileNotFoundError:
+        if not os.path.isdir(target.parent):
+            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {target.parent} cannot be written to")
+    return target
 
 
 @contextmanager
@@ -37,35 +67,57 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A file to write to that takes the name `path` when the block ends well, and vanishes when it does not.
 
     The bytes are on the disk (fsync) before the name changes, so that a kill or a power cut at any moment
-    leaves the old file or the new one. A link stays a link: the file that it leads to is replaced.
+    leaves the old file or the new one. A link stays a link: the file that it leads to is replaced. What a
+    kill left beside it of an earlier write is removed.
 
     Raises:
         InputError: the operating system refuses, be it the folder's permissions or a full disk.
     """
+    target = target_of(path)
     try:
-        target = path.resolve()
-        if target.is_dir():
-            raise InputError(f"{path}: is a folder; name a file in it")
-        if target.exists() and not target.is_file():
-            raise InputError(f"{path}: is a device or a pipe, not a file; name a file")
-        if not target.parent.is_dir():
-            raise InputError(f"{path}: the folder {target.parent} does not exist; make it first")
         # In the same folder, for a rename between file systems would be a copy.
-        temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
+        name = target.name if len(os.fsencode(target.name)) <= 200 else target.name[:50]
+        _remove_leftovers(target.parent, f".{name}.")
+        temporary = target.parent / f".{name}.{secrets.token_hex(4)}.tmp"
         try:
             with open(temporary, "xb") as file:
+                _mark_as_ours(file)
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
-            if target.exists():
-                temporary.chmod(target.stat().st_mode & 0o777)
-            temporary.replace(target)
+                if target.exists():
+                    temporary.chmod(target.stat().st_mode & 0o777)
+                if os.name == "posix":  # while it is locked
+                    temporary.replace(target)
+            if os.name != "posix":  # which rename no open files
+                temporary.replace(target)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
         _sync_folder(target.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+LOCKED_WITHIN = 1.0
+"""Seconds after which a file that is being written has been locked."""
+
+
+def _mark_as_ours(file: BinaryIO) -> None:
+    """Locks a file that is being written, where the file system can: no other process takes it for a
+    leftover."""
+    with contextlib.suppress(OSError):
+        take_lock(file)
+
+
+def _remove_leftovers(folder: Path, prefix: str) -> None:
+    """Removes files of writes that were killed: those that no living process has locked, or is about to."""
+    for leftover in folder.glob(f"{glob.escape(prefix)}*.tmp"):
+        with contextlib.suppress(OSError):
+            with open(leftover, "r+b") as file:
+                free = take_lock(file) and time.time() - os.fstat(file.fileno()).st_mtime > LOCKED_WITHIN
+            if free:
+                leftover.unlink()
 
 
 def _sync_folder(folder: Path) -> None:
@@ -80,21 +132,28 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def open_scene(path: Path) -> Iterator[io.BufferedReader]:
-    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError."""
+def open_regular(path: Path, *, folder: str = "is a folder, not a file") -> Iterator[io.BufferedReader]:
+    """The file at `path`, open to read. Whatever the system refuses within the block is an InputError, as are
+    folders, devices and pipes, which may never end; `folder` is what to say about those."""
     try:
         with open(path, "rb", opener=_open_regular) as file:
             yield file
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a scene; name the .ply file in it") from None
+        raise InputError(f"{path}: {folder}") from None
     except PermissionError:
         raise InputError(f"{path}: may not be read; check its permissions") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise InputError(f"{path}: does not fit in this machine's memory") from None
+
+
+def require_regular_file(path: Path) -> None:
+    """Raises InputError where `open_regular` would."""
+    with open_regular(path):
+        pass
 
 
 def _open_regular(name: str, flags: int) -> int:
@@ -142,10 +201,6 @@ def take_lock(file: IO[bytes]) -> bool:
     return True
 
 
-CONVERT = "convert it to an uncompressed .ply, with `splat-transform IN OUT.ply` or in SuperSplat"
-"""What to do about a format that is recognised and not read."""
-
-
 def excerpt(text: str) -> str:
     """`text` quoted on one line, cut where long: for messages about files that may hold anything."""
     return ascii(text if len(text) <= 60 else text[:57] + "...")
@@ -156,21 +211,38 @@ MAX_JSON_BYTES = 1 << 26
 with a larger limit a damaged file could take all memory."""
 
 
-def read_json(path: Path, *, what: str) -> Any:
-    """The content of `path`. Raises InputError; `what` says what the file should have been."""
+def read_json(path: Path, *, what: str, progress: Progress = NO_PROGRESS) -> Any:
+    """The content of `path`. Raises InputError and Cancelled; `what` says what the file should have been."""
+    with open_regular(path) as file:
+        text = file.read(MAX_JSON_BYTES + 1)
+    if len(text) > MAX_JSON_BYTES:
+        raise InputError(f"{path}: is too large for a {what}")
     try:
-        # A device or a pipe may never end: only files are opened.
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: is too large for a {what}")
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return _parsed(text, progress)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{path}: is no {what}: not JSON ({error})") from None
+
+
+_SPACE = re.compile(r"[ \t\n\r]*")
+
+
+def _parsed(data: bytes, progress: Progress) -> Any:
+    """As json.loads, but a list entry by entry: one call for all would hold up every other thread."""
+    text = data.decode(json.detect_encoding(data), "surrogatepass")
+    after = lambda place: _SPACE.match(text, place).end()  # noqa: E731 # pyright: ignore
+    place, entries, decoder = after(0), [], json.JSONDecoder()
+    if text[place : place + 1] != "[":
+        return json.loads(text)
+    while text[place : place + 1] == ("," if entries else "["):
+        progress.step(place / len(text))
+        try:
+            entry, place = decoder.raw_decode(text, after(place + 1))
+        except ValueError:
+            break
+        entries.append(entry)
+        place = after(place)
+    # What is empty or wrong json.loads knows best.
+    return entries if entries and text[place:].rstrip(" \t\n\r") == "]" else json.loads(text)
 
 
 def _value(entry: Mapping[str, Any], key: str, where: str) -> Any:
@@ -212,3 +284,11 @@ def array(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str
         size = " x ".join(map(str, shape))
         raise InputError(f"{where}: {key!r} must be {size} numbers in brackets")
     return np.array(value, dtype=np.float64)
+
+
+def physical_memory() -> float:
+    """Bytes of this machine; infinite where the system does not tell."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return math.inf

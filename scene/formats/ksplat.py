@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.packing import logits_of, too_short
+from splatview.scene.formats.packing import check_room, logits_of, too_short
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
 from splatview.scene.sh import rgb_to_sh
@@ -52,7 +52,7 @@ def is_ksplat(start: bytes) -> bool:
     return len(start) >= 8 and start[0] == 0 and 1 <= start[1] < 16 and start[2:4] == b"\0\0"
 
 
-def read_ksplat(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_ksplat(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of all sections. Raises InputError and Cancelled."""
     size = os.fstat(file.fileno()).st_size
     header = file.read(HEADER)
@@ -68,6 +68,7 @@ def read_ksplat(file: io.BufferedReader, path: Path, progress: Progress) -> Gaus
     if sections > (size - HEADER) // SECTION:
         raise too_short(path, f"the headers of its {sections:,} sections")
     headers = [_section(file.read(SECTION), path) for _ in range(sections)]
+    check_room(path, sum(one.count for one in headers), max((one.degree for one in headers), default=0), room)
     parts = []
     for section in headers:
         if section.count:

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from splatview.scene.errors import InputError
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.errors import InputError, bytes_in_words
+from splatview.scene.formats.io import physical_memory
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.projection import sigmoid
 
@@ -119,8 +120,8 @@ def check_expansion(path: Path, promised: int, held: int) -> None:
     codec makes so small: a damaged count, or a file made to fill the memory."""
     if promised > max(ALWAYS_ALLOWED, MOST_EXPANSION * held):
         raise InputError(
-            f"{path}: {held:,} bytes that promise {promised:,} bytes of splats: it is damaged, or made to fill "
-            "the memory; export it again"
+            f"{path}: {held:,} bytes that promise {promised:,} bytes of splats: it is damaged, or made to "
+            "fill the memory; export it again"
         )
 
 
@@ -136,6 +137,17 @@ def gunzipped(file: io.BufferedReader, path: Path, most: int, progress: Progress
     except zlib.error as error:
         raise InputError(f"{path}: is damaged ({error}); copy or export it again") from None
     return b"".join(parts)
+
+
+def check_room(path: Path, count: int, degree: int, room: float) -> None:
+    """Raises InputError where so many splats of an SH degree do not fit into `room` bytes, or into memory. To
+    be called before memory is taken."""
+    needed, free = count * 4 * (11 + 3 * SH_COEFFICIENTS[degree]), min(room, physical_memory())
+    if not needed <= free:
+        raise InputError(
+            f"{path}: {count:,} splats need {bytes_in_words(needed)} of memory, and there are "
+            f"{bytes_in_words(free)} for them; thin the scene out elsewhere first"
+        )
 
 
 def too_short(path: Path, wanted: str) -> InputError:

@@ -1,9 +1,9 @@
 """Palettes: few values that stand for many, by weighted k-means.
 
 All splats against all centroids is what makes an encoder slow: 95,000 splats of SH degree 3 and 16,384
-centroids are 140 billion operations a pass. So the splats are first parted into groups, and each group gets its
-share of the centroids and is clustered by itself; distances are products of matrices, which BLAS does at the
-machine's speed.
+centroids are 140 billion operations a pass. So the splats are first parted into groups, and each group gets
+its share of the centroids and is clustered by itself; distances are products of matrices, which BLAS does at
+the machine's speed.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def vectors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """At most `count` centroids (C, D) float32 of rows (N, D), and the index (N,) of each row's own.
 
-    Weighted by `weights` (N,), at least 0. Equal rows, such as the zeros of a scene whose colours are the same
-    from everywhere, cost one centroid. Raises Cancelled.
+    Weighted by `weights` (N,), at least 0. Where there are no more different rows than that, those are the
+    centroids, and nothing is lost. Raises Cancelled.
     """
     rng = np.random.default_rng(seed)
     rows = np.ascontiguousarray(rows, np.float32)

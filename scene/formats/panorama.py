@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,8 @@ def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> P
     """
     from PIL import Image
 
+    if not os.path.lexists(path):
+        raise InputError(f"{path}: no such picture for the background")
     try:
         with open_image(path) as file:
             width, height = file.size
@@ -46,8 +49,6 @@ def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> P
             pixels = np.array(picture)
     except InputError:
         raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such picture for the background") from None
     except Exception as error:
         # Decoders of damaged files raise nearly anything: OSError, SyntaxError, struct.error, ValueError...
         reason = str(error).partition("\n")[0].removesuffix(repr(str(path))).strip()

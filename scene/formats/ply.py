@@ -44,21 +44,29 @@ FLAT_TAG = "SplatRenderMode: 2dgs"
 """The comment by which a file says that its splats are discs."""
 
 
+FILTER = "filter_3D"
+"""The property in which Mip-Splatting keeps its smoothing filter: world units, a standard deviation."""
+
+MIP_TAG = "SplatRenderMode: mip"
+"""The comment by which a file says that it was trained with Mip-Splatting's kernel."""
+
+
 def is_ply(start: bytes) -> bool:
     """Whether a file whose first bytes are `start` says that it is a .ply."""
     return start[:3] == b"ply" and start[3:].lstrip(b" \t").startswith((b"\n", b"\r\n"))
 
 
-def read_ply(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
-    """Splats, or a point cloud as round splats. Raises InputError and Cancelled."""
+def read_ply(file: io.BufferedReader, path: Path, progress: Progress, room: float = math.inf) -> Gaussians:
+    """Splats, or a point cloud as round splats; `room` bytes of memory at most. Raises InputError and
+    Cancelled."""
     header = read_header(file, path)
     vertex = header.elements.get("vertex")
     _refuse_other_ply(header, path)
     if vertex is None:
         raise InputError(f"{path}: has no element vertex, so no splats")
-    body = PlyBody(file, header, path, progress)
+    body = PlyBody(file, header, path, progress, room)
     if "packed_position" in scalar_types(vertex):
-        return read_compressed(body, vertex, progress)
+        return read_compressed(body, vertex, progress, room)
     splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
     if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
         return read_point_cloud(body, vertex)
@@ -135,6 +143,10 @@ def _read_splats(body: PlyBody, vertex: PlyElement) -> Gaussians:
             FLAT_TAG,
             f"splatview: the file had two scales; the third is the smaller / {FLAT_RATIO:g}",
         )
+    if FILTER in extras:
+        fuse_filter(log_scales, opacity_logits, extras.pop(FILTER))
+        # The file's own word on how it was trained comes later and counts more.
+        comments = (MIP_TAG, *comments, f"splatview: the file's {FILTER} is part of the scales and opacities")
     if set(NORMAL) <= set(extras) and not any(_has_bits(extras[name]) for name in NORMAL):
         # The usual layout has normals of zeros that mean nothing; saving writes them again.
         extras = {name: values for name, values in extras.items() if name not in NORMAL}
@@ -147,6 +159,26 @@ def _read_splats(body: PlyBody, vertex: PlyElement) -> Gaussians:
         comments=comments,
         extras=extras,
     )
+
+
+def fuse_filter(log_scales: np.ndarray, opacity_logits: np.ndarray, sigmas: np.ndarray) -> None:
+    """Widens splats (N, 3) by filters of standard deviations `sigmas` (N,) and fades (N,) them as much, in
+    place: s' = sqrt(s² + σ²), o' = o·sqrt(Πs² / Πs'²) (Yu et al. 2024, eq. 9 and their released code)."""
+    for start in range(0, len(sigmas), FUSED):
+        part = slice(start, start + FUSED)
+        filtered = np.flatnonzero(sigmas[part]) + start  # NaN too: it culls, as it does there
+        before = log_scales[filtered].astype(np.float64)
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            squares = 2 * np.log(np.abs(sigmas[filtered].astype(np.float64)))
+            after = np.logaddexp(2 * before, squares[:, None]) / 2
+            log_opacity = (before - after).sum(axis=1)
+            log_opacity -= np.logaddexp(0, -opacity_logits[filtered].astype(np.float64))
+            opacity_logits[filtered] = log_opacity - np.log(-np.expm1(log_opacity))
+        log_scales[filtered] = after
+
+
+FUSED = 1 << 16
+"""Splats at once, so that no second copy of the scene is made."""
 
 
 def _has_bits(values: np.ndarray) -> bool:

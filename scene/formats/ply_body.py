@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyElement, PlyListProperty, PlyParseError, PlyProperty
 
-from splatview.scene.errors import InputError
-from splatview.scene.formats.io import excerpt
+from splatview.scene.errors import InputError, bytes_in_words
+from splatview.scene.formats.io import excerpt, physical_memory
 from splatview.scene.formats.ply_header import Header, scalar_types
 from splatview.scene.progress import Progress
 
@@ -59,19 +60,34 @@ def _min_row_bytes(element: PlyElement) -> int:
     )
 
 
-def physical_memory() -> float:
-    """Bytes of this machine; infinite where the system does not tell."""
+def free_memory() -> int:
+    """Bytes that programs can take before the machine swaps: half of all where the system does not tell,
+    and 4 GiB where it does not even tell that."""
     try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return math.inf
+        found = re.search(r"^MemAvailable: *(\d+) kB", Path("/proc/meminfo").read_text(), re.MULTILINE)
+    except OSError:
+        found = None
+    return int(found[1]) << 10 if found else int(min(physical_memory() / 2, 4 << 30))
+
+
+SPLAT_BYTES = 56
+"""Of a splat in memory at least: what a point cloud stores becomes more."""
 
 
 class PlyBody:
     """Rows behind a header, read from where `file` stands. plyfile reads from it as from a stream."""
 
-    def __init__(self, file: io.BufferedReader, header: Header, path: Path, progress: Progress) -> None:
+    def __init__(
+        self,
+        file: io.BufferedReader,
+        header: Header,
+        path: Path,
+        progress: Progress,
+        room: float = math.inf,
+    ) -> None:
+        """`room`: bytes of memory that the splats may take."""
         self.header, self.path = header, path
+        self._room = min(room, physical_memory())
         self._file, self._file_bytes = file, os.fstat(file.fileno()).st_size
         self._progress = progress
         self._lines = 0
@@ -99,11 +115,13 @@ class PlyBody:
             left -= earlier.count * row_bytes
 
         # Files can be larger than memory, on purpose (sparse ones) or not.
-        needed = element.count * sum(dtype.itemsize for dtype in scalar_types(element).values())
-        if needed > physical_memory():
+        row = max(SPLAT_BYTES, sum(dtype.itemsize for dtype in scalar_types(element).values()))
+        needed = element.count * row
+        if not needed <= self._room:
             raise InputError(
-                f"{self.path}: {element.count:,} rows of {element.name} need {needed / 2**30:.1f} GiB, and "
-                f"this machine has {physical_memory() / 2**30:.1f} GiB; thin the scene out elsewhere first"
+                f"{self.path}: {element.count:,} rows of {element.name} need {bytes_in_words(needed)} of "
+                f"memory, and there are {bytes_in_words(self._room)} for them; thin the scene out elsewhere "
+                "first"
             )
 
     def read_rows(

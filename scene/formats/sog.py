@@ -21,8 +21,14 @@ import numpy as np
 from PIL import Image
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import excerpt, open_scene
-from splatview.scene.formats.packing import ALWAYS_ALLOWED, check_expansion, from_smallest_three, logits_of
+from splatview.scene.formats.io import excerpt, open_regular
+from splatview.scene.formats.packing import (
+    ALWAYS_ALLOWED,
+    check_expansion,
+    check_room,
+    from_smallest_three,
+    logits_of,
+)
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
 
@@ -64,24 +70,24 @@ def is_sog_folder(path: Path) -> bool:
     return path.is_dir() and any((path / name).is_file() for name in (META, LOD_META))
 
 
-def read_sog(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a zip. Raises InputError and Cancelled."""
     try:
         with zipfile.ZipFile(file) as archive:
             source = _Zip(archive, path)
-            return _read_unit(source, _meta_of(source, META), progress)
+            return _read_unit(source, _meta_of(source, META), progress, room)
     except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, EOFError) as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
 
 
-def read_sog_folder(path: Path, progress: Progress) -> Gaussians:
+def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a folder, or of the finest level of a streamed scene. Raises InputError and Cancelled."""
     folder = path if path.is_dir() else path.parent
     streamed = path.name == LOD_META or (path.is_dir() and not (path / META).is_file())
     source = _Folder(folder)
     if streamed:
-        return _read_streamed(source, folder, progress)
-    return _read_unit(source, _meta_of(source, META), progress)
+        return _read_streamed(source, folder, progress, room)
+    return _read_unit(source, _meta_of(source, META), progress, room)
 
 
 class _Zip:
@@ -113,7 +119,7 @@ class _Folder:
 
     def read(self, name: str, most: int) -> bytes:
         path = self.name / _plain(name, self.name)
-        with open_scene(path) as file:
+        with open_regular(path) as file:
             data = file.read(most + 1)
         if len(data) > most:
             raise InputError(f"{path}: is larger than {most:,} bytes: it is damaged")
@@ -150,12 +156,12 @@ def _described(source: Source) -> Iterator[None]:
         raise
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
         raise InputError(
-            f"{source.name}: its {META} is not that of a scene ({type(error).__name__}: {excerpt(str(error))}); "
-            "export it again"
+            f"{source.name}: its {META} is not that of a scene ({type(error).__name__}: {excerpt(str(error))}"
+            "); export it again"
         ) from None
 
 
-def _read_unit(source: Source, meta: dict[str, Any], progress: Progress) -> Gaussians:
+def _read_unit(source: Source, meta: dict[str, Any], progress: Progress, room: float) -> Gaussians:
     with _described(source):
         version = meta.get("version", 1)
         if version not in (1, 2):
@@ -164,9 +170,10 @@ def _read_unit(source: Source, meta: dict[str, Any], progress: Progress) -> Gaus
         if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31:
             raise InputError(f"{source.name}: a count of {excerpt(str(n))} splats: it is damaged")
         check_expansion(source.name, 20 * n, source.held)
+        shn = meta.get("shN") or {}
+        check_room(source.name, n, int(shn.get("bands", 3 if shn else 0)), room)
         pictures = _Pictures(source, n)
-        gaussians = _decoded(pictures, meta, version, n, progress)
-    return gaussians
+        return _decoded(pictures, meta, version, n, progress)
 
 
 class _Pictures:
@@ -189,12 +196,12 @@ class _Pictures:
                 width, height = image.size
                 if width * height < least:
                     raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is of "
-                        "another scene, or damaged"
+                        f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is "
+                        "of another scene, or damaged"
                     )
                 if width * height > 2 * least + 2**20:
                     raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: it is damaged"
+                        f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
                     )
                 return np.asarray(image.convert("RGBA"))
         except InputError:
@@ -309,7 +316,7 @@ def _between(low: np.ndarray, high: np.ndarray, whole: np.ndarray, most: int) ->
     return low + (high - low) * (whole / most)
 
 
-def _read_streamed(source: _Folder, folder: Path, progress: Progress) -> Gaussians:
+def _read_streamed(source: _Folder, folder: Path, progress: Progress, room: float) -> Gaussians:
     """Every leaf of the tree at its finest level: levels show the same things, and are never put together."""
     meta = _meta_of(source, LOD_META)
     with _described(source):
@@ -326,9 +333,8 @@ def _read_streamed(source: _Folder, folder: Path, progress: Progress) -> Gaussia
     scenes = []
     for done, (number, ranges) in enumerate(sorted(parts.items())):
         unit = _unit_folder(folder, names[number])
-        scene = _read_unit(
-            unit, _meta_of(unit, META), progress.part(done / len(parts), (done + 1) / len(parts))
-        )
+        piece = progress.part(done / len(parts), (done + 1) / len(parts))
+        scene = _read_unit(unit, _meta_of(unit, META), piece, room - sum(scene.nbytes for scene in scenes))
         if ranges is not None:
             if any(stop > len(scene) for _, stop in ranges):
                 raise InputError(

@@ -21,15 +21,16 @@ from splatview.scene.progress import Progress
 from splatview.scene.projection import sigmoid
 
 LARGEST_PALETTE = 1 << 16
-
-
-def default_palette(count: int) -> int:
-    """Entries of the SH palette of `count` splats, as the reference's writer takes."""
-    return min(max(2 ** math.floor(math.log2(max(count, 1))), 64), LARGEST_PALETTE)
+"""Entries of the SH palette that labels of 16 bits can name; fewer make a smaller file."""
 
 
 def save_sog(gaussians: Gaussians, path: Path, progress: Progress, *, palette: int | None = None) -> None:
-    """Writes a zip. `palette`: entries at most; None: `default_palette`. Raises InputError and Cancelled."""
+    """Writes a zip. `palette`: entries at most; None: as many as there can be.
+
+    Raises:
+        InputError: the system refuses.
+        Cancelled: nobody waits for it any more.
+    """
     files = sog_files(gaussians, progress, palette=palette)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, content in files.items():
@@ -86,7 +87,7 @@ def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None =
     meta["sh0"] = {"codebook": book.tolist(), "files": [add("sh0", np.column_stack([indices, opacities]))]}
     progress.step(0.4)
     if gaussians.sh_degree and n:
-        entries = min(palette or default_palette(n), LARGEST_PALETTE)
+        entries = min(palette or LARGEST_PALETTE, LARGEST_PALETTE)
         centroids, labels = vectors(
             gaussians.sh[:, 1:].reshape(n, -1), weights, entries, progress=progress.part(0.4, 0.9)
         )

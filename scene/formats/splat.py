@@ -16,7 +16,7 @@ import numpy as np
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
-from splatview.scene.formats.packing import SLICE, logits_of, opacity_levels, storable, unit_quats
+from splatview.scene.formats.packing import SLICE, check_room, logits_of, opacity_levels, storable, unit_quats
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.sh import SH_C0, rgb_to_sh
@@ -26,15 +26,16 @@ ROW = np.dtype(
 )
 
 
-def read_splat(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_splat(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of SH degree 0. Raises InputError and Cancelled."""
     size = os.fstat(file.fileno()).st_size
     if size % ROW.itemsize:
         raise InputError(
-            f"{path}: {size:,} bytes are no whole number of splats (of {ROW.itemsize}): it is truncated, or no "
-            ".splat file"
+            f"{path}: {size:,} bytes are no whole number of splats (of {ROW.itemsize}): it is truncated, or "
+            "no .splat file"
         )
     n = size // ROW.itemsize
+    check_room(path, n, 0, room)
     means, log_scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
     quats, sh, opacity_logits = (
         np.empty((n, 4), np.float32),

@@ -1,7 +1,8 @@
 """Scenes from and to .spz, Niantic's packed splats: versions 1 to 4 read, 4 written.
 
-Up to version 3 a gzip stream of a 16-byte header and one block per attribute; version 4 has a plain header of
-32 bytes and a zstd frame per attribute. Source: nianticlabs/spz, README and load-spz.cc (MIT), read for facts.
+Up to version 3 a gzip stream of a 16-byte header and one block per attribute; version 4 has a plain header
+of 32 bytes and a zstd frame per attribute. Source: nianticlabs/spz, README and load-spz.cc (MIT), read for
+facts.
 
 The format's frame is RUB (y up, z to the back); an extension record may name another one. Tools exist that
 write RDF without saying so, so the frame that was assumed stands in the scene's comments.
@@ -24,6 +25,7 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
     check_expansion,
+    check_room,
     from_smallest_three,
     gunzipped,
     logits_of,
@@ -79,7 +81,8 @@ LARGEST = 2**23 - 1
 """Largest whole number of 24 bits with a sign."""
 
 SH_BITS = (5, 4, 4)
-"""Bits kept of coefficients of band 1, 2 and 3, as the reference does: fewer different bytes compress better."""
+"""Bits kept of coefficients of band 1, 2 and 3, as the reference keeps: fewer different bytes compress
+better."""
 
 LEVEL = 12
 """Of zstd, as the reference takes."""
@@ -111,7 +114,7 @@ def is_spz(start: bytes) -> bool:
     return start.startswith((MAGIC, GZIP))
 
 
-def read_spz(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats in our frame; comments name the frame of the file. Raises InputError and Cancelled."""
     size = os.fstat(file.fileno()).st_size
     start = file.read(8)
@@ -120,18 +123,18 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussia
         packed = io.BytesIO(gunzipped(file, path, 16, progress))
         header = _read_header(packed, path)
         file.seek(0)
-        check_expansion(path, sum(header.sizes.values()), size)
+        _check_size(header, size, room, path)
         # Extension records are few: a mebibyte is more than any of them needs.
         content = gunzipped(file, path, 16 + sum(header.sizes.values()) + 2**20, progress)
         blocks, records = _plain_blocks(header, content[16:], path)
     elif struct.unpack_from("<I", start.ljust(8, b"\0"), 4)[0] < 4:
         header = _read_header(file, path)
-        check_expansion(path, sum(header.sizes.values()), size)
+        _check_size(header, size, room, path)
         blocks, records = _plain_blocks(header, file.read(), path)
     else:
-        header, blocks, records = _read_streams(file, path, size, progress)
+        header, blocks, records = _read_streams(file, path, size, progress, room)
     progress.step(0.5)
-    return _decoded(header, blocks, _extensions(records) if header.flags & HAS_EXTENSIONS else {}, path)
+    return _decoded(header, blocks, _extensions(records) if header.flags & HAS_EXTENSIONS else {})
 
 
 def _read_header(file: io.BufferedReader | io.BytesIO, path: Path) -> Header:
@@ -152,6 +155,11 @@ def _read_header(file: io.BufferedReader | io.BytesIO, path: Path) -> Header:
     return Header(version=version, count=count, degree=degree, fraction_bits=fraction_bits, flags=flags)
 
 
+def _check_size(header: Header, size: int, room: float, path: Path) -> None:
+    check_expansion(path, sum(header.sizes.values()), size)
+    check_room(path, header.count, min(header.degree, 3), room)
+
+
 def _plain_blocks(header: Header, content: bytes, path: Path) -> tuple[dict[str, bytes], bytes]:
     """Blocks by name, and what follows them. Raises InputError."""
     blocks, at = {}, 0
@@ -164,7 +172,7 @@ def _plain_blocks(header: Header, content: bytes, path: Path) -> tuple[dict[str,
 
 
 def _read_streams(
-    file: io.BufferedReader, path: Path, size: int, progress: Progress
+    file: io.BufferedReader, path: Path, size: int, progress: Progress, room: float
 ) -> tuple[Header, dict[str, bytes], bytes]:
     """Header, blocks and extension records of version 4. Raises InputError and Cancelled."""
     header = _read_header(file, path)
@@ -177,12 +185,12 @@ def _read_streams(
     wanted = {name: bytes_ for name, bytes_ in header.sizes.items() if bytes_}
     if streams != len(wanted):
         raise InputError(
-            f"{path}: has {streams} streams, and {len(wanted)} belong to {header.count:,} splats of SH degree "
-            f"{header.degree}: it is damaged; export it again"
+            f"{path}: has {streams} streams, and {len(wanted)} belong to {header.count:,} splats of SH "
+            f"degree {header.degree}: it is damaged; export it again"
         )
     if not 32 <= table_at <= size - 16 * streams:
         raise InputError(f"{path}: its table of streams is said to be outside of the file: it is damaged")
-    check_expansion(path, sum(wanted.values()), size)
+    _check_size(header, size, room, path)
     file.seek(32)
     records = file.read(table_at - 32)
     table = struct.unpack(f"<{2 * streams}Q", file.read(16 * streams))
@@ -224,9 +232,9 @@ def _extensions(records: bytes) -> dict[int, bytes]:
     return found
 
 
-def _decoded(header: Header, blocks: dict[str, bytes], extensions: dict[int, bytes], path: Path) -> Gaussians:
+def _decoded(header: Header, content: dict[str, bytes], extensions: dict[int, bytes]) -> Gaussians:
     n, degree = header.count, min(header.degree, 3)
-    blocks = {name: np.frombuffer(block, np.uint8) for name, block in blocks.items()}
+    blocks = {name: np.frombuffer(block, np.uint8) for name, block in content.items()}
     coefficients = (header.degree + 1) ** 2 - 1
     sh = np.empty((n, SH_COEFFICIENTS[degree], 3), np.float32)
     sh[:, 0] = (blocks["colours"].reshape(n, 3) / np.float32(255) - np.float32(0.5)) / np.float32(
@@ -305,8 +313,8 @@ def save_spz(
     )
     if bits < 0:
         raise InputError(
-            f"{path}: a splat is {largest:g} from the origin, and .spz holds positions to {LARGEST:,}: move the "
-            "scene to the origin first, or take another format"
+            f"{path}: a splat is {largest:g} from the origin, and .spz holds positions to {LARGEST:,}: move "
+            "the scene to the origin first, or take another format"
         )
     gaussians = reframed(gaussians.take(morton_order(gaussians.means)), OURS, DEFAULT_FRAME)
     header = Header(

@@ -1,11 +1,13 @@
 // Culls the splats of one slab that lie wholly within opaque blocks. Flags: BLOCK, SLABS.
 #include "quads/culled.glsl"
+#include "common/groups.glsl"
+#include "common/records.glsl"
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Order { uint order[]; };
 layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
-layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
-layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
+RECORDS_READ(2, 3, Shapes, shapes);
+RECORDS_READ(3, 4, Bounds, bounds);
 layout(std430, binding = 4) readonly buffer OpaqueBlocks { uint opaque[]; };
 layout(std430, binding = 5) writeonly buffer Drawn { uint drawn[]; };  // order, or CULLED
 uniform uint u_slab;
@@ -15,8 +17,8 @@ uniform vec2 u_size;
 const int MOST_BLOCKS = 256;  // a splat over more is drawn: the test would cost more than it saves
 
 bool is_occluded(uint splat) {
-    vec2 mean = shapes[splat].xy;
-    vec4 bound = bounds[splat];
+    vec2 mean = RECORD(shapes, splat).xy;
+    vec4 bound = RECORD(bounds, splat);
     vec2 major = bound.zw;
     float ratio = bound.y / max(length(major), 1e-30);
     vec2 extent = min(sqrt(major * major + ratio * ratio * major.yx * major.yx), vec2(1e9)) + 1.0;
@@ -30,7 +32,7 @@ bool is_occluded(uint splat) {
 }
 
 void main() {
-    uint slot = slab_starts[u_slab] + gl_GlobalInvocationID.x;
+    uint slot = slab_starts[u_slab] + group_number() * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
     if (slot >= slab_starts[u_slab + 1u]) return;
     uint splat = order[slot];
     drawn[slot] = is_occluded(splat) ? CULLED : splat;

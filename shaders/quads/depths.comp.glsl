@@ -1,6 +1,7 @@
 // Depth key and index of every splat of a page, visible or not. Flags: GROUP_SIZE, ANTIALIASED, and those
 // of attributes and edits.
 #include "common/edits.glsl"
+#include "common/groups.glsl"
 layout(local_size_x = GROUP_SIZE) in;
 
 #include "quads/attributes.glsl"
@@ -13,7 +14,7 @@ uniform uint u_key_shift;
 uniform uint u_key_most;
 
 void main() {
-    uint local = gl_GlobalInvocationID.x;
+    uint local = group_number() * uint(GROUP_SIZE) + gl_LocalInvocationID.x;
     if (local >= u_page_count) return;
     uint splat = u_page_first + local;
     Splat s = unedited(position_of(local), vec4(1.0, 0.0, 0.0, 0.0), vec3(1.0), 1.0);

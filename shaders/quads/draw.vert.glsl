@@ -4,14 +4,15 @@
 #include "quads/culled.glsl"
 #include "common/quad.glsl"
 #include "common/tint.glsl"
+#include "common/records.glsl"
 layout(std430, binding = 0) readonly buffer Order { uint order[]; };
 layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
-layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };
-layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };
-layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };
+RECORDS_READ(2, 3, Shapes, shapes);
+RECORDS_READ(3, 4, Bounds, bounds);
+RECORDS_READ(4, 5, Colours, colours);
 layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
 #if HAS_DISCS
-layout(std430, binding = 6) readonly buffer Discs { vec4 discs[]; };
+RECORDS_READ(6, 6, Discs, discs);
 #endif
 
 float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
@@ -41,13 +42,14 @@ void main() {
 #endif
         return;
     }
-    vec4 colour = colours[splat];
+    vec4 colour = RECORD(colours, splat);
     if (DEPTH) colour.rgb = vec3(depth_of(splat));
-    place_quad(shapes[splat], bounds[splat], vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+    colour.rgb = min(tinted(splat, colour.rgb), u_brightest);
+    place_quad(RECORD(shapes, splat), RECORD(bounds, splat), colour);
 #if HAS_DISCS
     if (DISCS) {
-        v_rows = discs[2u * splat];
-        v_plane = discs[2u * splat + 1u];
+        v_rows = RECORD(discs, 2u * splat);
+        v_plane = RECORD(discs, 2u * splat + 1u);
     }
 #endif
 #if HAS_WEIGHTED

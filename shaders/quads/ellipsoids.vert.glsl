@@ -3,8 +3,9 @@
 #include "quads/culled.glsl"
 #include "common/ellipsoid.glsl"
 #include "common/tint.glsl"
+#include "common/records.glsl"
 #include "quads/attributes.glsl"
-layout(std430, binding = 3) readonly buffer Colours { vec4 colours[]; };
+RECORDS_READ(3, 5, Colours, colours);
 layout(std430, binding = 4) readonly buffer DepthKeys { uint depth_keys[]; };
 uniform uint u_page_first;
 uniform uint u_page_count;
@@ -16,5 +17,5 @@ void main() {
     if (local >= u_page_count || depth_keys[splat] == CULLED) return;
     vec4 scale_opacity = scale_opacity_of(local);
     Splat s = unedited(position_of(local), quat_of(local), scale_opacity.xyz, scale_opacity.w);
-    place_ellipsoid(splat, s, tinted(splat, colours[splat].rgb));
+    place_ellipsoid(splat, s, tinted(splat, RECORD(colours, splat).rgb));
 }

@@ -1,5 +1,6 @@
 // Marks blocks of BLOCK x BLOCK pixels as opaque: transmittance of every pixel below u_early_stop, so that no
 // splat behind changes them visibly. An opaque block stays so: each pixel is read about once per frame. Flags: BLOCK.
+#include "common/groups.glsl"
 layout(local_size_x = 8) in;
 
 layout(std430, binding = 0) buffer OpaqueBlocks { uint opaque[]; };
@@ -9,7 +10,7 @@ uniform int u_blocks;
 uniform float u_early_stop;
 
 void main() {
-    int block = int(gl_GlobalInvocationID.x);
+    int block = int(group_number() * gl_WorkGroupSize.x + gl_LocalInvocationID.x);
     if (block >= u_blocks || opaque[block] != 0u) return;
     ivec2 first = ivec2(block % u_columns, block / u_columns) * BLOCK;
     ivec2 last = min(first + BLOCK, textureSize(u_accumulation, 0));

@@ -8,7 +8,6 @@ layout(std430, binding = 2) writeonly buffer Visible { uint visible; };
 layout(std430, binding = 3) writeonly buffer Commands { uint commands[]; };  // one DrawElementsIndirectCommand per slab
 layout(std430, binding = 4) writeonly buffer Slabs { uint slab_starts[]; };
 uniform uint u_groups;
-uniform float u_slab_ends[SLABS];  // shares of the visible splats, growing
 
 shared uint sums[SCAN_SIZE];
 
@@ -34,9 +33,10 @@ void main() {
     }
     if (me == uint(SCAN_SIZE) - 1u) {
         visible = sums[me];
-        uint start = 0u;
+        // In whole numbers: float32 counts to 2^24.
+        uint start = 0u, share = sums[me] / uint(SLABS), rest = sums[me] % uint(SLABS);
         for (uint slab = 0u; slab < uint(SLABS); slab++) {
-            uint end = uint(float(sums[me]) * u_slab_ends[slab]);
+            uint end = (slab + 1u) * share + (slab + 1u) * rest / uint(SLABS);
             slab_starts[slab] = start;
             commands[5u * slab] = 6u * uint(QUADS_PER_INSTANCE);
             commands[5u * slab + 1u] = (end - start + uint(QUADS_PER_INSTANCE) - 1u) / uint(QUADS_PER_INSTANCE);

@@ -13,7 +13,7 @@ uint counter(uint key) {
 
 // This invocation's keys, as first and one past the last.
 uvec2 own_run() {
-    uint first = gl_WorkGroupID.x * uint(BLOCK) + gl_LocalInvocationID.x * uint(KEYS_PER_INVOCATION);
+    uint first = group_number() * uint(BLOCK) + gl_LocalInvocationID.x * uint(KEYS_PER_INVOCATION);
     return uvec2(first, min(first + uint(KEYS_PER_INVOCATION), plan.count));
 }
 

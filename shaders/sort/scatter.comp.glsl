@@ -37,13 +37,14 @@ void find_offsets() {
         sum += totals[d];
     uint smaller = sum_before(sum);  // keys of smaller digit values, in all blocks
     for (uint d = first; d < end; ++d) {
-        offsets[d] = smaller + table[d * plan.blocks + gl_WorkGroupID.x] - own_counts[d * uint(WORKGROUP)];
+        offsets[d] = smaller + table[d * plan.blocks + group_number()] - own_counts[d * uint(WORKGROUP)];
         smaller += totals[d];
     }
     memoryBarrierShared(); barrier();
 }
 
 void main() {
+    if (group_number() >= plan.blocks) return;
     count_own_keys();
     ranks_from_counts();
     find_offsets();

@@ -3,6 +3,7 @@
 // (splats are surfels), SLOPES (depth pixel by pixel), and those of outline.
 #include "tiles/outline.glsl"
 #include "tiles/plan.glsl"
+#include "common/groups.glsl"
 #include "common/falloff.glsl"
 #include "common/tint.glsl"
 #if HAS_DISCS
@@ -12,12 +13,14 @@
 layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
 #if HAS_DISCS
-layout(std430, binding = 7) readonly buffer Discs { vec4 discs[]; };           // two per splat: rows, plane
+RECORDS_READ(7, 6, Discs, discs);                                               // two per splat: rows, plane
 #endif
 layout(rgba32f, binding = 0) uniform image2D u_accumulation;                       // rgb, T
+layout(std430, binding = 5) writeonly buffer NextParts { uint next_parts[]; };  // three a part: an indirect dispatch
 uniform uint u_round;
 uniform uint u_first;  // range of the tile's splats: the first, and the greatest count
 uniform uint u_most;
+uniform bool u_starts;  // nothing is drawn yet, whatever the target holds
 uniform float u_max_alpha;
 uniform float u_early_stop;
 
@@ -26,19 +29,26 @@ shared vec4 batch_shapes[BATCH];
 shared float batch_cs[BATCH];
 shared vec4 batch_colours[BATCH];
 #if HAS_SLOPES
-layout(std430, binding = 8) readonly buffer Slopes { vec4 slopes[]; };
+RECORDS_READ(8, 7, Slopes, slopes);
 shared vec4 batch_depths[BATCH];  // slopes and depth of the mean
 #endif
 #if HAS_DISCS
 shared vec4 batch_rows[BATCH];
 shared vec4 batch_planes[BATCH];
 #endif
+bool has_more;  // the tile has splats beyond this part
 shared uint borders[2];
 shared uint open_pixels;
 #if HAS_REST
 const uint WORDS = uint(BATCH) / 32u;
 shared uint hits[WORDS];
 #endif
+
+// rgb and T of a pixel so far; outside the picture it is opaque.
+vec4 drawn_at(ivec2 pixel) {
+    if (!all(lessThan(pixel, imageSize(u_accumulation)))) return vec4(0.0);
+    return u_starts ? vec4(0.0, 0.0, 0.0, 1.0) : imageLoad(u_accumulation, pixel);
+}
 
 // The first pair of `tile` or a later one.
 uint first_pair(uint tile) {
@@ -52,17 +62,17 @@ uint first_pair(uint tile) {
 }
 
 void put(uint place, uint splat) {
-    vec4 colour = colours[splat];
-    batch_shapes[place] = vec4(shapes[splat].xy, shapes[splat].zw * ROOT_HALF_LOG2_E);
-    batch_cs[place] = bounds[splat].x * ROOT_HALF_LOG2_E;
+    vec4 shape = RECORD(shapes, splat), colour = RECORD(colours, splat);
+    batch_shapes[place] = vec4(shape.xy, shape.zw * ROOT_HALF_LOG2_E);
+    batch_cs[place] = RECORD(bounds, splat).x * ROOT_HALF_LOG2_E;
     batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
 #if HAS_SLOPES
-    batch_depths[place] = slopes[splat];
+    batch_depths[place] = RECORD(slopes, splat);
 #endif
 #if HAS_DISCS
     if (DISCS) {
-        batch_rows[place] = discs[2u * splat];
-        batch_planes[place] = discs[2u * splat + 1u];
+        batch_rows[place] = RECORD(discs, 2u * splat);
+        batch_planes[place] = RECORD(discs, 2u * splat + 1u);
     }
 #endif
 }
@@ -102,6 +112,13 @@ uint fill_batch(uint first, uint count, ivec2 tile) {
 }
 #endif
 
+// Has the next part drawn, over all tiles, where this one is not through with its own.
+void call_next_part() {
+    if (!has_more || gl_LocalInvocationID.x != 0u) return;
+    uint part = u_first / u_most;
+    for (int i = 0; i < 3; i++) next_parts[3u * part + uint(i)] = gl_NumWorkGroups[i];
+}
+
 // First and end of the tile's splats in this dispatch; to be called by all of a work group.
 uvec2 range_of(uint number) {
 #if HAS_REST
@@ -111,6 +128,7 @@ uvec2 range_of(uint number) {
     memoryBarrierShared(); barrier();
     uvec2 range = uvec2(borders[0], borders[1]);
 #endif
+    has_more = range.y - range.x > u_first + u_most;
     if (range.y - range.x <= u_first) return uvec2(0u);
     range.x += u_first;
     return uvec2(range.x, range.x + min(range.y - range.x, u_most));

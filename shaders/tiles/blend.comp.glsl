@@ -1,5 +1,5 @@
-// Blends a tile's splats into the picture, front to back, a batch at a time; one work group per tile. It starts
-// from the target's content, so one picture may take several of these, nearer splats first.
+// Blends a tile's splats into the picture, front to back, a batch at a time; one work group per tile. All but
+// the first start from the target's content, so one picture may take several of these, nearer splats first.
 // Flags: those of batches.
 #include "tiles/batches.glsl"
 #define PIXELS (TILE * TILE / WORKGROUP)
@@ -13,14 +13,11 @@ ivec2 step_to(int index) { return ivec2(index * WORKGROUP % TILE, index * WORKGR
 void main() {
     uint me = gl_LocalInvocationID.x;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
-    if (range.x == range.y) return;
+    uvec2 range = range_of(group_number());
+    if (range.x == range.y && !u_starts) return;
     ivec2 size = imageSize(u_accumulation), own = tile * TILE + ivec2(int(me) % TILE, int(me) / TILE);
     vec4 sums[PIXELS];  // rgb, T
-    for (int i = 0; i < PIXELS; i++) {
-        ivec2 pixel = own + step_to(i);
-        sums[i] = all(lessThan(pixel, size)) ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // outside it: opaque
-    }
+    for (int i = 0; i < PIXELS; i++) sums[i] = drawn_at(own + step_to(i));
     for (uint first = range.x; first < range.y; first += uint(BATCH)) {
         if (me == 0u) open_pixels = 0u;
         memoryBarrierShared(); barrier();
@@ -29,7 +26,10 @@ void main() {
         if (open) atomicOr(open_pixels, 1u);
         uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
         memoryBarrierShared(); barrier();
-        if (open_pixels == 0u) break;
+        if (open_pixels == 0u) {
+            has_more = false;
+            break;
+        }
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
             vec2 offset = vec2(own) + 0.5 - shape.xy;
@@ -57,4 +57,5 @@ void main() {
         ivec2 pixel = own + step_to(i);
         if (all(lessThan(pixel, size))) imageStore(u_accumulation, pixel, sums[i]);
     }
+    call_next_part();
 }

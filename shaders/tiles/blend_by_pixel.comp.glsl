@@ -5,18 +5,16 @@
 
 layout(local_size_x = WORKGROUP) in;
 
-uniform uint u_pixel;  // first of each invocation's pixels that are drawn, one per work group in z
-
 const float BEFORE_ALL = -1e30;
 
 void main() {
-    int me = int(gl_LocalInvocationID.x), index = int(u_pixel + gl_WorkGroupID.z) * WORKGROUP + me;
+    int me = int(gl_LocalInvocationID.x), index = int(gl_WorkGroupID.z) * WORKGROUP + me;
     ivec2 tile = ivec2(gl_WorkGroupID.xy);
-    uvec2 range = range_of(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
-    if (range.x == range.y) return;
+    uvec2 range = range_of(group_number());
+    if (range.x == range.y && !u_starts) return;
     ivec2 pixel = tile * TILE + ivec2(index % TILE, index / TILE);
     bool inside = all(lessThan(pixel, imageSize(u_accumulation)));
-    vec4 sum = inside ? imageLoad(u_accumulation, pixel) : vec4(0.0);  // rgb, T; outside the picture: opaque
+    vec4 sum = drawn_at(pixel);  // rgb, T
     // The buffer, nearest first; its empty places are before all, with an alpha of 0.
     float depths[NEAREST];
     vec4 held[NEAREST];  // rgb, alpha
@@ -30,7 +28,10 @@ void main() {
         if (sum.a >= u_early_stop) atomicOr(open_pixels, 1u);
         uint count = fill_batch(first, min(range.y - first, uint(BATCH)), tile);
         memoryBarrierShared(); barrier();
-        if (open_pixels == 0u) break;
+        if (open_pixels == 0u) {
+            has_more = false;
+            break;
+        }
         for (uint k = 0u; k < count; k++) {
             vec4 shape = batch_shapes[k], colour = batch_colours[k], depth = batch_depths[k];
             vec2 d = vec2(pixel) + 0.5 - shape.xy;
@@ -61,4 +62,5 @@ void main() {
         sum.a *= 1.0 - held[i].a;
     }
     if (inside) imageStore(u_accumulation, pixel, sum);
+    call_next_part();
 }

@@ -19,7 +19,7 @@ uint tiles_of(uint splat) {
 }
 
 void main() {
-    uint first = gl_WorkGroupID.x * uint(BLOCK) + gl_LocalInvocationID.x * uint(RUN);
+    uint first = group_number() * uint(BLOCK) + gl_LocalInvocationID.x * uint(RUN);
     uint end = min(first + uint(RUN), visible);
     uint sum = 0u;
     for (uint slot = first; slot < end; slot++) {
@@ -28,5 +28,6 @@ void main() {
     }
     uint before = sum_before(sum);
     for (uint slot = first; slot < end; slot++) ends[slot] += before;
-    if (gl_LocalInvocationID.x == uint(WORKGROUP - 1)) block_totals[gl_WorkGroupID.x] = before + sum;
+    if (gl_LocalInvocationID.x == uint(WORKGROUP - 1) && group_number() < uint(block_totals.length()))
+        block_totals[group_number()] = before + sum;
 }

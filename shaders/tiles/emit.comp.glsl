@@ -19,7 +19,7 @@ void write_pair(uint at, uint tile, uint splat) {
 }
 
 void main() {
-    uint slot = gl_GlobalInvocationID.x;
+    uint slot = group_number() * uint(BLOCK) + gl_LocalInvocationID.x;
     if (slot >= visible) return;
     uint block_start = block_starts[slot / uint(BLOCK)];
     uint at = saturating_sum(block_start, slot % uint(BLOCK) > 0u ? ends[slot - 1u] : 0u);

@@ -1,10 +1,11 @@
 // The ellipse within which one splat's alpha reaches the cut, and the tiles that have a pixel centre in it.
 // Everything is a little wide, never narrow: alpha alone decides what a pixel shows.
-// Flag: TILE (pixels that a tile is wide and high).
+// Flag: TILE (pixels that a tile is wide and high), and those of records.
+#include "common/records.glsl"
 
-layout(std430, binding = 2) readonly buffer Shapes { vec4 shapes[]; };    // mean.xy, a, b
-layout(std430, binding = 3) readonly buffer Bounds { vec4 bounds[]; };    // c, then axes
-layout(std430, binding = 4) readonly buffer Colours { vec4 colours[]; };  // rgb, opacity
+RECORDS_READ(2, 3, Shapes, shapes);    // mean.xy, a, b
+RECORDS_READ(3, 4, Bounds, bounds);    // c, then axes
+RECORDS_READ(4, 5, Colours, colours);  // rgb, opacity
 uniform ivec2 u_tiles;  // columns, rows
 uniform float u_alpha_cut;
 uniform float u_least_share;  // share of its opacity below which a splat's alpha is 0, too
@@ -24,11 +25,12 @@ const float ROUNDING = 2e-6;      // of the numbers that make up an edge
 
 Outline outline_of(uint splat) {
     Outline o;
-    o.mean = shapes[splat].xy;
-    o.conic = vec3(shapes[splat].zw, bounds[splat].x);
+    vec4 shape = RECORD(shapes, splat);
+    o.mean = shape.xy;
+    o.conic = vec3(shape.zw, RECORD(bounds, splat).x);
     o.radius = EVERYWHERE;
     // 1e-3 because log() is only good to 1e-4 or so on some drivers.
-    float opacity = colours[splat].a, cut = max(u_alpha_cut, u_least_share * opacity);
+    float opacity = RECORD(colours, splat).a, cut = max(u_alpha_cut, u_least_share * opacity);
     if (cut > 0.0) o.radius = sqrt(max(2.0 * log(opacity / cut), 0.0) + 1e-3);
     o.height = o.radius / max(o.conic.z, LEAST_CONIC);
     float column_length = length(o.conic.yz);

@@ -9,7 +9,6 @@ layout(std430, binding = 1) readonly buffer Ends { uint ends[]; };
 layout(std430, binding = 2) readonly buffer Starts { uint block_starts[]; };
 uniform uint u_capacity;  // pairs per round
 uniform uint u_rounds;
-uniform ivec2 u_tiles;
 
 uint end_of(uint slot) { return saturating_sum(block_starts[slot / uint(BLOCK)], ends[slot]); }
 
@@ -23,7 +22,6 @@ void main() {
     }
     plan.rest_first = low;
     plan.rest_end = visible;
-    plan.rest_groups = low < visible ? uint[3](uint(u_tiles.x), uint(u_tiles.y), 1u) : uint[3](0u, 1u, 1u);
     uint placed = low > 0u ? end_of(low - 1u) : 0u;
     for (uint i = 0u; i < u_rounds; i++) {
         plan.round_pairs[i] = min(placed, u_capacity);

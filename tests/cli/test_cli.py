@@ -19,6 +19,7 @@ from splatview.cli.arguments import Orbit, with_joined_values
 from splatview.cli.main import main
 from splatview.cli.render import eight_bit
 from splatview.measure.metrics import psnr
+from splatview.renderers import choices
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.background import Gradient, Panorama
 from splatview.scene.depth_of_field import Aperture, mean_picture
@@ -265,6 +266,10 @@ def test_doctor_tries_the_renderers(splatview):
         assert "a new program takes" in findings["gl"]["background_compiling"]["why"]
     text = splatview("doctor")
     assert f"takes {findings['auto']['renderer']}" in text
+
+
+def test_help_names_every_renderer_of_the_window(splatview):
+    assert f"--renderer {'|'.join(('auto', *choices('window')))} " in splatview("--help")
 
 
 def test_values_may_begin_with_a_minus():

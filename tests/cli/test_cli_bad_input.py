@@ -83,6 +83,27 @@ def test_bad_scene_files(refused, tmp_path, monkeypatch, command, name):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("name", [*BAD_SCENES, "cameras.json", "cameras.bin", "gone.json", "folder"])
+def test_no_window_opens_for_a_bad_file(refused, tmp_path, monkeypatch, name):
+    monkeypatch.setattr("splatview.cli.window.no_window", lambda: pytest.fail("the file comes first"))
+    path = tmp_path / ("scene.ply" if name in BAD_SCENES else name)
+    if name == "folder":
+        path.mkdir()
+    elif name == "gone.json":
+        path.symlink_to("nowhere.json")
+    else:
+        path.write_bytes(BAD_SCENES[name][0] if name in BAD_SCENES else b"[]")
+    assert path.name in refused(path)
+
+
+def test_options_that_are_not_there_have_a_suggestion(refused):
+    assert refused("render", "a.ply", "--siz", "4x4").startswith(
+        "unrecognized arguments: --siz 4x4; did you mean --size? (see"
+    )
+    assert "did you mean --renderer?" in refused("a.ply", "--renderers=cpu")
+    assert "did you mean" not in refused("info", "a.ply", "--qqq")
+
+
 @pytest.mark.parametrize("command", [["render", "-o", "x.png"], ["info"], []])
 def test_missing_file_and_folder(refused, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
@@ -93,7 +114,10 @@ def test_missing_file_and_folder(refused, tmp_path, monkeypatch, command):
 
 
 def test_a_word_that_is_neither_command_nor_file(refused):
-    assert refused("rendr") == "rendr: no such file, nor a command; see splatview --help"
+    assert refused("nothing") == "nothing: no such file, nor a command; see splatview --help"
+    assert refused("rendr", "a.ply", "--eye", "1,2,3") == (
+        "rendr: no such file, nor a command; did you mean render?"
+    )
     assert refused("dir/rendr") == "dir/rendr: no such file"
     assert "no such file" in refused("x" * 5000)
 

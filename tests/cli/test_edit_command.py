@@ -87,7 +87,7 @@ def test_a_dry_run_tells_and_writes_nothing(scene, splatview, tmp_path):
     code, out, _ = splatview("edit", scene, "--recipe", path, "--dry-run")
     assert code == 0
     assert out.splitlines() == [
-        "step 1 of 2: Select by runs: 9 splats",
+        "step 1 of 2: Select by runs: 9 selected",
         "step 2 of 2: Split 9 splats to part.ply",
         "291 of 300 splats would be written",
     ]
@@ -276,3 +276,15 @@ def test_help_lists_the_operations(splatview):
     code, out, _ = splatview("edit", "--help")
     assert code == 0
     assert "delete_cropped" in out and "splatview_recipe" in out
+
+
+def test_steps_that_would_take_too_much_memory_are_refused_in_one_line(scene, splatview, tmp_path):
+    doubled = recipe(tmp_path / "r.json", *[{"op": "select_all"}, {"op": "duplicate"}] * 16)
+    out = tmp_path / "out.ply"
+    code, _, err = splatview("edit", scene, "--recipe", doubled, "-o", out, "--memory", "0.001")
+    assert code == 2 and not out.exists()
+    last = err.splitlines()[-1]
+    assert last.startswith(f"splatview: {doubled}: step 8 (duplicate): this takes 1.1 MiB of memory, and ")
+    assert "--memory" in last
+    code, _, err = splatview("edit", scene, "--recipe", doubled, "--dry-run", "--memory", "0")
+    assert (code, err.count("\n")) == (2, 1)

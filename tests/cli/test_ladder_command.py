@@ -40,7 +40,7 @@ def test_the_table_fits_a_terminal_and_says_what_its_words_mean(scene, capsys, m
     assert main(["ladder", str(scene), *SMALL, "--knobs", "resolution"]) == 0
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80 and "…" not in out, "no name is cut short"
-    for word in ("resolution 1/2", "PSNR (dB)", "largest", "Noise floor", "same"):
+    for word in ("48x32, 1 view", "resolution 1/2", "PSNR (dB)", "largest", "Noise floor", "same"):
         assert word.lower() in " ".join(out.split()).lower()
 
 

@@ -99,9 +99,10 @@ def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys, monkeypa
         return np.load(out)
 
     text = run(
-        *("ladder", tmp_path / "scene.ply", *VIEW, "--json", "--views", 1, "--rounds", 1),
+        *("ladder", tmp_path / "scene.ply", *VIEW, "--json", "--rounds", 1),
         *("--renderers", ",".join(names)),
     )
+    assert json.loads(text)["views"] == 1, "a view that is given is the only one"
     rungs = json.loads(text)["rungs"]
     scenes = [HeadlessScene(make_headless(name), scene) for name in names]
     expected = {(r.renderer.name, r.knob, r.value) for r in rungs_for(scenes, Plan(), used_sh_degree=3)}
@@ -113,6 +114,27 @@ def test_every_rung_is_what_render_draws(scene, tmp_path: Path, capsys, monkeypa
         # Above 100 dB float32 itself, in which pictures are written, begins to count.
         close = (here > 100 and stated > 100) or stated == pytest.approx(here, abs=0.1)
         assert close, (rung["renderer"], rung["knob"], rung["value"], stated, here)
+
+
+def test_several_views_are_reproduced_by_the_cameras_in_the_json(scene, tmp_path: Path, capsys):
+    save_scene(scene, tmp_path / "scene.ply")
+    size = ("--size", "40x32")
+    knobs = ("--renderers", "cpu", "--knobs", "keep,resort", "--rounds", "1", *size)
+    assert main(["ladder", str(tmp_path / "scene.ply"), *knobs, "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps(made["cameras"]))
+    assert made["views"] == len(made["cameras"]) == 2
+
+    def rendered(view: int, *options: str) -> np.ndarray:
+        given = ["render", str(tmp_path / "scene.ply"), "-o", str(tmp_path / "x.npy"), *options]
+        assert main([*given, "--camera", str(cameras), "--camera-index", str(view)]) == 0
+        return np.load(tmp_path / "x.npy")
+
+    references = [rendered(view, "--renderer", "reference") for view in (0, 1)]
+    for rung in made["rungs"][1:]:
+        here = [psnr(rendered(view, *rung["options"]), references[view]) for view in (0, 1)]
+        assert abs(here[0] - here[1]) > 0.2 and rung["psnr"] == pytest.approx(np.mean(here), abs=0.02), rung
 
 
 @pytest.mark.parametrize(("name", "knob"), owned(), ids=lambda x: getattr(x, "name", x))

@@ -37,6 +37,7 @@ FIELDS: dict[str, dict[str, Any]] = {
     "size": {"value": 0.1, "how": "set", "scope": "scene"},
     "opacity": {"value": 0.5},
     "grade": {"grade": {"contrast": 2}},
+    "select_detected": {"by": {"kind": "faint"}, "threshold": 3},
     "prune": {"by": {"kind": "faint"}, "threshold": 3},
     "decimate": {"keep": 25},
     "repair": {"finding": "quaternion lengths"},
@@ -90,7 +91,7 @@ def document(edit_helpers) -> Document:
     document = Document(
         edit_helpers.make_scene(30),
         tools=Tools(),  # pyright: ignore[reportArgumentType]
-        load=lambda path: edit_helpers.make_scene(5, seed=2),
+        load=lambda path, room: edit_helpers.make_scene(5, seed=2),
         save=lambda scene, path: None,
     )
     for step in (

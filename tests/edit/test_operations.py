@@ -49,7 +49,7 @@ def test_selections_combine(document):
     assert len(having(document, SELECTED)) == 28
     do(document, "select_none")
     assert having(document, SELECTED) == []
-    assert do(document, "select_all").title == "Select all: 30 splats"
+    assert do(document, "select_all").title == "Select all: 30 selected"
 
 
 def test_hidden_deleted_and_locked_splats_are_left_alone(document):
@@ -91,7 +91,7 @@ def test_doing_something_new_forgets_what_could_be_redone(document):
     do(document, "hide")
     assert document.redo() is None
     assert [step.title for step in document.history.steps] == [
-        "Select by runs: 3 splats",
+        "Select by runs: 3 selected",
         "Hide 3 splats",
     ]
 
@@ -269,6 +269,33 @@ def test_pruning_takes_what_scores_above_the_threshold(document, scene):
     opacities = 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
     assert having(document, DELETED) == np.flatnonzero(opacities < 0.5).tolist()
     assert change.title.startswith(f"Prune {change.count} splats by faint")
+
+
+def test_what_a_detector_finds_is_selected_by_the_same_threshold(document):
+    do(document, "select_detected", by={"kind": "faint"}, threshold=2.0)
+    found = having(document, SELECTED)
+    select(document, (0, 5))
+    change = do(document, "select_detected", by={"kind": "faint"}, threshold=2.0, mode="add")
+    both = having(document, SELECTED)
+    assert both == sorted({0, 1, 2, 3, 4, *found})
+    assert change.title == f"Add by faint: {len(both)} selected"
+    do(document, "select_none")
+    do(document, "prune", by={"kind": "faint"}, threshold=2.0)
+    assert having(document, DELETED) == found
+
+
+def test_selection_steps_are_named_by_what_is_selected_afterwards(document):
+    titles = [
+        select(document, (0, 20)).title,
+        select(document, (18, 6)).title,
+        select(document, (0, 3), mode="add").title,
+        select(document, (0, 1), mode="remove").title,
+        select(document, (1, 3), mode="intersect").title,
+        do(document, "select_inverse").title,
+        do(document, "grow", neighbours=30).title,
+    ]
+    counts = [20, 6, 9, 8, 2, 28, 30]
+    assert [title.rpartition(": ")[2] for title in titles] == [f"{count} selected" for count in counts]
 
 
 def test_decimating_keeps_the_splats_that_matter(scene):

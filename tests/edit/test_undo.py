@@ -124,11 +124,17 @@ OPERATION_STEPS = {
     ),
     "merge": steps("merge", path=st.just("other.ply")),
     "split": steps("split", path=st.just("part.ply")),
+    "select_detected": steps(
+        "select_detected",
+        by=st.fixed_dictionaries({"kind": st.just("faint")}),
+        threshold=st.floats(0, 1),
+        mode=st.sampled_from(["set", "add", "remove", "intersect"]),
+    ),
     "prune": steps(
         "prune",
-        by=st.just({"kind": "faint"}),
+        by=st.fixed_dictionaries({"kind": st.just("faint")}),
         threshold=st.floats(0, 1),
-        cameras=st.just([]),
+        cameras=st.builds(list),
     ),
 }
 
@@ -157,7 +163,7 @@ def make_document(edit_helpers):
         return Document(
             scene,
             tools=MadeUpTools(),
-            load=lambda path: other,
+            load=lambda path, room: other,
             save=lambda part, path: None if saved is None else saved.append((part, path)),
         )
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from splatview.cli import train_setup
+from splatview.cli.main import main
 from splatview.edit import journal as journals
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal, find_abandoned_journals
@@ -227,6 +228,21 @@ def test_two_runs_do_not_write_the_same_checkpoint(tmp_path, monkeypatch) -> Non
         file.close()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_two_runs_do_not_write_the_same_scene_through_a_link(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(train_setup, "_held", {})
+    ours = tmp_path / "toy.ply"
+    (tmp_path / "link.ply").symlink_to(ours)
+    with subprocess.Popen([sys.executable, "-c", CLAIMING, str(ours)], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"mine\n"
+        assert main(["train", "nowhere", "--headless", "-o", str(tmp_path / "link.ply")]) == 2
+        assert f"link.ply: another splatview (process {other.pid}) trains into it" in capsys.readouterr().err
+        other.kill()
+    for file in train_setup._held.values():
+        file.close()
+
+
 WRITING = """
 import sys
 from pathlib import Path
@@ -312,7 +328,7 @@ def test_bookmarks_of_another_window_on_the_scene_stay(app, scene) -> None:
     assert load_bookmarks(scene) == [], "what is deleted does not come back"
     beside(scene).write_text("{ damaged")
     camera.add_bookmark(app)
-    assert "not a bookmarks file" in (app.problem or "")
+    assert "is no bookmarks file" in (app.problem or "")
     assert beside(scene).read_text() == "{ damaged"
 
 

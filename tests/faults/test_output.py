@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.table import Table
 
+from splatview.cli.main import TolerantStream, main, make_console
 from splatview.scene import Gaussians
 from splatview.scene.formats import save_scene
 
@@ -68,3 +72,74 @@ def test_training_goes_on_without_its_terminal(tmp_path, log):
     done = shell(line)
     assert (tmp_path / "out.ply").exists(), done.stderr
     assert (tmp_path / "out.checkpoint.safetensors").exists()
+
+
+HOSTILE = "[bold]a[/] [/x] \x1b[31m\x07\x9b2J\u202e"
+"""Markup, a colour, a bell, a screen cleared by one character, and writing turned round."""
+
+SHOWN = "[bold]a[/] [/x] \\x1b[31m\\x07\\x9b2J\\u202e"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_what_others_wrote_is_shown_and_not_obeyed(tmp_path, random_gaussians, monkeypatch, capsys):
+    """Comments, properties, file names, names in recipes: by every command that shows them."""
+    monkeypatch.chdir(tmp_path)
+    name = f"{HOSTILE.replace('/', '')}.ply"
+    scene = replace(random_gaussians(30, sh_degree=0), comments=(HOSTILE,))
+    save_scene(scene, "plain.ply")
+    data = Path("plain.ply").read_bytes()
+    Path(name).write_bytes(data.replace(b"float nx\n", b"float [/x]\x1b[1m\n"))
+    crop = {"op": "add_crop", "crop": {"name": f"{HOSTILE}\nsplatview: done"}}
+    steps = [
+        crop,
+        {"op": "remove_crop", "index": 0},
+        {"op": "select_all"},
+        {"op": "split", "path": f"x{name}"},
+    ]
+    Path("r.json").write_text(json.dumps({"splatview_recipe": 1, "steps": steps}))
+    shown_name = SHOWN.replace("/", "")
+    for argv, word in (
+        (["info", name], SHOWN),
+        (["info", f"no{name}"], shown_name),
+        (["info", HOSTILE, HOSTILE], SHOWN),
+        (["convert", "plain.ply", f"c{name}"], shown_name),
+        (["edit", "plain.ply", "--recipe", "r.json", "--dry-run"], f"Remove {SHOWN}\\nsplatview: done"),
+        (["edit", name, "--recipe", "r.json", "-o", f"e{name}"], "everything is deleted"),
+        (["render", "plain.ply", "--camera", HOSTILE, "-o", f"p{name}"], shown_name),
+        (["bill", name, "--size", "16x16", "--eye", "0,0,-3", "--target", "0,0,0"], shown_name),
+        (["train", HOSTILE, "--headless"], SHOWN),
+    ):
+        main(argv)
+        out, err = capsys.readouterr()
+        said = (out + err).replace("\n", "")
+        assert said.isprintable(), (argv, ascii(said))
+        assert word in said, (argv, said)
+    assert json.loads(run_json(capsys, ["info", name, "--json"]))["comments"][0] == HOSTILE
+
+
+def run_json(capsys, argv: list[str]) -> str:
+    main(argv)
+    out = capsys.readouterr().out
+    assert out.isascii()
+    return out
+
+
+def test_tables_and_bars_show_texts_as_they_are(monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", TolerantStream(terminal))
+    monkeypatch.setenv("TERM", "xterm-256color")
+    console = make_console()
+    table = Table("column", title=HOSTILE)
+    table.add_row(HOSTILE, style="bold")
+    console.print(table)
+    console.print(HOSTILE, style="yellow")
+    print(HOSTILE, file=sys.stderr)
+    written = terminal.getvalue()
+    # Colours are those of the program alone.
+    assert "\x1b[33m" in written and "\x1b[1m" in written
+    assert not any(obeyed in written for obeyed in ("\x1b[31m", "\x07", "\x9b", "\u202e"))
+    assert written.count(SHOWN) == 4

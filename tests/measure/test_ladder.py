@@ -14,6 +14,7 @@ from splatview.measure.ladder import (
     JITTERED,
     Ladder,
     Measured,
+    is_clear,
     mark_front,
     noise_floor,
     noise_of,
@@ -169,6 +170,33 @@ def test_what_is_no_faster_beyond_the_noise_is_not_on_the_front():
     vague = rung(0.3, 60, math.inf)
     mark_front([base, vague])
     assert base.pareto and not vague.pareto
+
+
+@pytest.mark.parametrize("pairs", [3, 12])
+def test_among_many_rungs_that_are_equally_fast_chance_puts_none_on_the_front(pairs):
+    rng = np.random.default_rng(0)
+    won = found = 0
+    for _ in range(60):
+        scatter = np.exp(rng.normal(0, 0.05, (21, pairs)))
+        scatter[1:, 0] *= np.where(rng.random(20) < 0.1, 1.5, 1)  # some stall
+        selves, *others = scatter.tolist()
+        others.append((0.6 * scatter[1]).tolist())
+        rungs = [
+            Measured(rung=None, psnr=90 - place, ratios=ratios, noise=noise_of(ratios, selves, others))  # type: ignore[arg-type]
+            for place, ratios in enumerate(others)
+        ]
+        mark_front([rung(1, 100), *rungs])
+        won += any(one.pareto for one in rungs[:-1])
+        found += rungs[-1].pareto
+    assert won <= 6, "19 times out of 20 none does"
+    assert found >= 50, "what is much faster is found all the same"
+
+
+def test_a_rung_that_is_called_the_same_as_the_baseline_is_not_on_the_front_beside_it():
+    base = rung(1, 100)
+    scattered = Measured(rung=None, psnr=80, ratios=[0.6, 0.9, 0.9, 1.2, 1.3], noise=0.05)  # type: ignore[arg-type]
+    mark_front([base, scattered])
+    assert not is_clear(scattered) and not scattered.pareto
 
 
 def test_the_noise_floor_follows_scatter_and_number():

@@ -49,6 +49,54 @@ def ctx(session_context: moderngl.Context) -> Iterator[moderngl.Context]:
     assert session_context.error == "GL_NO_ERROR"
 
 
+LEAST_LIMITS: dict[str, Any] = {
+    "GL_MAX_COMPUTE_WORK_GROUP_COUNT": (65_535, 65_535, 65_535),
+    "GL_MAX_COMPUTE_WORK_GROUP_INVOCATIONS": 1024,
+    "GL_MAX_COMPUTE_WORK_GROUP_SIZE": (1024, 1024, 64),
+    "GL_MAX_SHADER_STORAGE_BLOCK_SIZE": 1 << 24,
+    "GL_MAX_TEXTURE_SIZE": 16_384,
+}
+"""What OpenGL 4.3 promises, but for storage blocks, of which `has_compute` asks for more."""
+
+
+@pytest.fixture
+def limited(ctx: moderngl.Context, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """`limited(GL_MAX_...=...)`: the driver says that it can do no more than `LEAST_LIMITS` and what is
+    given, and does no more: what goes beyond fails its test."""
+    real = dict(ctx.info)
+    limits = {**LEAST_LIMITS}
+    run, run_indirect = moderngl.ComputeShader.run, moderngl.ComputeShader.run_indirect
+    bind = moderngl.Buffer.bind_to_storage_buffer
+
+    def checked(groups: tuple[int, ...]) -> None:
+        most = limits["GL_MAX_COMPUTE_WORK_GROUP_COUNT"]
+        assert all(count <= limit for count, limit in zip(groups, most, strict=True)), groups
+
+    def checked_run(self: Any, x: int = 1, y: int = 1, z: int = 1) -> None:
+        checked((x, y, z))
+        assert x and y and z
+        run(self, x, y, z)
+
+    def checked_indirect(self: Any, buffer: moderngl.Buffer, offset: int = 0) -> None:
+        checked(tuple(np.frombuffer(buffer.read(12, offset=offset), np.uint32).tolist()))
+        run_indirect(self, buffer, offset)
+
+    def checked_bind(self: Any, binding: int = 0, offset: int = 0, size: int = -1) -> None:
+        assert (self.size if size < 0 else size) <= limits["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
+        bind(self, binding, offset, size)
+
+    def limit(**more: Any) -> None:
+        limits.update(more)
+        monkeypatch.setattr(ctx, "_info", {**real, **limits})
+
+    monkeypatch.setattr(moderngl.ComputeShader, "run", checked_run)
+    monkeypatch.setattr(moderngl.ComputeShader, "run_indirect", checked_indirect)
+    monkeypatch.setattr(moderngl.Buffer, "bind_to_storage_buffer", checked_bind)
+    limit()
+    assert ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"] == 1 << 24
+    return limit
+
+
 @dataclass(frozen=True, kw_only=True)
 class Backend:
     """One way to draw a scene, by the name that people choose it by."""

@@ -89,6 +89,7 @@ def test_a_cache_that_cannot_be_written_is_one_line(small_demo: list[int], tmp_p
     (tmp_path / "cache").write_text("a file in the way")
     with pytest.raises(InputError, match=r"cannot be written: .*SPLATVIEW_CACHE_DIR names another place"):
         module.cached_demo_capture()
+    assert not small_demo, "told before half a minute's work"
 
 
 def test_training_on_it(small_demo: list[int], tmp_path: Path, monkeypatch, capsys) -> None:

@@ -150,7 +150,21 @@ def test_steps_are_priced_from_what_was_measured():
     assert min(step.scale for step in steps) == pytest.approx(1 / 4)
     half = next(step for step in steps if abs(step.scale - 0.5) < 1e-9)
     assert half.ms == pytest.approx(0.5 * 0.4 * FULL_MS) and "sh-degree 1, 50% of the size" in half.note
-    assert half.note.endswith("about 30 dB")
+    assert half.note.endswith("about 30 dB in the view measured")
+
+
+def test_errors_are_those_of_the_worst_view():
+    base, coarse, half = (
+        rung("renderer", "quads", 1.0, 80.0),
+        rung("sh-degree", "1", 0.5, 50.0),
+        rung("resolution", "1/2", 0.4, 40.0),
+    )
+    for one, decibels in ((base, 90.0), (coarse, 33.0), (half, 25.0)):
+        one.elsewhere.append(decibels)
+    steps = priced(base, (base, coarse, half))
+    notes = [step.note for step in steps if step.scale == 1 and step.choices]
+    assert notes == ["sh-degree 1, about 33 dB at worst in 2 views"]
+    assert all(step.views == 2 for step in steps)
 
 
 def test_shares_of_splats_between_the_measured_ones_are_steps():
@@ -165,8 +179,10 @@ def test_shares_of_splats_between_the_measured_ones_are_steps():
     shares = [step.kept for step in steps]
     assert shares == [1.0, *(share / 100 for share in range(95, 20, -5))]
     half = steps[shares.index(0.5)]
-    assert half.ms == pytest.approx(0.6 * FULL_MS) and half.note == "50% of the splats, about 45 dB"
-    assert steps[-1].ms == pytest.approx(0.4 * FULL_MS) and steps[-1].note.endswith("about 30 dB")
+    assert half.ms == pytest.approx(0.6 * FULL_MS) and half.note.startswith(
+        "50% of the splats, about 45 dB in"
+    )
+    assert steps[-1].ms == pytest.approx(0.4 * FULL_MS) and "about 30 dB" in steps[-1].note
     gaps = [slow.ms / quick.ms for slow, quick in pairwise(steps)]
     assert max(gaps) < 1.11, "one of them is within a tenth of any budget between"
 
@@ -174,7 +190,8 @@ def test_shares_of_splats_between_the_measured_ones_are_steps():
 def test_where_time_was_short_fewer_pixels_are_still_there():
     base = rung("renderer", "quads", 1.0, 80.0)
     steps = priced(base, (base, rung("sh-degree", "1", 0.9, 50.0)))
-    assert [step.note for step in steps[:2]] == ["about 80 dB", "sh-degree 1, about 50 dB"]
+    known = [step.note.removesuffix(" in the view measured") for step in steps[:2]]
+    assert known == ["about 80 dB", "sh-degree 1, about 50 dB"]
     rest = steps[2:]
     assert rest and all(step.error is None and not step.choices for step in rest), "none above what is known"
     assert steps[-1].scale == pytest.approx(1 / 4)

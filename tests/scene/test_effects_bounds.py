@@ -11,6 +11,7 @@ import numpy as np
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from splatview.edit.operations.appearance import Grade
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.edits import (
     DELETED,
@@ -21,13 +22,14 @@ from splatview.scene.edits import (
     Adjustment,
     Crop,
     SceneEdits,
+    _four,
     bake,
 )
-from splatview.scene.effects.appearance import LEAST_LIGHT, brightest_colour, early_stop_for
+from splatview.scene.effects.appearance import LEAST_LIGHT, early_stop_for
 from splatview.scene.effects.effect import GREY_LEVEL, VISIBLE, Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import effects_report, largest_displacement
-from splatview.scene.effects.sh_bands import sh_degrees, visible_degrees
+from splatview.scene.effects.sh_bands import colour_reach, sh_degrees, visible_degrees
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.lens import Lens
 from splatview.scene.projection import project
@@ -129,9 +131,8 @@ def test_light_behind_opaque_pixels(random_gaussians, seed, strength):
     camera = look_at((0, 0, -3), (0, 0, 0), width=10, height=7)
     whole, effect = picture(scene, camera), receipt(scene)["light behind opaque pixels"]
     assert_told(effect, whole, ended(scene, camera, LEAST_LIGHT))
-    assert float(project(scene, camera, RenderSettings()).colours.max()) <= brightest_colour(scene) * (
-        1 + 1e-5
-    )
+    brightest = colour_reach(scene).brightest
+    assert float(project(scene, camera, RenderSettings()).colours.max()) <= brightest * (1 + 1e-5)
     # What settings say then is enough.
     stop = early_stop_for(scene)
     assert (stop is not None) == effect.on
@@ -205,6 +206,39 @@ def test_edits(random_gaussians, seed, strength, share):
         assert_told(effects[name], picture(bake(scene, edits), camera), before)
         others = set(cases) - {name}
         assert not any(effects[other].on for other in others)
+
+
+@given(
+    seed=SEEDS,
+    strengths=st.tuples(STRENGTHS, STRENGTHS, STRENGTHS),
+    contrast=st.floats(0, 10),
+    saturation=st.floats(0, 10),
+)
+@example(seed=0, strengths=(1e-3, 1e-3, 1e-3), contrast=10, saturation=3)
+@brief
+def test_bands_and_light_of_graded_splats(random_gaussians, seed, strengths, contrast, saturation):
+    """What a grade makes brighter is told, window and export leave out no more than is said."""
+    scene, camera = random_gaussians(12, seed=seed), camera_at(seed)
+    sh = scene.sh.copy()
+    for band, strength in enumerate(strengths, start=1):
+        sh[:, band * band : (band + 1) ** 2] *= np.float32(strength / 0.15)
+    scene = replace(scene, sh=sh)
+    red, green, blue = (_four(row) for row in Grade(contrast=contrast, saturation=saturation).matrix)
+    adjustment = Adjustment(colour=(red, green, blue))
+    marks = (np.arange(12) % 2 << PALETTE_SHIFT).astype(np.uint32)
+    edits = SceneEdits(marks=marks, palette=(IDENTITY, adjustment))
+    exported, effects = bake(scene, edits), receipt(scene, edits=edits)
+    whole = picture(exported, camera)
+    for band in (1, 2, 3):
+        lower = picture(bake(cut(scene, np.full(12, band - 1)), edits), camera)
+        assert_told(effects[f"SH band {band}"], whole, lower)
+    assert float(np.abs(project(exported, camera, RenderSettings()).colours).max()) * LEAST_LIGHT <= (
+        effects["light behind opaque pixels"].bound * (1 + 1e-5)
+    )
+    window, export = settings_for(scene, palette=edits.palette), settings_for(exported)
+    for asked in (window, export):
+        assert np.abs(whole - picture(exported, camera, asked)).max() <= VISIBLE + ROUNDING
+    assert (window.sh_degree or 3) >= (export.sh_degree or 0)
 
 
 @given(seed=SEEDS, strength=STRENGTHS)

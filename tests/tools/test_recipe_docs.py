@@ -22,7 +22,7 @@ def test_every_operation_and_field_is_on_it():
     for name, cls in OPERATIONS.items():
         assert f"#### `{name}`\n" in text
         assert cls.summary.split(";")[0].split()[0] in text
-    assert "| `threshold` | number | must be given | Splats that score above it are deleted. |" in text
+    assert "| `threshold` | number | must be given | Splats that score above it are meant. |" in text
 
 
 def test_its_example_is_a_recipe(tmp_path, random_gaussians):

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from splatview.measure.hard_cases import CASES, HardCase, find_case
-from splatview.measure.hard_cases.case import neighbours
+from splatview.measure.hard_cases.case import neighbours, splats
+from splatview.measure.hard_cases.colours import coloured, constant
 from splatview.measure.hard_cases.run import scene_of
 from splatview.measure.metrics import SSIM_WINDOW
 from splatview.raster import Parameters, Workspace, draw_frame, parameters_of
 from splatview.raster.gradients import Gradients, differentiate
-from splatview.scene import Camera, Gaussians, RenderSettings, reference
+from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, reference
 from splatview.scene.projection import project
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies.ops import invalid_splats
@@ -117,6 +118,26 @@ def test_gradients_are_finite_and_those_of_float64(theme) -> None:
         for what in wrong_gradients(case, settings, camera)
     ]
     assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", [1e20, 3e38])
+def test_colours_up_to_the_end_of_float32(value: float) -> None:
+    case = replace(find_case("SH of 1e30"), build=lambda: coloured(constant(value)))
+    settings = next(iter(differentiable(case).values()))
+    assert not [what for camera in case.cameras for what in wrong_gradients(case, settings, camera)]
+    assert not wrong_run(case, "mcmc")
+
+
+@pytest.mark.parametrize("depth", [1e-38, 1e-43])
+def test_splats_at_the_eye(depth: float) -> None:
+    """Where the near plane lets them: the derivative by the position is more than float32 holds."""
+    scene = splats([(0.1 * depth, 0.05 * depth, depth), (0.0, 0.0, 2.0)], scale=(depth, 0.4))
+    camera = Camera(
+        width=32, height=24, fx=30.0, fy=30.0, cx=16.0, cy=12.0, world_to_camera=np.eye(4), name="eye"
+    )
+    case = replace(find_case("SH of 1e30"), build=lambda: scene, cameras=(camera,))
+    assert not wrong_gradients(case, RenderSettings(model=ImageModel(near=1e-44)), camera)
 
 
 def shot_of(camera: Camera, number: int) -> TrainView:

@@ -225,7 +225,7 @@ def test_settings_change_between_steps(begin) -> None:
     thread.change(max_splats=400, means_rate=1e-3).result(60)
     assert thread.status.settings.max_splats == 400
     trainer = thread.post(lambda training_run: training_run.trainer).result(60)
-    assert trainer.control.settings is trainer.settings
+    assert trainer.control.settings == trainer.settings
     for wrong in ({"max_splats": 0}, {"strategy": "classic"}, {"sh_degree": 7}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             thread.change(**wrong).result(60)
@@ -379,6 +379,16 @@ def test_a_whole_run_writes_what_a_run_without_a_window_writes(begin, tmp_path) 
     thread.change(iterations=80).result(60)
     thread.resume()
     wait(lambda: thread.status.iteration == 80, "a longer run")
+
+
+def test_a_run_that_is_over_already_writes_its_scene_and_takes_no_step(begin, make_session, tmp_path) -> None:
+    session = make_session(iterations=5)
+    while not session.trainer.done:
+        session.trainer.step(0.0)
+    thread = begin(training_run=session)
+    wait(lambda: thread.status.saved_at == 5 and not thread.status.activity, "the scene")
+    assert thread.status.state == "done" and thread.status.iteration == 5
+    assert len(load_scene(tmp_path / "toy.ply")) == 60 and list((tmp_path / "pictures").glob("*.png"))
 
 
 def test_exports_and_checkpoints_on_request(begin, tmp_path) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,6 +133,28 @@ def test_captures(complaint: Callable[..., str], damage: Damage, message: str) -
     assert message in complaint(damage)
 
 
+def with_cameras_that_face_away(folder: Path) -> None:
+    """Turned about by half a turn around their y axes: R' = diag(-1, 1, -1)·R."""
+    path = model(folder, "images.txt")
+    lines = []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if words:
+            w, x, y, z, tx, ty, tz = map(float, words[1:8])
+            words[1:8] = map(repr, (-y, z, w, -x, -tx, ty, -tz))
+        lines.append(" ".join(words))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_cameras_that_face_away(capture_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    with_cameras_that_face_away(capture_folder)
+    assert main(["train", str(capture_folder), "--headless", "--iterations", "500"]) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("splatview: training has stopped, as none of its 17 photos shows a splat")
+    assert not (tmp_path / "toy.ply").exists()
+
+
 def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: Path) -> None:
     def damage(folder: Path) -> None:
         shutil.rmtree(folder / "sparse")
@@ -147,7 +171,7 @@ def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("-o", "nowhere/toy.ply"), "nowhere/toy.ply: cannot be written: No such file or directory"),
+        (("-o", "nowhere/toy.ply"), "nowhere does not exist; make it first"),
         (("-o", "."), "saved as .ply"),
         (("-o", "/dev/full"), "saved as .ply"),
         (("--metrics", "."), "is a folder"),
@@ -159,6 +183,68 @@ def test_equirectangular_photos(complaint: Callable[..., str], capture_folder: P
 )
 def test_options(complaint: Callable[..., str], options: tuple[str, ...], message: str) -> None:
     assert message in complaint(lambda folder: None, *options)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="named pipes")
+@pytest.mark.parametrize("option", ["-o", "--metrics", "--resume"])
+def test_a_pipe_that_nobody_else_has_open_is_not_waited_for(
+    complaint: Callable[..., str], tmp_path: Path, option: str
+) -> None:
+    pipe = tmp_path / ("pipe.PLY" if option == "-o" else "pipe")
+    os.mkfifo(pipe)
+    message = complaint(lambda folder: None, option, str(pipe))
+    assert str(pipe) in message and ("is a device or a pipe" in message or option == "--metrics")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="named pipes")
+def test_metrics_go_into_a_pipe_that_is_read(capture_folder: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    options = ["--iterations", "5", "--metrics", str(pipe), "-o", str(tmp_path / "toy.ply")]
+    assert main(["train", str(capture_folder), "--headless", *options]) == 0
+    assert json.loads(os.read(reader, 1 << 16))["iteration"] == 5
+    os.close(reader)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"notes of mine\n", b"[1]\n", b'{"a": 1}\n', b"\xff\n", b"7", b"[" * 10**5],
+    ids=["text", "list", "object", "bytes", "number", "deep"],
+)
+def test_metrics_are_not_added_to_another_file(
+    complaint: Callable[..., str], tmp_path: Path, content: bytes
+) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_bytes(content)
+    assert "notes.txt: is no file of metrics" in complaint(lambda folder: None, "--metrics", str(path))
+    assert path.read_bytes() == content
+
+
+def test_metrics_are_added_to_an_empty_file_and_to_metrics(capture_folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "m.jsonl"
+    path.touch()
+    options = ["--iterations", "2", "--metrics", str(path), "-o", str(tmp_path / "toy.ply")]
+    for runs in (1, 2):
+        assert main(["train", str(capture_folder), "--headless", *options]) == 0
+        assert len(path.read_text().splitlines()) == runs
+
+
+def test_a_checkpoint_that_may_not_be_read(
+    complaint: Callable[..., str], tmp_path: Path, monkeypatch
+) -> None:
+    path = tmp_path / "locked.safetensors"
+    path.touch()
+    call = os.open
+
+    def refuse(name: object, *arguments: Any, **options: Any) -> int:
+        if str(name) == str(path):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return call(name, *arguments, **options)  # pyright: ignore
+
+    monkeypatch.setattr(os, "open", refuse)
+    message = complaint(lambda folder: None, "--resume", str(path))
+    assert message == f"splatview: {path}: may not be read; check its permissions"
 
 
 def test_neither_capture_nor_demo(capsys) -> None:

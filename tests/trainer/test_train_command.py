@@ -131,6 +131,30 @@ def test_a_run_resumed_half_way_ends_in_the_same_file(
     assert parts.read_bytes() == whole.read_bytes()
 
 
+def test_a_run_killed_before_its_scene_was_written_writes_it_when_resumed(
+    capture_folder: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    whole, killed = tmp_path / "whole.ply", tmp_path / "killed.ply"
+    assert train(capture_folder, whole, "--iterations", "20") == 0
+
+    def kill(self: session.TrainingRun) -> None:
+        raise SystemExit(137)
+
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(session.TrainingRun, "save_scene", kill)
+        train(capture_folder, killed, "--iterations", "20")
+    assert not killed.exists()
+    resume = ("--resume", str(tmp_path / "killed.checkpoint.safetensors"))
+    capsys.readouterr()
+    assert train(capture_folder, killed, *resume) == 0
+    printed = capsys.readouterr()
+    assert "its run is over" in printed.err and "--iterations above 20" in printed.err
+    assert "held-out photo" in printed.out and list((tmp_path / "killed-held-out").glob("*.png"))
+    assert killed.read_bytes() == whole.read_bytes()
+    assert train(capture_folder, killed, *resume, "--iterations", "20") == 2
+    assert "its run is over; give --iterations above 20" in capsys.readouterr().err
+
+
 def test_minutes_end_a_run(capture_folder: Path, tmp_path: Path) -> None:
     metrics = tmp_path / "m.jsonl"
     assert train(capture_folder, tmp_path / "toy.ply", "--minutes", "0.001", "--metrics", str(metrics)) == 0

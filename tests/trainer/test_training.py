@@ -89,6 +89,23 @@ def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
         assert (far.splats.parameters.means == behind.means).all() == visible_only
 
 
+@pytest.mark.parametrize("facing", [0, 1])
+def test_a_run_stops_where_no_photo_shows_the_scene(make_trainer, views, start, facing: int) -> None:
+    away = np.diag((-1.0, 1.0, -1.0, 1.0))
+    turned = [
+        replace(view, camera=replace(view.camera, world_to_camera=away @ view.camera.world_to_camera))
+        for view in views
+    ]
+    settings = make_trainer(batch=2).settings
+    trainer = Trainer(TrainViews([*views[:facing], *turned[facing:7]], 0), start, 3.0, settings, threads=1)
+    if facing:
+        run(trainer, 40)
+        return
+    with pytest.raises(InputError, match="none of its 7 photos shows a splat"):
+        run(trainer, 40)
+    assert trainer.counters.iteration == 6, "each photo has been looked at"
+
+
 @pytest.mark.parametrize("strategy", ["classic", "mcmc"])
 def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strategy: str) -> None:
     path = tmp_path / "run.safetensors"

@@ -46,6 +46,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["rungs"] = [
         [one.rung.knob, one.rung.value, one.psnr, one.max_error, one.ratio] for one in accuracy.ladder.rungs
     ]
+    found["elsewhere"] = sorted({len(one.elsewhere) for one in accuracy.ladder.rungs})
     found["noise"] = accuracy.ladder.noise
     found["evaluations"] = accuracy.bill.evaluations if accuracy.bill else None
     hand.shoot(options.get("shot_prices"))

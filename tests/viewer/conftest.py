@@ -129,7 +129,16 @@ def display() -> Iterator[str]:
 def drive(display, tmp_path) -> Callable[..., dict[str, Any]]:
     """`drive("name", *paths, **options)`: runs a function of `drives.py`, or of another `script` here, on a
     real window in a process of its own and returns what it found out."""
+    return driving(display, tmp_path)
 
+
+@pytest.fixture(scope="module")
+def drive_once(display, tmp_path_factory) -> Callable[..., dict[str, Any]]:
+    """`drive` for a module whose tests share what one window found out."""
+    return driving(display, tmp_path_factory.mktemp("drive"))
+
+
+def driving(display: str, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     def run(
         name: str,
         *paths: Path,

@@ -20,7 +20,8 @@ from drives import Hand
 from training_drives import seen, steps, training_of
 
 from splatview.edit.operations import Delete, SelectAll, SelectInverse
-from splatview.viewer import layout, overlays
+from splatview.viewer import camera, layout, overlays
+from splatview.viewer import open as opening
 from splatview.viewer.editing import commands, files
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
@@ -70,6 +71,22 @@ def broken_frames(app: AppState, hand: Hand, options: dict[str, Any], found: dic
     hand.drag(30, 10)
     os.kill(os.getpid(), signal.SIGTERM)
     hand.wait(lambda: app.quitting, "the window to heed it")
+
+
+def names_of_others(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Every panel, with a file, comments, bookmarks, cameras and crops of any names."""
+    hand.settle()
+    hand.on_gl_thread(lambda: opening.open_paths(app, [Path(options["cameras"])]))
+    hand.on_gl_thread(lambda: files.replay_file(app, Path(options["recipe"])))
+    hand.wait(lambda: (session := session_of(app)) is not None and session.job is None, "the recipe")
+    app.prefer(show_cameras=True)
+    for name, _, _ in layout.PANELS:
+        hand.ctx.window_focus(f"//{name}")
+        hand.frames(1)
+    hand.on_gl_thread(lambda: camera.go_to_bookmark(app, 0))
+    hand.frames(2)
+    found["said"], found["problem"] = [ascii(text) for text in hand.said], app.problem
+    found["title"] = layout.title(app)
 
 
 def display_ends(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

@@ -51,7 +51,7 @@ def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[
     kept = app.settings.background
 
     app.post(app.feature(WindowBackground).choose, Path(options["broken"]))
-    hand.frames(3)
+    hand.wait(lambda: app.problem is not None, "the refusal")
     found["problem"], app.problem = app.problem, None
     hand.frames(2)
     found["kept"] = app.settings.background is kept

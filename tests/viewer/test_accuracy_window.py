@@ -27,6 +27,8 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
     )
     first, *rungs = found["rungs"]
     assert first[:2] == ["renderer", renderer] and first[2] > 60, "the baseline is all but the truth"
+    (views,) = found["elsewhere"]
+    assert (views > 0) == (renderer == "quads"), "the CPU prices what moves by itself"
     names = {(knob, value) for knob, value, *_ in rungs}
     assert {("sh-degree", "0"), ("early-stop", "1e-2"), ("resolution", "1/2")} <= names
     assert all(error > 0 and ratio > 0 for _, _, _, error, ratio in rungs) and found["noise"] > 0

@@ -49,7 +49,7 @@ def test_where_the_folder_refuses_they_go_to_the_configuration(scene, monkeypatc
 
     def refuse(path, data):
         if path.parent == scene.parent:
-            raise PermissionError(13, "read-only")
+            raise InputError("read-only")
         real(path, data)
 
     monkeypatch.setattr(module, "write_json", refuse)

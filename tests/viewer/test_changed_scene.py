@@ -11,22 +11,25 @@ import numpy as np
 import pytest
 
 from splatview.edit.operations import OPERATIONS, Select
+from splatview.edit.operations.appearance import ColourGrade, Grade
 from splatview.edit.operations.cleanup import Repair
 from splatview.edit.operations.merge_split import Merge
 from splatview.edit.operations.transform import Transform
 from splatview.edit.selectors import Everything, IndexRuns
 from splatview.scene import Gaussians, RenderSettings
 from splatview.scene.edits import HIDDEN
+from splatview.scene.effects.overrides import followed, settings_for
 from splatview.scene.formats import save_scene
 from splatview.scene.framing import robust_bounds
 from splatview.viewer.camera import bounds
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing import session as changed_scene
 from splatview.viewer.editing.files import add_files
-from splatview.viewer.editing.session import Editing, EditSession, followed, session_of
+from splatview.viewer.editing.session import Editing, EditSession, session_of
 from splatview.viewer.loading import Examination
 from splatview.viewer.open import open_paths
 from splatview.viewer.panels.edit import orient
+from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
@@ -189,6 +192,41 @@ def test_bands_that_a_merged_file_brings_are_switched_on(app, open_scene, random
     assert app.settings.sh_degree == 0
 
 
+def test_settings_and_receipt_follow_a_colour_grade(app, open_scene, random_gaussians) -> None:
+    scene = random_gaussians(40)
+    sh = scene.sh.copy()
+    sh[:, 1:] *= np.float32(1e-3)
+    session = open_scene(replace(scene, sh=sh))
+    app.examination.join()
+    app.feature(Editing).before_frame(app)
+    assert (app.settings.sh_degree, app.settings.early_stop) == (0, None)
+    strong = ColourGrade(grade=Grade(contrast=10.0, saturation=4.0))
+    session.apply(strong)
+    app.feature(Editing).before_frame(app)
+    expected = settings_for(app.scene.gaussians, palette=app.edits.palette)
+    assert app.settings.sh_degree == expected.sh_degree != 0
+    assert app.settings.early_stop == expected.early_stop is not None
+    receipt = {effect.name: effect for effect in app.feature(Effects).receipt(app)}
+    assert receipt["SH band 1"].on and receipt["SH band 1"].forced is None
+    assert "as far as without the colour grade" in receipt["SH band 1"].why
+    assert receipt["light behind opaque pixels"].on
+    session.undo()
+    app.feature(Editing).before_frame(app)
+    assert (app.settings.sh_degree, app.settings.early_stop) == (0, None)
+    app.settings = replace(app.settings, sh_degree=2)
+    session.redo()
+    app.feature(Editing).before_frame(app)
+    assert app.settings.sh_degree == 2, "the user's word counts"
+
+
+def test_settings_follow_a_file_that_is_read_again(app, open_scene, random_gaussians) -> None:
+    open_scene(random_gaussians(40, sh_degree=0))
+    open_scene(padded(random_gaussians(40, sh_degree=0), 3))
+    assert app.settings.sh_degree == 0
+    open_scene(random_gaussians(40))
+    assert app.settings.sh_degree is None
+
+
 def test_what_the_user_has_set_stays() -> None:
     before, after = RenderSettings(sh_degree=0), RenderSettings(early_stop=0.0)
     mine = replace(before, sh_degree=1, model=replace(before.model, antialiased=True))
@@ -262,6 +300,22 @@ def test_bounds_follow_what_is_moved_and_leave_out_what_is_deleted(app, open_sce
     left = bounds(app)
     assert left is not None
     np.testing.assert_allclose(left[0], robust_bounds(means[200:])[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", ["box", "sphere"])
+def test_a_new_crop_fits_what_is_shown(app, open_scene, random_gaussians, shape) -> None:
+    scene = random_gaussians(2000)
+    means = scene.means * np.array([1, 0.2, 0], np.float32) + np.array([5, 0, 0], np.float32)
+    means[:20] += 1000  # floaters
+    session = open_scene(replace(scene, means=means))
+    COMMANDS[f"add_{shape}"].run(app)
+    (crop,) = session.document.crops
+    np.testing.assert_allclose(crop.centre, (5, 0, 0), atol=0.1)
+    expected = (0.8, 0.16, 0) if shape == "box" else (0.8, 0.8, 0.8)
+    np.testing.assert_allclose(crop.half_extents, expected, atol=0.05)
+    assert min(crop.half_extents) > 0
+    inside = means[session.document.cropped_in()]
+    assert 0.75 * len(means) < len(inside) < 1980, "most of it, and no floaters"
 
 
 def test_framing_shows_the_selection_else_everything(app, open_scene, random_gaussians) -> None:

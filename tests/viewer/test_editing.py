@@ -17,7 +17,7 @@ from splatview.edit.operations.crop import RemoveCrop
 from splatview.edit.operations.transform import Transform
 from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
-from splatview.scene.edits import PREVIEW, Adjustment, Crop
+from splatview.scene.edits import PREVIEW, SELECTED, Adjustment, Crop
 from splatview.scene.progress import Progress
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
@@ -111,6 +111,23 @@ def test_edits_are_told_of_and_mistakes_too(session):
     assert session.problem is not None and "0 crops" in session.problem
 
 
+def test_what_has_no_memory_is_refused_and_final_steps_are_told_of(random_gaussians):
+    session = EditSession(document=Document(random_gaussians(300), budget=20_000))
+    assert session.apply(OPERATIONS["select_all"]())
+    assert not session.apply(OPERATIONS["duplicate"]())
+    assert session.problem is not None and "editing has 20 KiB left" in session.problem
+    assert len(session.gaussians) == 300
+    session.document.budget = 10
+    session.apply(OPERATIONS["hide"]())
+    session.advance()
+    assert session.news == "Hide 300 splats; undo has used up its memory: the first 1 steps are final now"
+    session.jump(0)
+    assert session.problem == "the first 1 steps can no longer be undone"
+    session.news = None
+    session.advance()
+    assert session.news is None
+
+
 def test_slow_work_runs_aside_and_nothing_changes_beneath_it(session):
     go_on = threading.Event()
 
@@ -177,6 +194,15 @@ def test_a_preview_is_no_step_until_it_is_kept(session):
     assert [step.title for step in session.document.history.done] == ["Opacity x 0.5: 300 splats"]
 
 
+def test_an_undone_preview_leaves_no_buttons_and_the_tint_is_back(session):
+    session.apply(OPERATIONS["select_all"]())
+    session.preview("look", Opacity(value=0.5))
+    assert not session.highlight.flags & SELECTED
+    session.undo()
+    session.advance()
+    assert session.forms.previewing == "" and session.highlight.flags & SELECTED
+
+
 def test_a_highlight_is_shown_until_the_next_edit_and_is_no_edit(session):
     mask = np.arange(300) < 7
     before = session.document.marks.copy()
@@ -206,6 +232,10 @@ def test_commands_are_found_by_their_words_and_keys():
     assert matching("undo")[0].id == "undo"
     assert {command.id for command in matching("")} == set(COMMANDS)
     assert not matching("no such thing at all")
+    assert [command.id for command in matching("floater")] == ["find_clusters", "find_sparse"]
+    assert not matching("fltr"), "letters with others between them are no word"
+    assert matching("lens")[0].id == "toggle_lenses"
+    assert matching("box")[0].id == "add_box"
 
 
 degrees = st.floats(-179, 179)

@@ -9,17 +9,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from splatview.edit.journal import find_abandoned_journals
 from splatview.raster import render
+from splatview.scene import look_at
 from splatview.scene.captures.demo import demo_capture
 from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.formats.cameras import camera_values
 from splatview.trainer.checkpoint import load_checkpoint
+from splatview.viewer.preferences import beside
 
 SCRIPT = "fault_drives.py"
 
@@ -92,6 +97,26 @@ def test_what_fails_in_a_frame_is_told_of_and_a_signal_closes_the_window(drive, 
     (journal,) = find_abandoned_journals(tmp_path / "config" / "journals")
     assert journal.scene == scene
     assert {"preferences.json", "layout.ini"} <= {path.name for path in (tmp_path / "config").iterdir()}
+
+
+def test_names_of_others_are_shown_as_they_are(drive, tmp_path, random_gaussians):
+    """What no text can hold, what terminals obey, what ImGui takes for the id of an item."""
+    name = "%s%n [b]##a###b \x1b[31m\u202e"
+    scene = tmp_path / f"{name}\udce9.ply"
+    save_scene(replace(random_gaussians(50), comments=(name,)), scene)
+    bookmark = {"target": [0, 0, 0], "distance": 4, "rotation": np.eye(3).tolist(), "up": [0, -1, 0]}
+    bookmark |= {"fov_y": 50, "shift": [0, 0], "squeeze": 1, "name": f"{name}\udce9\0"}
+    beside(scene).write_text(json.dumps({"version": 1, "bookmarks": [bookmark, bookmark]}))
+    view = camera_values(look_at((0, 0, -4), (0, 0, 0), width=64, height=48)) | {"name": f"{name}\udce9\0"}
+    (tmp_path / "cameras.json").write_text(json.dumps([view, view]))
+    steps = [{"op": "add_crop", "crop": {"name": name, "half_extents": [9, 9, 9]}}] * 2
+    (tmp_path / "recipe.json").write_text(json.dumps({"splatview_recipe": 1, "steps": steps}))
+    files = {"cameras": str(tmp_path / "cameras.json"), "recipe": str(tmp_path / "recipe.json")}
+    found = drive("names_of_others", scene, script=SCRIPT, renderer="cpu", **files)
+    assert found["problem"] is None and "Traceback" not in found["output"], found
+    shown = ascii(f"{name.encode('unicode_escape').decode()}\\udce9")[1:-1]
+    assert any(shown in said for said in found["said"]), (shown, found["said"])
+    assert found["title"].isprintable() and "##a###b" in found["title"]
 
 
 @x11

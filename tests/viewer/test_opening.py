@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatview.scene import look_at
+from splatview.scene.background import Panorama
 from splatview.scene.demo import demo_scene
+from splatview.scene.formats import cameras as cameras_module
 from splatview.scene.formats import save_camera, save_scene
-from splatview.viewer import loading
+from splatview.scene.progress import Cancelled
+from splatview.viewer import background, loading
 from splatview.viewer import open as opening
-from splatview.viewer.camera import common_up
+from splatview.viewer.background import WindowBackground
+from splatview.viewer.camera import CameraLists, camera_text, common_up
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.navigation import orbit
 from splatview.viewer.open import begin, cancel_loading, nearest_axis, open_paths
 
@@ -221,12 +228,86 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
     assert seen == pytest.approx([share, 1.0])
 
 
+def read_cameras(app):
+    """Frames until the cameras are there."""
+    lists = app.feature(CameraLists)
+    while lists.busy(app):
+        lists.before_frame(app)
+        if lists.reading is not None:
+            lists.reading.join()
+
+
+def test_cameras_stay_that_are_opened_with_their_scene(app, ply, wait_for_loading, tmp_path):
+    save_camera(look_at((3, 2, 1), (0, 0, 0)), tmp_path / "cam.json")
+    open_paths(app, [tmp_path / "cam.json", ply("a")])
+    lists = app.feature(CameraLists)
+    lists.before_frame(app)
+    lists.reading.join()
+    lists.before_frame(app)
+    assert not app.cameras, "the scene that they come with is yet to be opened"
+    wait_for_loading(app)
+    read_cameras(app)
+    assert len(app.cameras) == 1 and app.camera_index == 0
+
+
+def test_a_camera_list_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_path, monkeypatch):
+    """The frame loop goes on while a list is read, sees how far that is, and Escape ends it."""
+    many = json.dumps([json.loads(camera_text(look_at((3, 2, 1), (0, 0, 0))))] * 40)
+    (tmp_path / "many.json").write_text(many)
+    go_on, begun = threading.Event(), threading.Event()
+    parse = cameras_module._own_camera
+
+    def slow(entry, where):
+        if "camera 10" in where:
+            begun.set()
+            go_on.wait(60)
+        return parse(entry, where)
+
+    monkeypatch.setattr(cameras_module, "_own_camera", slow)
+    lists = app.feature(CameraLists)
+    open_paths(app, [tmp_path / "many.json"])
+    lists.before_frame(app)
+    reading = lists.reading
+    assert begun.wait(60)
+    lists.before_frame(app)
+    assert app.waiting and reading.progress == pytest.approx(0.2 + 0.8 / 4)
+    COMMANDS["cancel"].run(app)
+    assert not app.waiting
+    go_on.set()
+    reading.join()
+    assert isinstance(reading.error, Cancelled)
+    open_paths(app, [tmp_path / "many.json"])
+    read_cameras(app)
+    assert len(app.cameras) == 40
+
+
+def test_a_background_picture_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_path, monkeypatch):
+    path, go_on = tmp_path / "sky.png", threading.Event()
+    Image.new("RGB", (8, 4), "blue").save(path)
+    load = background.load_panorama
+    monkeypatch.setattr(background, "load_panorama", lambda path: go_on.wait(60) and load(path))
+    behind = app.feature(WindowBackground)
+    behind.choose(app, path)
+    behind.before_frame(app)
+    assert app.waiting and app.preferences.background_kind == "colour"
+    COMMANDS["cancel"].run(app)
+    assert not app.waiting
+    go_on.set()
+    behind.choose(app, path)
+    behind.reading.join()
+    behind.before_frame(app)
+    behind.follow(app)
+    assert isinstance(app.settings.background, Panorama) and not app.waiting
+    assert app.preferences.panorama == str(path)
+
+
 def test_a_dropped_camera_is_gone_to(app, ply, wait_for_loading, tmp_path):
     open_paths(app, [ply("a")])
     wait_for_loading(app)
     camera = look_at((3, 2, 1), (0, 0, 0), width=320, height=200, fov_y=35)
     save_camera(camera, tmp_path / "cam.json")
     open_paths(app, [tmp_path / "cam.json"])
+    read_cameras(app)
     assert app.camera.same_view(camera) or np.allclose(
         app.camera.world_to_camera, camera.world_to_camera, atol=1e-12
     )
@@ -247,6 +328,7 @@ def test_a_camera_lists_common_up_becomes_the_up_axis(app, tmp_path, wait_for_lo
 
 def test_a_folder_without_cameras_is_refused_in_one_line(app, tmp_path):
     open_paths(app, [tmp_path])
+    read_cameras(app)
     assert str(tmp_path) in app.problem
     assert "\n" not in app.problem
 

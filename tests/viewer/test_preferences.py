@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from splatview.scene import InputError
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.preferences import (
     FILE_NAME,
@@ -92,7 +93,7 @@ def test_a_crash_while_writing_leaves_the_old_file(folder, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(os, "fsync", crash)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(InputError, match="disk full"):
         save_preferences(Preferences(fly_speed=3.0))
     assert load_preferences()[0].fly_speed == 2.0
     assert [path.name for path in folder.iterdir()] == [FILE_NAME]

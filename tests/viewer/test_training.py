@@ -17,6 +17,7 @@ from splatview.renderers import FrameStats
 from splatview.scene import RenderSettings, look_at
 from splatview.scene.captures.demo import demo_capture
 from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.evaluate import evaluate
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import fresh, initial_parameters
@@ -332,6 +333,31 @@ def test_what_a_mask_leaves_out_differs_nowhere(capture):
     )
     made = compare(request)
     assert (made.difference[:, 10:] == 0).all() and made.difference[:, :10].any()
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("exposures_differ", [False, True])
+def test_a_photo_has_one_score(training, capture, masked, exposures_differ):
+    photo = next(photo for photo in training.photos if photo.held_out)
+    mask = np.zeros(photo.shot.pixels.shape[:2], bool)
+    mask[:, 20:] = True
+    shot = replace(photo.shot, mask=mask if masked else None)
+    start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
+    request = ComparisonRequest(
+        shot=shot,
+        gaussians=fresh(start).snapshot(),
+        settings=training.settings,
+        shrink=1,
+        gain=1.0,
+        exposures_differ=exposures_differ,
+    )
+    listed = evaluate(start, [shot], training.settings, exposures_differ=exposures_differ)
+    assert compare(request).psnr == pytest.approx(listed.psnr, abs=0.05)
+
+    training.photo_index = training.photos.index(photo)
+    assert training.score_text() == ""
+    training.thread.status = replace(training.status, evaluation=listed, evaluated_at=1200)
+    assert training.score_text() == f"{training.scores[photo.name]:.2f} dB at step 1,200"
 
 
 def test_a_comparer_makes_the_latest_request_and_survives_trouble(capture, monkeypatch):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +104,25 @@ def headless_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
         return make_renderer("quads", ctx).render(FrameRequest(scene, camera))
     finally:
         ctx.release()
+
+
+def test_a_window_can_be_opened_after_contexts_without_one(display):
+    script = (
+        "from splatview.cli import doctor, ladder\n"
+        "from splatview.renderers import precompile\n"
+        "precompile.probe_cache = None  # it takes a second\n"
+        "for look in (doctor.automatic_choice, doctor.gl_context, lambda: ladder.chosen_renderers(None)):\n"
+        "    look()\n"
+        "    print(doctor.no_window())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split() == ["None"] * 3, done.stderr
 
 
 def test_old_opengl_shows_the_same_picture(drive, files, scene):

@@ -208,7 +208,7 @@ def jump(user: Soaked, rng: np.random.Generator) -> str | None:
     session = session_of(user.app)
     if not user.at_rest or session is None or not session.document.history.steps:
         return None
-    position = int(rng.integers(0, len(session.document.history.steps) + 1))
+    position = int(rng.integers(session.document.history.floor, len(session.document.history.steps) + 1))
     user.post(commands.jump, position)
     return f"to step {position}"
 

@@ -418,6 +418,7 @@ ALL_OPERATIONS: tuple[dict[str, Any], ...] = (
     {"op": "transform", "scope": "scene", "translation": [0, 0.5, 0.2]},
     sphere(0.0, 0.8),
     {"op": "delete"},
+    {"op": "select_detected", "by": {"kind": "faint"}, "threshold": 30},
     {"op": "prune", "by": {"kind": "faint"}, "threshold": 30},
     {"op": "repair", "finding": "needles"},
     {"op": "add_crop", "crop": BALL},

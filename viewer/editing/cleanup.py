@@ -9,15 +9,19 @@ import numpy as np
 
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.impact import Impact, frozen, measure_impact, operation_impacts, with_deleted
-from splatview.edit.operations.cleanup import Decimate, Prune, Repair
+from splatview.edit.operations.cleanup import Decimate, Prune, Repair, SelectDetected
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
 from splatview.scene.progress import Progress
 from splatview.viewer.editing.session import EditSession, session_of, with_session
+from splatview.viewer.editing.tool_state import Mode
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
+
+SECTION = "Clean up"
+"""Title on the Edit panel."""
 
 VIEWS = 8
 """Number of views in which a price is measured."""
@@ -40,7 +44,7 @@ def find(app: AppState, detector: str) -> None:
         app.tell("Open a scene first")
         return
     choose_detector(session, detector)
-    session.forms.open_section = "Clean up"
+    session.forms.open_section = SECTION
     look(app)
 
 
@@ -79,7 +83,7 @@ def set_threshold(session: EditSession, value: float) -> None:
     form.threshold, form.price = value, None
     form.mask = DETECTORS[form.detector]().mask(form.scores, value) & session.document.editable
     form.count = int(np.count_nonzero(form.mask))
-    session.preview_mask = form.mask
+    session.preview_mask, session.preview_of = form.mask, SECTION
 
 
 @with_session
@@ -102,11 +106,23 @@ def measure_price(app: AppState, session: EditSession) -> None:
 
 @with_session
 def prune(app: AppState, session: EditSession) -> None:
+    """Deletes what is highlighted."""
+    session.apply_slowly(Prune(**_found(app, session)), "Deleting")
+
+
+@with_session
+def select(app: AppState, session: EditSession, mode: Mode) -> None:
+    """Selects what is highlighted, or changes the selection by it."""
+    session.apply_slowly(SelectDetected(**_found(app, session), mode=mode), "Selecting")
+
+
+def _found(app: AppState, session: EditSession) -> dict[str, Any]:
+    """What is highlighted as the fields of an operation; the highlight ends."""
     form = session.forms.clean
     detector = DETECTORS[form.detector]
     cameras = views(app, session) if detector.renders else ()
     session.preview_mask = None
-    session.apply_slowly(Prune(by=detector(), threshold=form.threshold, cameras=cameras), "Deleting")
+    return {"by": detector(), "threshold": form.threshold, "cameras": cameras}
 
 
 @with_session

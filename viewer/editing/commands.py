@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
 
 from splatview.edit.operations import OPERATIONS
 from splatview.edit.operations.base import Operation
 from splatview.edit.operations.crop import AddCrop
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.scene.edits import Crop
-from splatview.viewer.camera import bounds
+from splatview.scene.framing import bulk, robust_box
+from splatview.viewer.camera import shown_sample
 from splatview.viewer.editing.session import EditSession, session_for_edit, session_of
 from splatview.viewer.editing.tool_state import Depth, ToolName
 
@@ -20,6 +24,9 @@ if TYPE_CHECKING:
 
 
 Shape = Literal["box", "sphere"]
+
+FLATTEST = 0.01
+"""Half extent of a new crop at least, in radii of the scene."""
 
 
 def add_crop(app: AppState, shape: Shape) -> None:
@@ -33,13 +40,17 @@ def add_crop(app: AppState, shape: Shape) -> None:
 
 
 def fitting(app: AppState, session: EditSession, shape: Shape) -> Crop:
-    """A new crop about the bulk of the shown splats."""
-    number = 1 + len(session.document.crops) + session.target.rules
-    found = bounds(app)
-    if found is None:
-        return Crop(name=f"crop {number}", shape=shape)
-    (x, y, z), half = found[0].tolist(), found[1]
-    return Crop(name=f"crop {number}", shape=shape, centre=(x, y, z), half_extents=(half, half, half))
+    """A new crop about nearly all of the shown splats."""
+    crop = Crop(name=f"crop {1 + len(session.document.crops) + session.target.rules}", shape=shape)
+    sample = shown_sample(app)
+    if sample is None:
+        return crop
+    low, high = robust_box(sample.means)
+    half = np.maximum((high - low) / 2, FLATTEST * bulk(sample)[1])
+    if shape == "sphere":
+        half = np.full(3, half.max())
+    (x, y, z), (hx, hy, hz) = ((low + high) / 2).tolist(), half.tolist()
+    return replace(crop, centre=(x, y, z), half_extents=(hx, hy, hz))
 
 
 BRUSH_STEP = 1.25

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,7 +61,7 @@ def choose_export(app: AppState) -> None:
 def export_to(app: AppState, session: EditSession, path: Path) -> None:
     """Writes the edited scene, whole or not at all, in a thread."""
     target = path if path.suffix else path.with_suffix(".ply")
-    read = session.stamps.get(target.resolve())
+    read = session.stamps.get(Path(os.path.realpath(target)))
     if read is not None and stamp_of(target) not in (read, None):
         app.complain(
             f"{target}: another program has changed it since it was opened here; export under another name,"
@@ -210,7 +211,7 @@ def look_for_abandoned(app: AppState) -> None:
 
 def restore(app: AppState, journal: AbandonedJournal) -> None:
     """Opens the journal's scene; its steps follow when that is loaded."""
-    if journal.scene is None or not journal.scene.exists():
+    if journal.scene is None or not os.path.lexists(journal.scene):
         app.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
         return
     app.feature(Restoring).journal = journal

@@ -5,6 +5,7 @@ Nothing here imports ImGui, so that all of it is tested without a display.
 
 from __future__ import annotations
 
+import operator
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,9 @@ from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import PREVIEW, Crop, SceneEdits
+from splatview.scene.edits import PREVIEW, Adjustment, Crop, SceneEdits, is_graded
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
@@ -35,6 +38,9 @@ from splatview.viewer.tasks import Task
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
 
+
+LOOK = "look"
+"""Section whose previews change opacity, size and colour."""
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
@@ -51,7 +57,7 @@ class Job(Task[Any]):
         *,
         yields: bool = False,
     ):
-        self.title = title
+        self.title = printable(title)
         self.finish = finish
         self.yields = yields
         """Whether it is dropped where the user edits: the user did not ask for it."""
@@ -66,7 +72,6 @@ class EditSession:
     """Edits of the open scene. Panels read it freely; what changes the document runs between frames."""
 
     document: Document
-    highlight: Highlight = field(default_factory=Highlight)
     tool: ToolName = "none"
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
@@ -76,12 +81,16 @@ class EditSession:
     forms: Forms = field(default_factory=Forms)
     preview_mask: np.ndarray | None = None
     """(N,) bool: splats that a tool would take, highlighted until the next edit; never written to."""
+    preview_of: str = ""
+    """Title of the section that the highlight belongs to and is seen with; "" where it is always seen."""
     target: EditTarget = field(default_factory=SceneTarget)
     journal: Journal | None = None
     stamps: dict[Path, Stamp] = field(default_factory=dict)
     """Stamps of the open files, as they were read or last exported over."""
     pivot: tuple[object, Place] | None = None
     """Centre of transforms, after the scope and versions that it is of."""
+    told_floor: int = 0
+    """Steps that the user knows to be past undoing."""
     seen_position: int = -1
     """Position in the history when its panel was drawn last."""
     loading: tuple[Gaussians, Generator[float]] | None = None
@@ -129,12 +138,30 @@ class EditSession:
         if mask is None or self._previewed_at != versions:
             self.preview_mask = self._previewed = None
             return edits
+        if self.preview_of and self.preview_of not in self.forms.sections:
+            return edits
         key = (versions, id(mask))
         if self._shown is None or self._shown[0] != key:
             marks = edits.marks | np.where(mask, np.uint32(PREVIEW), np.uint32(0))
             lit = replace(edits, marks=marks, changes=(), flags=edits.flags | PREVIEW)
             self._shown = (key, lit)
         return self._shown[1]
+
+    @property
+    def highlight(self) -> Highlight:
+        """Tints of the picture: none of the selection while its look is changed, which they would hide."""
+        tinted = Highlight()
+        return replace(tinted, selected=(0, 0, 0, 0)) if self.forms.previewing == LOOK else tinted
+
+    @property
+    def handles(self) -> str:
+        """Title of the section whose handles are on the picture; "" where there are none."""
+        forms, document = self.forms, self.document
+        movable = forms.scope != "selection" or document.counts.selected > 0
+        if forms.move.gizmo and movable and "Move" in forms.sections:
+            return "Move"
+        chosen = 0 <= forms.crop < len(document.crops)
+        return "Crop" if chosen and "Crop" in forms.sections else ""
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
@@ -181,8 +208,12 @@ class EditSession:
 
     def jump(self, position: int) -> None:
         """Undoes or redoes until `position` steps are in force."""
-        if not self._busy() and not self._final():
+        if self._busy() or self._final():
+            return
+        try:
             self.document.jump(position)
+        except InputError as error:
+            self.problem = str(error)
 
     def apply(self, operation: Operation | Planned) -> bool:
         """Does it now; returns whether something came of it. What is wrong becomes `problem`."""
@@ -232,7 +263,15 @@ class EditSession:
         self.job = Job(title, work, done, yields=yields)
 
     def advance(self) -> None:
-        """Called every frame: ends a job that is done."""
+        """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended, and
+        tells of steps that are past undoing now."""
+        if self.document.previewed is None:
+            self.forms.previewing = ""
+        history = self.document.history
+        if history.floor > self.told_floor:
+            self.told_floor = history.floor
+            forgotten = f"undo has used up its memory: the first {history.floor:,} steps are final now"
+            self.news = "; ".join(filter(None, (self.news, forgotten)))
         job = self.job
         if job is None or not job.done:
             return
@@ -307,6 +346,8 @@ class Editing(Feature):
         """Examination of splats that an edit has changed, under way."""
         self.outlined: tuple[Crop, ...] = ()
         """Crops of a training's rule under the mouse, to be drawn on the picture."""
+        self._followed: tuple[RenderSettings | None, tuple[Adjustment, ...]] = (None, ())
+        """What the settings followed last: those of the scene, and a palette."""
 
     @property
     def edits(self) -> SceneEdits | None:
@@ -324,7 +365,13 @@ class Editing(Feature):
             self.session.close()
         folder = scene.paths[0].parent if scene.paths else None
         try:
-            document = Document(scene.gaussians, name=scene.name, folder=folder, tools=CpuRenderer())
+            document = Document(
+                scene.gaussians,
+                name=scene.name,
+                folder=folder,
+                tools=CpuRenderer(),
+                budget=app.preferences.edit_memory_gib * 2**30,
+            )
         except InputError as error:
             self.session = None
             app.tell(f"{error}; it can be looked at")
@@ -337,9 +384,11 @@ class Editing(Feature):
     def before_frame(self, app: AppState) -> None:
         """Ends jobs, and reports what they and the user's edits came to."""
         self._examine(app)
+        self._follow(app)
         session = self.session
         if session is None:
             return
+        session.forms.sections, session.forms.drawn = frozenset(session.forms.drawn), set()
         session.advance()
         load_changed_scene(app, session)
         if session.journal is not None and session.journal.problem is not None:
@@ -395,8 +444,7 @@ class Editing(Feature):
             self.examining = self.examining or Examination(gaussians)
 
     def _examine(self, app: AppState) -> None:
-        """Takes over the examination of changed splats. Settings follow what they call for, where the user
-        has not set them otherwise."""
+        """Takes over the examination of changed splats."""
         found = self.examining
         if found is None or not found.done:
             return
@@ -408,8 +456,24 @@ class Editing(Feature):
             return
         app.examination = found
         if found.settings is not None:
-            app.settings = followed(app.settings, scene.settings, found.settings)
             app.scene = replace(scene, settings=found.settings)
+
+    def _follow(self, app: AppState) -> None:
+        """Settings follow what scene and colour grade call for, where the user has not set them otherwise;
+        not before the scene has been looked through, as that takes long."""
+        found, scene = app.examination, app.scene
+        if found is None or found.settings is None or found.gaussians is not scene.gaussians:
+            return
+        palette = self.edits.palette if self.edits else ()
+        looked_at = scene.settings, palette
+        if all(map(operator.is_, looked_at, self._followed)):
+            return
+        self._followed = looked_at
+        wanted = scene.settings
+        if is_graded(palette):
+            graded = settings_for(scene.gaussians, palette=palette)
+            wanted = replace(wanted, sh_degree=graded.sh_degree, early_stop=graded.early_stop)
+        app.call_for(wanted)
 
 
 def session_of(app: AppState) -> EditSession | None:
@@ -487,18 +551,6 @@ def load_changed_scene(app: AppState, session: EditSession) -> None:
         session.loading = None
         session.problem = f"{error}; the last step is taken back"
         session.undo()
-
-
-def followed(settings: RenderSettings, before: RenderSettings, after: RenderSettings) -> RenderSettings:
-    """`settings` with everything that is as a scene called for `before` as it calls for `after`."""
-    near = settings.model.near
-    if settings.model == replace(before.model, near=near):
-        settings = replace(settings, model=replace(after.model, near=near))
-    if settings.sh_degree == before.sh_degree:
-        settings = replace(settings, sh_degree=after.sh_degree)
-    if settings.early_stop == before.early_stop:
-        settings = replace(settings, early_stop=after.early_stop)
-    return settings
 
 
 JOURNALS = "journals"

@@ -19,7 +19,7 @@ SENT_TO_TRAINER = frozenset({"delete", "delete_cropped", "prune"})
 
 VIEW_ONLY = frozenset(
     {
-        *("select", "select_all", "select_none", "select_inverse", "grow", "shrink"),
+        *("select", "select_all", "select_none", "select_inverse", "grow", "shrink", "select_detected"),
         *("hide", "show", "lock", "unlock", "isolate"),
         *("add_crop", "change_crop", "enable_crop", "remove_crop"),
     }

@@ -212,5 +212,9 @@ class Forms:
     """Whether the handles are being dragged."""
     open_section: str = ""
     """Title of the section that the Edit panel is to open, once."""
+    drawn: set[str] = field(default_factory=set)
+    """Titles of the sections that have been drawn in this frame."""
+    sections: frozenset[str] = frozenset()
+    """Titles of the sections that are open: those drawn in the last frame."""
     previewing: str = ""
     """The section whose preview is in force; "" for none."""

@@ -147,8 +147,7 @@ def _click(
 def on_handles(app: AppState, camera: Camera) -> bool:
     """Whether the left button is that of handles on the picture. To be asked before the picture's item."""
     session = session_of(app)
-    shown = session is not None and (move.has_handles(session) or crops.has_handles(session))
-    return shown and camera.lens is None and grabbed()
+    return session is not None and session.handles != "" and camera.lens is None and grabbed()
 
 
 def drag(

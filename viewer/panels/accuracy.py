@@ -157,7 +157,8 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
         "Hold",
         held,
         "While the camera moves, pictures are made as coarse as the budget asks, and no coarser; two frames "
-        "after it rests the exact picture is back. The badge in the picture states the present error.",
+        "after it rests the exact picture is back. The badge in the picture states the error in the worst of "
+        "some views from around.",
     )
     if changed is not None:
         app.post(accuracy.hold, app.preferences.frame_budget_ms if changed else None)

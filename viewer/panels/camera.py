@@ -7,6 +7,7 @@ from dataclasses import replace
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from splatview.scene.errors import printable
 from splatview.viewer import save as saving
 from splatview.viewer.camera import (
     UP_NAMES,
@@ -259,7 +260,7 @@ def bookmark_row(app: AppState, index: int, name: str) -> None:
         imgui.calc_text_size(sign).x + 2 * style.frame_padding.x + style.item_spacing.x for sign in signs
     )
     width = max(imgui.get_content_region_avail().x - buttons, imgui.get_font_size())
-    if imgui.selectable(name, index == app.bookmark_index, 0, (width, 0))[0]:
+    if imgui.selectable(widgets.item(name, index), index == app.bookmark_index, 0, (width, 0))[0]:
         app.post(go_to_bookmark, index)
     widgets.tooltip("Go to this view")
     imgui.same_line()
@@ -274,7 +275,7 @@ def bookmark_row(app: AppState, index: int, name: str) -> None:
         if imgui.is_window_appearing():
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(imgui.get_font_size() * 14)
-        done, text = imgui.input_text("##name", name, imgui.InputTextFlags_.enter_returns_true)
+        done, text = imgui.input_text("##name", printable(name), imgui.InputTextFlags_.enter_returns_true)
         if done:
             app.post(rename_bookmark, index, text)
             imgui.close_current_popup()
@@ -296,7 +297,7 @@ def cameras(app: AppState) -> None:
     while clipper.step():
         for index in range(clipper.display_start, clipper.display_end):
             camera = app.cameras[index]
-            text = f"{camera.name or f'Camera {index + 1}'}##{index}"
+            text = widgets.item(camera.name or f"Camera {index + 1}", index)
             if imgui.selectable(text, index == app.camera_index)[0]:
                 app.post(go_to_camera, index)
             widgets.tooltip(f"{camera.width} x {camera.height} px")

@@ -14,6 +14,7 @@ from splatview.viewer import theme
 from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.cleanup import VIEWS
 from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def threshold(app: AppState, session: EditSession) -> None:
     )
     if value is not None:
         cleanup.set_threshold(session, value)
-    widgets.note(f"{form.count:,} splats are {detector.meaning(form.threshold)}: red on the picture.")
+    widgets.note(f"{form.count:,} splats, red on the picture: {detector.meaning(form.threshold)}.")
     if not form.count:
         return
     show_price(form.price)
@@ -67,7 +68,15 @@ def threshold(app: AppState, session: EditSession) -> None:
             f"Draws {VIEWS} views with and without them and compares.",
             partial(app.post, cleanup.measure_price),
         )
-        widgets.beside(f"Delete {form.count:,}")
+        widgets.beside(f"Select {form.count:,}")
+    io = imgui.get_io()
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    widgets.button(
+        f"Select {form.count:,}",
+        "Shift adds them to the selection, Ctrl removes them from it, both keep what is common.",
+        partial(app.post, cleanup.select, mode),
+    )
+    widgets.beside(f"Delete {form.count:,}")
     tip = "Undo brings them back." if session.target.at_rest else "From the training; there is no way back."
     widgets.button(f"Delete {form.count:,}", tip, partial(app.post, cleanup.prune))
     widgets.beside("Leave them")

@@ -15,6 +15,7 @@ from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, EnableCrop
 from splatview.edit.selectors import Box, Sphere
 from splatview.scene import Camera
 from splatview.scene.edits import Adjustment, Crop
+from splatview.scene.errors import printable
 from splatview.viewer import theme
 from splatview.viewer.editing import gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
@@ -71,7 +72,7 @@ def show(app: AppState, session: EditSession) -> None:
         imgui.same_line()
         word = "keeps" if crop.keep == "inside" else "cuts out"
         clicked, _ = imgui.selectable(
-            f"{crop.name}: {crop.shape}, {word} its inside", index == session.forms.crop
+            widgets.item(f"{crop.name}: {crop.shape}, {word} its inside", index), index == session.forms.crop
         )
         if clicked:
             session.forms.crop = -1 if index == session.forms.crop else index
@@ -101,7 +102,7 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     speed = max(app.scene.radius, 1e-6) / 300
     new, settled = crop, False
     widgets.label("Name", "For you and the history.")
-    changed, name = imgui.input_text("##name", crop.name, imgui.InputTextFlags_.enter_returns_true)
+    changed, name = imgui.input_text("##name", printable(crop.name), imgui.InputTextFlags_.enter_returns_true)
     if changed and name.strip():
         new, settled = replace(new, name=name.strip()), True
     keep = widgets.combo(
@@ -130,19 +131,20 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     if handle is not None:
         session.forms.crop_handles = KINDS.index(handle)
     change(app, session, index, new, settled=settled)
-    by = volume(crop)
-    imgui.begin_disabled(by is None)
-    if imgui.button("Select inside") and by is not None:
-        io = imgui.get_io()
-        post_edit(app, EditSession.apply, Select(by=by, mode=mode_of(shift=io.key_shift, ctrl=io.key_ctrl)))
-    widgets.tooltip(
-        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it."
+    by, io = volume(crop), imgui.get_io()
+    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    widgets.button(
+        "Select inside",
+        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it.",
+        lambda: post_edit(app, EditSession.apply, Select(by=by, mode=mode)),
+        lacks="" if by is not None else "A sphere that is stretched cannot: give its half sizes one value",
     )
-    imgui.end_disabled()
     widgets.beside("Remove")
-    if imgui.button("Remove"):
-        post_edit(app, EditSession.apply, RemoveCrop(index=index))
-    widgets.tooltip("Removes this crop; what it cut away is back.")
+    widgets.button(
+        "Remove",
+        "Removes this crop; what it cut away is back.",
+        partial(post_edit, app, EditSession.apply, RemoveCrop(index=index)),
+    )
     if not session.target.at_rest:
         widgets.button(
             "No growth inside",
@@ -168,10 +170,6 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
         post_edit(app, EditSession.commit_preview)
 
 
-def has_handles(session: EditSession) -> bool:
-    return 0 <= session.forms.crop < len(session.document.crops) and not session.forms.move.gizmo
-
-
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
     for index, crop in enumerate(session.document.crops):
@@ -180,7 +178,7 @@ def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) ->
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
         draw_outline(crop, camera, corner, colour, 2.0 if chosen else 1.0)
-    if has_handles(session):
+    if session.handles == "Crop":
         drag_handles(app, session, camera, corner)
 
 

@@ -20,7 +20,7 @@ from splatview.viewer import theme
 from splatview.viewer.camera import bounds
 from splatview.viewer.editing import commands, gizmos
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import EditSession, at_rest, can_edit, post_edit, session_of
+from splatview.viewer.editing.session import LOOK, EditSession, at_rest, can_edit, post_edit, session_of
 from splatview.viewer.editing.tool_state import LookForm, MoveForm, Place, ToolName
 from splatview.viewer.panels import clean, crops, recipe, select, widgets
 from splatview.viewer.training.live import LiveTraining
@@ -70,8 +70,6 @@ def keep_or_cancel(app: AppState, session: EditSession, section: str) -> bool | 
     return None
 
 
-APPEARANCE_SECTION = "look"
-
 GRADES = {
     "brightness": ("Brightness", -0.5, 0.5, "Added to every colour."),
     "contrast": ("Contrast", 0.0, 3.0, "About mid-grey."),
@@ -96,13 +94,11 @@ def show_appearance(app: AppState, session: EditSession) -> None:
         value = widgets.slider(name, getattr(grade, field), low, high, tip)
         if value is not None:
             grade = _changed(grade, field, value)
-    if grade != form.grade or (
-        changed_scope and session.forms.previewing == APPEARANCE_SECTION and grade != Grade()
-    ):
+    if grade != form.grade or (changed_scope and session.forms.previewing == LOOK and grade != Grade()):
         session.forms.look = LookForm(grade=grade)
-        session.preview(APPEARANCE_SECTION, ColourGrade(grade=grade, scope=session.forms.scope))
-    if keep_or_cancel(app, session, APPEARANCE_SECTION) is not None or (
-        session.forms.previewing != APPEARANCE_SECTION
+        session.preview(LOOK, ColourGrade(grade=grade, scope=session.forms.scope))
+    if keep_or_cancel(app, session, LOOK) is not None or (
+        session.forms.previewing != LOOK
         and session.forms.look != LookForm()
         and not imgui.is_any_item_active()
     ):
@@ -127,18 +123,14 @@ def opacity_and_size(app: AppState, session: EditSession) -> None:
     opacity = widgets.slider(name, form.opacity, 0.0, high, tip)
     if opacity is not None:
         session.forms.look = LookForm(opacity=opacity)
-        session.preview(
-            APPEARANCE_SECTION, Opacity(value=opacity, how=session.forms.how, scope=session.forms.scope)
-        )
+        session.preview(LOOK, Opacity(value=opacity, how=session.forms.how, scope=session.forms.scope))
     radius = max(app.scene.radius, 1e-6)
     tip = "Factor on the size of each splat, about its centre." if factor else "Mean deviation, world units."
     name, low, high = ("Size x", 0.1, 10.0) if factor else ("Size", 1e-5 * radius, 0.1 * radius)
     size = widgets.slider(name, form.size, low, high, tip, form="%.3g", logarithmic=True)
     if size is not None:
         session.forms.look = LookForm(size=size)
-        session.preview(
-            APPEARANCE_SECTION, Size(value=size, how=session.forms.how, scope=session.forms.scope)
-        )
+        session.preview(LOOK, Size(value=size, how=session.forms.how, scope=session.forms.scope))
 
 
 def _changed(grade: Grade, field: str, value: float) -> Grade:
@@ -233,16 +225,10 @@ def pivot(session: EditSession) -> Place:
     return session.pivot[1]
 
 
-def has_handles(session: EditSession) -> bool:
-    return session.forms.move.gizmo and (
-        session.forms.scope != "selection" or session.document.counts.selected > 0
-    )
-
-
 def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """Over the picture; what they do is the same as typing the numbers."""
     form = session.forms.move
-    if not has_handles(session):
+    if session.handles != "Move":
         return
     centre = np.array(pivot(session))
     turned = Adjustment(rotation=quat_of(form.rotation)) if form.turning else IDENTITY
@@ -329,11 +315,12 @@ def show(app: AppState) -> None:
             flags = imgui.TreeNodeFlags_.default_open if opened else 0
             if session.forms.open_section == title:
                 imgui.set_next_item_open(True)
-                session.forms.open_section = ""
             if imgui.collapsing_header(title, flags):
+                session.forms.drawn.add(title)
                 imgui.push_id(title)
                 contents(app, session)
                 imgui.pop_id()
+        session.forms.open_section = ""
     if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
         imgui.push_id(RULES)
         recipe.in_force(app, training)
@@ -351,13 +338,12 @@ def toolbar(app: AppState, session: EditSession | None) -> None:
         widgets.command_button(app, name, f"tool_{tool}")
         if chosen:
             imgui.pop_style_color()
-    if session is not None and session.tool != "none":
-        widgets.note("Shift adds, Ctrl removes, both keep what is common. Alt + drag turns. Esc: done.")
 
 
 def job(app: AppState, session: EditSession) -> None:
-    """Slow work under way, with a way to stop it."""
+    """Slow work under way, with a way to stop it, in a row that is kept free for it."""
     if session.job is None:
+        imgui.dummy((0, imgui.get_frame_height()))
         return
     imgui.progress_bar(session.job.progress, (-imgui.get_font_size() * 5, 0), session.job.title)
     imgui.same_line()

@@ -7,6 +7,7 @@ from functools import partial
 from imgui_bundle import ImVec2, imgui
 
 from splatview.edit.journal import AbandonedJournal
+from splatview.scene.errors import bytes_in_words, printable
 from splatview.viewer import theme
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.editing import commands
@@ -14,6 +15,7 @@ from splatview.viewer.editing.files import Restoring, described, restore
 from splatview.viewer.editing.session import can_edit, session_of
 from splatview.viewer.editing.target import NO_WAY_BACK
 from splatview.viewer.panels import widgets
+from splatview.viewer.preferences import RANGES
 from splatview.viewer.state import AppState
 
 
@@ -25,15 +27,23 @@ def show(app: AppState) -> None:
     history = session.document.history
     if not session.target.at_rest:
         widgets.note(f"Choosing can be undone while the view waits. {NO_WAY_BACK}; rules can be removed.")
-    imgui.begin_disabled(not history.can_undo)
     widgets.command_button(app, "Undo", "undo")
-    imgui.end_disabled()
     imgui.same_line()
-    imgui.begin_disabled(not history.can_redo)
     widgets.command_button(app, "Redo", "redo")
-    imgui.end_disabled()
+    allowed = widgets.slider(
+        "Memory",
+        app.preferences.edit_memory_gib,
+        *RANGES["edit_memory_gib"],
+        "GiB that edits and undo may take beyond the open scene, undo half of it at most; then the oldest "
+        "steps are final. 0: half of the memory that is free.",
+        form="%.1f GiB" if app.preferences.edit_memory_gib else "half of what is free",
+        logarithmic=True,
+    )
+    if allowed is not None:
+        app.prefer(edit_memory_gib=allowed)
+        session.document.allow(allowed * 2**30)
     number = "1 step" if len(history.steps) == 1 else f"{len(history.steps):,} steps"
-    used = f"{number}, {memory(history.nbytes)}"
+    used = f"{number}, {bytes_in_words(history.nbytes)}"
     widgets.beside(used)
     imgui.text_colored(theme.QUIET, used)
     widgets.tooltip("Steps keep runs of splat numbers, not copies of the scene.")
@@ -52,9 +62,11 @@ def show(app: AppState) -> None:
     steps = ["As opened", *(step.title for step in history.steps)]
     for position, title in enumerate(steps):
         waiting = position > history.position
+        imgui.begin_disabled(position < history.floor)
         if waiting:
             imgui.push_style_color(imgui.Col_.text, theme.QUIET)
-        clicked, _ = imgui.selectable(f"{title}##{position}", position == history.position)
+        clicked, _ = imgui.selectable(widgets.item(title, position), position == history.position)
+        imgui.end_disabled()
         if waiting:
             imgui.pop_style_color()
         if clicked:
@@ -63,11 +75,6 @@ def show(app: AppState) -> None:
         session.seen_position = history.position
         imgui.set_scroll_here_y(1.0) if history.position == len(history.steps) else None
     imgui.end_child()
-
-
-def memory(size: int) -> str:
-    """Bytes in words."""
-    return f"{size / 1024:.0f} KiB" if size < 1 << 20 else f"{size / (1 << 20):.1f} MiB"
 
 
 def show_restore(app: AppState) -> None:
@@ -79,14 +86,14 @@ def show_restore(app: AppState) -> None:
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
     for journal in tuple(restoring.abandoned):
-        imgui.push_id(str(journal.file))
+        imgui.push_id(journal.file.name)
         widgets.button(
             "Restore", "Opens the scene and does its steps again.", partial(_restore, app, journal)
         )
         imgui.same_line()
         widgets.button("Discard", "Forgets these steps for good.", partial(_discard, app, journal))
         imgui.same_line()
-        imgui.text_unformatted(described(journal))
+        imgui.text_unformatted(printable(described(journal)))
         widgets.tooltip(str(journal.scene))
         imgui.pop_id()
     widgets.button("Later", "Asks again at the next start.", partial(_close, app))

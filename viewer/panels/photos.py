@@ -51,7 +51,7 @@ def table(app: AppState, training: LiveTraining) -> None:
             imgui.table_next_row()
             imgui.table_next_column()
             flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
-            if imgui.selectable(f"{photo.label}##{index}", index == training.photo_index, flags)[0]:
+            if imgui.selectable(widgets.item(photo.label, index), index == training.photo_index, flags)[0]:
                 double = imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
                 app.post(actions.go_to_photo if double else actions.compare_photo, index)
             widgets.tooltip(f"{photo.name}: {photo.camera.width} x {photo.camera.height} px")
@@ -63,6 +63,7 @@ def table(app: AppState, training: LiveTraining) -> None:
             imgui.table_next_column()
             if photo.name in scores:
                 imgui.text_unformatted(f"{scores[photo.name]:.2f}")
+                widgets.tooltip(f"In full size, at step {training.status.evaluated_at:,}.")
     imgui.end_table()
 
 
@@ -129,18 +130,15 @@ def tools(app: AppState, training: LiveTraining) -> None:
         partial(app.post, actions.go_to_photo, index),
     )
     imgui.same_line()
-    comparison = training.comparer.latest
-    score = ""
-    if comparison is not None and comparison.request.shot is training.photo.shot:
-        height, width = comparison.photo.shape[:2]
-        score = f"   {comparison.psnr:.2f} dB at {width} x {height}"
-    imgui.text_unformatted(
-        f"{training.photo.label} ({'held out' if training.photo.held_out else 'trained'}){score}"
+    kind = "held out" if training.photo.held_out else "trained"
+    imgui.text_unformatted(f"{training.photo.label} ({kind})   {training.score_text()}")
+    widgets.tooltip(
+        "Held-out photos are measured in full size, as the list has them; others as they are seen."
     )
     imgui.same_line()
     imgui.set_next_item_width(imgui.get_font_size() * 8)
-    changed, gain = imgui.slider_float(
-        "##gain", training.gain, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
+    changed, gain = imgui.drag_float(
+        "##gain", training.gain, 0.05, *GAINS, "difference x %.1f", imgui.SliderFlags_.logarithmic
     )
     widgets.tooltip("By how much differences are brightened")
     if changed:
@@ -160,6 +158,7 @@ def request(app: AppState, training: LiveTraining, width: float, height: float) 
             settings=training.settings,
             shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
             gain=training.gain,
+            exposures_differ=training.shown.exposures_differ,
         )
     )
 

@@ -8,6 +8,7 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.scene.edits import Crop
+from splatview.scene.errors import printable
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import theme
 from splatview.viewer.editing.session import Editing, session_of
@@ -200,7 +201,7 @@ def _row(
     pointed = imgui.is_item_hovered()
     imgui.same_line()
     imgui.align_text_to_frame_padding()
-    imgui.text(text)
+    imgui.text(printable(text))
     widgets.tooltip("; ".join(described(crop) for crop in crops))
     if pointed or imgui.is_item_hovered():
         app.feature(Editing).outlined = crops

@@ -31,9 +31,8 @@ PLOT_HEIGHT = 7.0
 def show(app: AppState, session: EditSession) -> None:
     counts = session.document.counts
     widgets.fact("Selected", f"{counts.selected:,} of {counts.selectable:,}", "Splats that can be selected.")
-    if counts.hidden or counts.locked or counts.deleted:
-        parts = [("hidden", counts.hidden), ("locked", counts.locked), ("deleted", counts.deleted)]
-        widgets.fact("Set aside", ", ".join(f"{n:,} {name}" for name, n in parts if n))
+    parts = [("hidden", counts.hidden), ("locked", counts.locked), ("deleted", counts.deleted)]
+    widgets.fact("Set aside", ", ".join(f"{n:,} {name}" for name, n in parts if n) or "none")
     words = ("All", "None", "Invert", "Grow", "Shrink")
     actions = ("select_all", "select_none", "select_inverse", "grow", "shrink")
     for number, (name, action) in enumerate(zip(words, actions, strict=True)):
@@ -46,18 +45,15 @@ def show(app: AppState, session: EditSession) -> None:
         if number:
             widgets.beside(name)
         widgets.command_button(app, name, action)
-    if counts.hidden:
-        widgets.command_button(app, "Show hidden", "show")
-    if counts.locked:
-        if counts.hidden:
-            widgets.beside("Unlock all")
-        widgets.command_button(app, "Unlock all", "unlock")
+    widgets.command_button(app, "Show hidden", "show")
+    widgets.beside("Unlock all")
+    widgets.command_button(app, "Unlock all", "unlock")
     options(session)
     by_range(app, session)
 
 
 def options(session: EditSession) -> None:
-    """Options of the screen tools."""
+    """Options of the screen tools, whichever is in hand: rows that come and go would move all below them."""
     front = widgets.checkbox(
         "Front only",
         session.depth == "front",
@@ -65,22 +61,20 @@ def options(session: EditSession) -> None:
     )
     if front is not None:
         session.depth = "front" if front else "through"
-    if session.tool == "brush":
-        radius = widgets.slider(
-            "Brush", session.brush_radius, 2.0, 600.0, "Radius in pixels.", form="%.0f px", logarithmic=True
-        )
-        session.brush_radius = session.brush_radius if radius is None else radius
-    if session.tool in ("flood", "colour"):
-        tolerance = widgets.slider(
-            "Tolerance",
-            session.tolerance,
-            0.005,
-            1.0,
-            "How far colours may be apart, as the eye sees it; black to white is 1.",
-            form="%.3f",
-            logarithmic=True,
-        )
-        session.tolerance = session.tolerance if tolerance is None else tolerance
+    radius = widgets.slider(
+        "Brush", session.brush_radius, 2.0, 600.0, "Radius in pixels.", form="%.0f px", logarithmic=True
+    )
+    session.brush_radius = session.brush_radius if radius is None else radius
+    tolerance = widgets.slider(
+        "Tolerance",
+        session.tolerance,
+        0.005,
+        1.0,
+        "Of wand and colour: how far colours may be apart, as the eye sees it; black to white is 1.",
+        form="%.3f",
+        logarithmic=True,
+    )
+    session.tolerance = session.tolerance if tolerance is None else tolerance
 
 
 def by_range(app: AppState, session: EditSession) -> None:
@@ -183,6 +177,7 @@ def highlight_range(session: EditSession) -> None:
     if form.values is not None:
         mask = AttributeRange(attribute=form.attribute, low=form.low, high=form.high).of(form.values)
         session.preview_mask = mask & ((session.document.marks & (DELETED | HIDDEN)) == 0)
+        session.preview_of = "Select"
 
 
 def selecting(app: AppState, session: EditSession) -> None:

@@ -105,5 +105,8 @@ def present_error(app: AppState) -> str:
     ((name, value),) = accuracy.choices.items()
     for one in accuracy.ladder.rungs:
         if (one.rung.knob, one.rung.value) == (name, value):
-            return f", {one.psnr:.1f} dB, largest error {one.max_error:.2g}"
+            if one.elsewhere:
+                worst, views = min([one.psnr, *one.elsewhere]), 1 + len(one.elsewhere)
+                return f", {worst:.1f} dB at worst in {views} views"
+            return f", {one.psnr:.1f} dB, largest error {one.max_error:.2g} in the view measured"
     return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 
@@ -211,7 +212,7 @@ def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     at = status.saved_at
     when = "is saved when the window closes" if at is None else f"was last saved at step {at:,}"
     widgets.note(f"{outputs.scene.name} {when}.")
-    widgets.tooltip(str(outputs.scene.resolve()))
+    widgets.tooltip(os.path.realpath(outputs.scene))
 
 
 def show_curves(app: AppState, training: LiveTraining) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 from imgui_bundle import ImVec4, imgui
 
+from splatview.scene.errors import printable
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.state import AppState
@@ -20,8 +23,19 @@ Triple = tuple[float, float, float]
 LABEL_SHARE = 0.38
 """Share of a panel's width for labels."""
 
+VALUE_EM = 3.6
+"""Width of a slider's value, in font heights."""
+
+DRAG_PX = 300
+"""Pixels in which a drag on a slider's value goes through its range."""
+
 VECTOR_LABEL_SHARE = 0.25
 """Share of a panel's width for labels beside three numbers."""
+
+
+def item(text: str, id: object) -> str:
+    """A label that shows `text`, whatever it holds, for selectables and menus; told from others by `id`."""
+    return f"{printable(text).replace('##', '# #')}##{printable(str(id))}"
 
 
 def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
@@ -39,7 +53,7 @@ def tooltip(tip: str) -> None:
     """Tooltip of the last item, after a short rest on it."""
     if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
         imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
-        imgui.text_unformatted(tip)
+        imgui.text_unformatted(printable(tip, keep="\n"))
         imgui.pop_text_wrap_pos()
         imgui.end_tooltip()
 
@@ -54,12 +68,22 @@ def slider(
     form: str = "%.2f",
     logarithmic: bool = False,
 ) -> float | None:
-    """A row with a slider; the new value where the user changed it."""
+    """A row with a slider, and beside it, where no grab hides it, the value to read or to type; the new one
+    where the user changed it."""
     label(name, tip)
+    room, spacing = imgui.get_content_region_avail().x, imgui.get_style().item_inner_spacing.x
+    number = min(imgui.get_font_size() * VALUE_EM, room / 2)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
-    changed, value = imgui.slider_float(f"##{name}", value, low, high, form, flags)
+    imgui.set_next_item_width(room - number - spacing)
+    slid, new = imgui.slider_float(f"##{name}", value, low, high, "", flags)
     tooltip(tip)
-    return value if changed else None
+    imgui.same_line(0, spacing)
+    imgui.set_next_item_width(number)
+    typed, exact = imgui.drag_float(f"##{name} value", value, (high - low) / DRAG_PX, low, high, form, flags)
+    tooltip(tip)
+    if slid and (digits := re.match(r"%\.?\d*[fg]", form)):
+        new = float(digits[0] % new)
+    return exact if typed else new if slid else None
 
 
 def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
@@ -105,7 +129,7 @@ def fact(name: str, value: str, tip: str = "") -> None:
     tooltip(tip)
     imgui.same_line(start + width * LABEL_SHARE)
     imgui.push_text_wrap_pos(0)
-    imgui.text_unformatted(value)
+    imgui.text_unformatted(printable(value))
     imgui.pop_text_wrap_pos()
     tooltip(tip)
 
@@ -113,22 +137,24 @@ def fact(name: str, value: str, tip: str = "") -> None:
 def note(text: str, colour: ImVec4 = theme.QUIET) -> None:
     """A wrapped line that explains."""
     imgui.push_text_wrap_pos(0)
-    imgui.text_colored(colour, text)
+    imgui.text_colored(colour, printable(text, keep="\n"))
     imgui.pop_text_wrap_pos()
 
 
 def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> None:
-    """A button that runs a command; its tooltip names the key."""
-    if imgui.button(name, (width, 0)):
-        app.post(COMMANDS[id].run)
-    key = keys_of(id)
-    tooltip(f"{COMMANDS[id].title} ({key})" if key else COMMANDS[id].title)
+    """A button that runs a command; its tooltip names the key, and what the command lacks."""
+    key, title = keys_of(id), COMMANDS[id].title
+    tip = f"{title} ({key})" if key else title
+    button(name, tip, partial(app.post, COMMANDS[id].run), width=width, lacks=COMMANDS[id].lacks(app))
 
 
-def button(name: str, tip: str, pressed: Callable[[], None], *, width: float = 0) -> None:
+def button(name: str, tip: str, pressed: Callable[[], object], *, width: float = 0, lacks: str = "") -> None:
+    """`lacks`: what must be there before it can be pressed, for the tooltip; "" where it can be."""
+    imgui.begin_disabled(lacks != "")
     if imgui.button(name, (width, 0)):
         pressed()
-    tooltip(tip)
+    imgui.end_disabled()
+    tooltip(f"{tip}\n{lacks}" if lacks else tip)
 
 
 def beside(name: str) -> None:

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from splatview.measure.effect_costs import EffectPrice
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.edits import SceneEdits
+from splatview.scene.edits import Adjustment, SceneEdits
 from splatview.scene.effects.appearance import background_effect
 from splatview.scene.effects.effect import Effect
-from splatview.scene.effects.overrides import as_settings_have_them, settings_for, switched
-from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect
+from splatview.scene.effects.overrides import as_settings_have_them, switched
+from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect, with_grade
 from splatview.viewer.quality.measurement import EFFECT_SECONDS, Pricing
 from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
+    from splatview.viewer.loading import Examination
     from splatview.viewer.state import AppState
 
 
 EDITS_SHARE = 50
 """Edits are counted anew after so many times what counting took: splats under a crop that is being dragged
 would be looked at in every frame."""
+
+
+MOVING_SECONDS = 1.0
+"""How long a view counts as moving after it has moved: a hand that turns it leaves frames out."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -40,26 +45,32 @@ class Effects(Feature):
     rounds: int | None = None
     """So many pairs of pictures instead, however long that takes."""
     _priced: Gaussians | None = None
-    _own: tuple[Sequence[Effect], RenderSettings, list[Effect]] | None = None
+    _own: tuple[Examination, tuple[Adjustment, ...], RenderSettings, list[Effect]] | None = None
     _edited: tuple[Gaussians, SceneEdits | None, list[Effect]] | None = None
     _edits_due: float = 0.0
-    _cameras: tuple[Camera | None, Camera | None] = (None, None)
-    """Of the frame before, and of this one."""
+    _camera: Camera | None = None
+    """Of the latest frame."""
+    _before: Camera | None = None
+    """The one before the view last moved, for a while; then the latest."""
+    _moved: float = 0.0
 
     def receipt(self, app: AppState) -> tuple[Effect, ...]:
         """Every effect of the picture that is shown, as far as the scene has been looked through."""
         scene, found = app.scene, app.examination
         if found is None or not found.done:
             return ()
-        if self._own is None or self._own[0] is not found.effects or self._own[1] != app.settings:
-            own = as_settings_have_them(found.effects, scene.gaussians, app.settings)
-            self._own = found.effects, app.settings, own
+        palette = app.edits.palette if app.edits else ()
+        shown = self._own
+        if shown is None or (shown[0], shown[1]) != (found, palette) or shown[2] != app.settings:
+            own = with_grade(found.effects, found.gaussians, palette)
+            own = as_settings_have_them(own, scene.gaussians, app.settings)
+            shown = self._own = found, palette, app.settings, own
         return (
-            *self._own[2],
+            *shown[3],
             lens_effect(app.camera),
             background_effect(app.settings),
             *self._edit_effects(app, scene.gaussians),
-            redrawing_effect(app.camera, self._cameras[0]),
+            redrawing_effect(app.camera, self._before),
         )
 
     def _edit_effects(self, app: AppState, gaussians: Gaussians) -> list[Effect]:
@@ -86,12 +97,9 @@ class Effects(Feature):
     def as_called_for(self, app: AppState) -> None:
         """Takes all switches back."""
         if app.is_open:
-            wanted = settings_for(app.scene.gaussians)
-            app.settings = replace(
-                app.settings,
-                model=replace(wanted.model, near=app.settings.model.near),
-                sh_degree=wanted.sh_degree,
-            )
+            wanted, near = app.called_for, app.settings.model.near
+            model = replace(wanted.model, near=near)
+            app.settings = replace(app.settings, model=model, sh_degree=wanted.sh_degree)
 
     def measure(self, app: AppState) -> None:
         """Begins to price the effects of the view that is seen, where that is not being done."""
@@ -108,7 +116,11 @@ class Effects(Feature):
 
     def before_frame(self, app: AppState) -> None:
         """Takes over what was measured."""
-        self._cameras = self._cameras[1], app.camera
+        camera, now = app.camera, app.now()
+        if self._camera is None or not camera.same_view(self._camera):
+            self._before, self._camera, self._moved = self._camera, camera, now
+        elif now - self._moved > MOVING_SECONDS:
+            self._before = camera
         gaussians = app.scene.gaussians
         if self._priced is not gaussians:
             self._priced, self.prices = gaussians, {}

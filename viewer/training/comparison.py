@@ -9,8 +9,9 @@ import moderngl
 import numpy as np
 
 from splatview import raster
-from splatview.measure.metrics import psnr
 from splatview.scene import Gaussians, RenderSettings
+from splatview.trainer.evaluate import masked_psnr
+from splatview.trainer.exposure import fitted_by_halves
 from splatview.trainer.views import TrainView
 from splatview.viewer.tasks import LatestTask
 
@@ -26,6 +27,8 @@ class ComparisonRequest:
     """Divisor of the photo's sides: no more pixels than the panel has."""
     gain: float
     """Factor by which differences are brightened."""
+    exposures_differ: bool = False
+    """Whether the score is that of the exposure that fits."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +41,7 @@ class Comparison:
     difference: np.ndarray
     """Absolute, per channel, times the gain."""
     psnr: float
-    """dB, in this size."""
+    """dB, in this size, measured as held-out photos are."""
 
 
 class Comparer(LatestTask[ComparisonRequest, Comparison]):
@@ -69,9 +72,7 @@ def compare(
     else:
         picture = raster.render(request.gaussians, shot.camera, request.settings, threads=threads)[..., :3]
         render = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
-        exact = photo.astype(np.float32) / 255
-        shown = picture if shot.mask is None else np.where(shot.mask[..., None], picture, exact)
-        score = psnr(shown, exact)
+        score = masked_psnr(fitted_by_halves(picture, shot) if request.exposures_differ else picture, shot)
     apart = np.abs(render.astype(np.float32) - photo) * request.gain
     if shot.mask is not None:
         apart[~shot.mask] = 0

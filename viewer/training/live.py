@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from splatview.renderers.async_renderer import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.framing import robust_bounds
@@ -149,12 +151,23 @@ class LiveTraining(Feature):
         evaluation = self.status.evaluation
         return {} if evaluation is None else {score.name: score.psnr for score in evaluation.scores}
 
+    def score_text(self) -> str:
+        """PSNR of the compared photo: that of the list where it was held out, else that of the pictures."""
+        if self.photo.name in self.scores:
+            return f"{self.scores[self.photo.name]:.2f} dB at step {self.status.evaluated_at:,}"
+        comparison = self.comparer.latest
+        if comparison is None or comparison.request.shot is not self.photo.shot:
+            return ""
+        height, width = comparison.photo.shape[:2]
+        return f"{comparison.psnr:.2f} dB at {width} x {height}"
+
     def start(self, app: AppState, *, on_change: Callable[[], object] = lambda: None) -> None:
         """The window is there: shows the first snapshot and begins. `on_change` wakes the window."""
         self.app = app
         app.feature(Editing).live = self.editor
         self.comparer = Comparer(on_change)
         self.thread.on_change = on_change
+        app.called_for = self.settings
         app.settings = replace(self.settings, blend=app.preferences.blend)
         app.cameras = self.cameras
         self.thread.begin()
@@ -181,6 +194,7 @@ class LiveTraining(Feature):
         """Shows this training again after something else was opened."""
         app.scene = self._scene
         app.cameras, app.camera_index = self.cameras, -1
+        app.called_for = self.settings
         app.settings = replace(self.settings, blend=app.preferences.blend)
         self.shown = None
         # The picture holds something else, so even an unchanged scene is to be handed over.
@@ -296,9 +310,13 @@ def viewer_threads(share: float, cores: int) -> int:
     return max(cores - pace_of(share, cores).threads, 1)
 
 
-def watched_photos(train: Sequence[TrainView], held_out: Sequence[TrainView]) -> list[WatchedPhoto]:
-    """Both sorts, sorted by name."""
+def watched_photos(
+    train: Sequence[TrainView], held_out: Sequence[TrainView], centre: np.ndarray | None = None
+) -> list[WatchedPhoto]:
+    """Both sorts, sorted by name, in the world, where `centre` (3,) is their origin; None: at the world's."""
     shots = [(shot, False) for shot in train] + [(shot, True) for shot in held_out]
+    if centre is not None:
+        shots = [(shot.about(-centre), kept) for shot, kept in shots]
     files = Counter(PurePosixPath(shot.camera.name).name for shot, _ in shots)
 
     def label(name: str) -> str:

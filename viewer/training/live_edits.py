@@ -94,7 +94,7 @@ class TrainingEdits:
         if target is None:
             return
         new = self._session(app, snapshot)
-        new.tool, new.depth, new.highlight = old.tool, old.depth, old.highlight
+        new.tool, new.depth = old.tool, old.depth
         new.brush_radius, new.tolerance = old.brush_radius, old.tolerance
         new.news, new.problem = old.news, old.problem
         document, marks = new.document, old.document.marks
@@ -113,7 +113,12 @@ class TrainingEdits:
         editing.session = new
 
     def _session(self, app: AppState, snapshot: Snapshot) -> EditSession:
-        document = Document(snapshot.gaussians, name=app.scene.name or "scene", tools=CpuRenderer())
+        document = Document(
+            snapshot.gaussians,
+            name=app.scene.name or "scene",
+            tools=CpuRenderer(),
+            budget=app.preferences.edit_memory_gib * 2**30,
+        )
         return EditSession(document=document, target=TrainingTarget(self._thread, snapshot))
 
     def pin(self, app: AppState) -> None:

@@ -54,7 +54,7 @@ CAMERAS = {
     "parallel rays": replace(CAMERA, fx=15.0, fy=15.0, orthographic=True),
 }
 
-KNOWN_AT_LOADING = {"OWN_DEGREES", "REST", "WIDE"}
+KNOWN_AT_LOADING = {"OWN_DEGREES", "REST", "TEXTURED", "WIDE"}
 """Flags that a general program has fixed: how a scene is stored, and that a pass is another stage."""
 
 

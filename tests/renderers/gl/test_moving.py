@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,7 +27,8 @@ from splatview.renderers.quality import (
     squared_error,
 )
 from splatview.renderers.request import FrameRequest
-from splatview.scene import Gaussians, RenderSettings, look_at
+from splatview.scene import Gaussians, RenderSettings, concatenate, look_at
+from splatview.scene.framing import views_around
 
 SETTINGS = RenderSettings(background=(0.1, 0.2, 0.3))
 CAMERA = look_at((0, 0.5, -3), (0, 0, 0), width=96, height=64)
@@ -66,7 +69,8 @@ def test_errors_are_those_of_the_pictures(dense):
     plan = price(levels, REQUEST, CpuRenderer(), lambda: False)
     assert plan is not None
     assert plan.levels is levels
-    full = raster.render(dense, CAMERA, SETTINGS)[..., :3]
+    views = views_around(CAMERA, dense)
+    full = [raster.render(dense, view, SETTINGS)[..., :3] for view in views]
     for one in plan.shortcuts:
         assert one.ms > 0
         if one.is_exact:
@@ -74,10 +78,32 @@ def test_errors_are_those_of_the_pictures(dense):
             assert one.note == ""
         elif one.scale == 1:
             assert one.gaussians is not None
-            seen = raster.render(one.gaussians, CAMERA, SETTINGS)[..., :3]
-            assert one.error == pytest.approx(squared_error(seen, full), rel=1e-3)
+            seen = [raster.render(one.gaussians, view, SETTINGS)[..., :3] for view in views]
+            assert one.error == pytest.approx(max(map(squared_error, seen, full)), rel=1e-3)
             assert f"{one.kept:.0%} of the splats" in one.note
-            assert "dB" in one.note
+            assert one.note.endswith("dB at worst in 4 views")
+
+
+def test_the_error_that_a_badge_states_is_true_of_other_views(random_gaussians):
+    """A wall that hides everything from one side: from there nothing is lost."""
+    dense = random_gaussians(6000)
+    dense = replace(dense, log_scales=dense.log_scales - 1.5)
+    wall = random_gaussians(1)
+    wall = replace(
+        wall,
+        means=np.array([[0, 0, -1.5]], np.float32),
+        quats=np.array([[1, 0, 0, 0]], np.float32),
+        log_scales=np.log(np.array([[30, 30, 0.01]], np.float32)),
+        opacity_logits=np.array([9], np.float32),
+    )
+    hidden = concatenate([dense, *[wall] * 4])
+    plan = price(make_levels(hidden, lambda: False), REQUEST, CpuRenderer(), lambda: False)
+    assert plan is not None
+    quick = max((one for one in plan.shortcuts if one.scale == 1), key=lambda one: one.error or 0)
+    assert quick.gaussians is not None and quick.error is not None
+    for view in views_around(CAMERA, hidden):
+        pictures = [raster.render(each, view, SETTINGS)[..., :3] for each in (hidden, quick.gaussians)]
+        assert squared_error(pictures[0], pictures[1]) <= quick.error * 1.001
 
 
 def test_every_shortcut_is_the_best_for_its_time(dense):

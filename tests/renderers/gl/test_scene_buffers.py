@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.renderers.gl import quads, scene_buffers
+from splatview.renderers.gl import scene_buffers
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import GROUP_SIZE, SceneBuffers, placement_of, upload_steps
 from splatview.renderers.request import FrameRequest
-from splatview.scene import InputError, RenderSettings, look_at
+from splatview.scene import RenderSettings, look_at
 from splatview.scene.effects.sh_bands import degree_in_use
 
 CAMERA = look_at((0, 0, 2.5), (0, 0, 0), width=64, height=48)
@@ -40,17 +40,6 @@ def test_a_low_limit_makes_pages_of_whole_groups_and_the_same_picture(ctx, rando
     buffers.release()
     whole.close()
     paged.close()
-
-
-def test_more_splats_than_the_driver_allows_are_the_users_business(ctx, random_gaussians, monkeypatch):
-    renderer = QuadsRenderer(ctx)
-    renderer.load(random_gaussians(10))
-    monkeypatch.setattr(quads, "storage_limit", lambda _: 16 * 99)
-    with pytest.raises(InputError, match="100 splats"):
-        renderer.load(random_gaussians(100))
-    renderer.draw(FrameRequest(None, CAMERA, RenderSettings()))
-    assert renderer.stats().splats == 10
-    renderer.close()
 
 
 def test_only_bands_in_use_are_uploaded(ctx, random_gaussians):

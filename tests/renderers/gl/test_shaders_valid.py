@@ -57,6 +57,8 @@ def projections(name: str) -> Iterator[Variant]:
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
     for rays in RAYS:
         yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, **rays, **Editing().flags()}
+    textured = {"TEXTURED": True, "DISCS": True, "SLOPES": True, **Editing().flags()}
+    yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, **textured}
 
 
 def drawing(folder: str) -> Iterator[Variant]:
@@ -87,11 +89,14 @@ def tiles() -> Iterator[Variant]:
     for tuning in (SOFTWARE, HARDWARE):
         pairs = {"WORKGROUP": tuning.pairs.workgroup, "RUN": BLOCK // tuning.pairs.workgroup, "BLOCK": BLOCK}
         for name in ("count", "emit", "plan", "scan"):
-            yield f"tiles/{name}.comp.glsl", {**pairs, "TILE": tuning.tile, "ROUNDS": 16}
+            for textured in (False, True):
+                own = {"TILE": tuning.tile, "ROUNDS": 16, "TEXTURED": textured, "TEXTURE_WIDTH": 2048}
+                yield f"tiles/{name}.comp.glsl", {**pairs, **own}
         for rest, highlight in itertools.product((False, True), (None, Highlight())):
             own = {"WORKGROUP": tuning.workgroup, "BATCH": tuning.batch, "TILE": tuning.tile, "ROUNDS": 16}
             edits = Editing(highlight=highlight).flags(projects=False, shows="splats")
             yield "tiles/blend.comp.glsl", {**own, "REST": rest, **edits}
+            yield "tiles/blend.comp.glsl", {**own, "REST": rest, "TEXTURED": True, "DISCS": True, **edits}
 
 
 @pytest.mark.parametrize(

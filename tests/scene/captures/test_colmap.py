@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from dataclasses import replace
 
@@ -195,6 +196,40 @@ def test_progress_and_cancelling(tmp_path, colmap_capture):
     calls = iter([False, False, True])
     with pytest.raises(Cancelled):
         load_capture(tmp_path, progress=Progress(cancelled=lambda: next(calls)))
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_a_large_model_without_its_photos_is_refused_early(tmp_path, colmap_capture, monkeypatch, text):
+    """Folders are listed once, not asked for each photo; points are not read; one may cancel on the way."""
+    colmap_capture(tmp_path, photos=False, text=text)
+    model, names = tmp_path / "sparse/0", [f"frames/{i % 3}/{i:05d}" for i in range(9000)]
+    if text:
+        (model / "images.txt").write_text(
+            "".join(f"{i} 1 0 0 0 0 0 0 1 {n}\n\n" for i, n in enumerate(names))
+        )
+    else:
+        rows = (
+            struct.pack("<I7dI", i, 1, *[0.0] * 6, 1) + n.encode() + bytes(9) for i, n in enumerate(names)
+        )
+        (model / "images.bin").write_bytes(struct.pack("<Q", len(names)) + b"".join(rows))
+    (model / f"points3D{'.txt' if text else '.bin'}").write_bytes(b"damaged")
+    (tmp_path / "images/frames/0").mkdir(parents=True)
+    (tmp_path / "images/frames/0/other.png").touch()
+    asked: list[object] = []
+    for name in ("stat", "scandir"):
+        call = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *a, call=call, **k: (asked.append(a), call(*a, **k))[1])
+    shares: list[float] = []
+    with pytest.raises(
+        InputError, match=r"none of its 9,000 photos is in .*images \(the first is frames/0/00000"
+    ):
+        load_capture(tmp_path, progress=Progress(report=shares.append))
+    assert len(asked) < 300
+    assert len(shares) >= 5 and shares == sorted(shares)
+    for calls in range(5):
+        answers = iter([*[False] * calls, True])
+        with pytest.raises(Cancelled):
+            load_capture(tmp_path, progress=Progress(cancelled=lambda answers=answers: next(answers)))
 
 
 def test_truncated_anywhere(tmp_path, colmap_capture):

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from splatview.scene import Camera, InputError, Lens, look_at
 from splatview.scene.formats import load_cameras, save_camera
+from splatview.scene.formats.io import read_json
 
 
 def some_camera(seed: int = 0) -> Camera:
@@ -389,3 +390,32 @@ def test_real_captures_see_their_points(data_file, capture):
             errors.append(np.linalg.norm(uv - seen["uv"], axis=1))
     assert len(errors) == len(cameras)
     assert np.median(np.concatenate(errors)) < 1.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "[]",
+            "[ ]",
+            " [1, 2 ,3]\n",
+            '[[1],{"a": 2}] ',
+            '{"a": [1]}',
+            "\ufeff[1]",
+            "[NaN, 1e999]",
+            '["\\ud800"]',
+        ),
+        *("[1,]", "[1 2]", "[1", "[1]x", "nul", "", "[1,2]]", "[1,,2]", "[,1]", "["),
+    ],
+)
+def test_lists_that_are_read_entry_by_entry_are_those_of_json(tmp_path, text):
+    path = tmp_path / "list.json"
+    path.write_text(text, encoding="utf-8")
+    try:
+        expected = repr(json.loads(path.read_bytes()))
+    except ValueError as error:
+        with pytest.raises(InputError) as refused:
+            read_json(path, what="list")
+        assert str(error) in str(refused.value)
+    else:
+        assert repr(read_json(path, what="list")) == expected

@@ -7,6 +7,7 @@ import struct
 import threading
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,38 @@ def test_all_double_gives_float32_but_for_positions(tmp_path, random_gaussians, 
     loaded = load_bytes(tmp_path, make_ply(columns))
     assert np.array_equal(loaded.means, scene.means.astype(np.float64))
     assert loaded.sh.tobytes() == scene.sh.tobytes()
+
+
+def test_the_filter_of_mip_splatting_is_applied_once(tmp_path, random_gaussians, columns_of, make_ply, rng):
+    scene = random_gaussians(64)
+    logits = scene.opacity_logits.copy()
+    logits[:3] = [np.inf, -np.inf, 100]
+    scene = replace(scene, opacity_logits=logits)
+    filters = rng.uniform(1e-3, 1, 64).astype(np.float32)
+    filters[4:8] = [0, -0.5, np.nan, 1e-30]
+    data = make_ply(columns_of(scene) | {"filter_3D": filters}, comments=("of Mip-Splatting",))
+    loaded = load_bytes(tmp_path, data)
+    assert loaded.extras == {} and loaded.comments[:2] == ("SplatRenderMode: mip", "of Mip-Splatting")
+    assert settings_for(loaded).model == ImageModel(blur=0.1, antialiased=True)
+    # The formulas of their renderer, as they stand there.
+    scales = np.exp(scene.log_scales.astype(np.float64))
+    with np.errstate(over="ignore"):
+        opacity = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    wide = np.sqrt(scales**2 + filters.astype(np.float64)[:, None] ** 2)
+    faded = opacity * np.sqrt((scales**2).prod(axis=1) / (wide**2).prod(axis=1))
+    with np.errstate(over="ignore"):
+        np.testing.assert_allclose(np.exp(loaded.log_scales.astype(np.float64)), wide, rtol=1e-6)
+        stored = 1 / (1 + np.exp(-loaded.opacity_logits.astype(np.float64)))
+    np.testing.assert_allclose(stored, faded, rtol=1e-5)
+    assert loaded.log_scales[4].tobytes() == scene.log_scales[4].tobytes(), "no filter, no rounding"
+    assert loaded.opacity_logits[4] == logits[4]
+    save_scene(loaded, tmp_path / "saved.ply")
+    again = load_scene(tmp_path / "saved.ply")
+    assert again.comments == loaded.comments
+    for name in ("log_scales", "opacity_logits"):
+        assert getattr(again, name).tobytes() == getattr(loaded, name).tobytes()
+    classic = load_bytes(tmp_path, data.replace(b"comment of Mip-Splatting", b"comment antialiased 0"))
+    assert not settings_for(classic).model.antialiased, "the file's own word counts"
 
 
 def test_normals_of_zero_vanish_and_others_stay(tmp_path, random_gaussians, columns_of, make_ply):

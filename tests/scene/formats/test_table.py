@@ -27,8 +27,8 @@ def asked(monkeypatch):
     """The names of the formats whose readers were called."""
     called = []
 
-    def reader(name: str) -> Callable[[io.BufferedReader, Path, Progress], Gaussians]:
-        def read(file: io.BufferedReader, path: Path, progress: Progress) -> Gaussians:
+    def reader(name: str) -> Callable[[io.BufferedReader, Path, Progress, float], Gaussians]:
+        def read(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
             called.append((name, file.read()))
             return NOTHING
 
