@@ -10,7 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from splatview.scene.camera import Camera
+from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
 from splatview.scene.formats.colmap import find_model, is_colmap
@@ -18,12 +21,14 @@ from splatview.scene.formats.compressed_ply import save_compressed
 from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
 from splatview.scene.formats.io import open_regular, target_of
 from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
+from splatview.scene.formats.packing import storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.formats.sog import is_sog_folder, is_zip, read_sog, read_sog_folder
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_spz, read_spz, save_spz
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import BLUR
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 
 
@@ -39,25 +44,47 @@ class Format:
     """Reader of a file from its start into so many bytes of memory at most; the path is for messages."""
     write: Callable[[Gaussians, Path, Progress], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
-    lost: tuple[str, ...] = ()
-    """What a scene loses by being written so, a line each."""
+    sh: bool = True
+    """Whether it holds bands above the constant one, as all that follows are things that it may hold."""
+    comments: bool = False
+    extras: bool = False
+    """Properties that are not a splat's own."""
+    doubles: bool = False
+    """Positions in float64."""
+    exact: bool = False
+    """Numbers as they are, not in fewer bits."""
+    antialiased: bool = False
+    """The tag that a scene was trained so."""
+    discs: bool = False
+    """The tag that splats are planar."""
 
-
-QUANTISED = "positions, rotations, sizes, colours and opacities are rounded to fewer bits"
-NO_COMMENTS = "comments and properties that are not a splat's own are left out"
 
 FORMATS = {
-    "ply": Format(suffix=".ply", sniff=is_ply, read=read_ply, write=save_ply),
-    "splat": Format(
-        suffix=".splat",
-        read=read_splat,
-        write=save_splat,
-        lost=("SH above the constant band are left out", NO_COMMENTS, QUANTISED),
+    "ply": Format(
+        suffix=".ply",
+        sniff=is_ply,
+        read=read_ply,
+        write=save_ply,
+        comments=True,
+        extras=True,
+        doubles=True,
+        exact=True,
+        antialiased=True,
+        discs=True,
     ),
-    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz, lost=(NO_COMMENTS, QUANTISED)),
+    "compressed": Format(
+        suffix=".compressed.ply",
+        read=read_ply,
+        write=save_compressed,
+        comments=True,
+        antialiased=True,
+        discs=True,
+    ),
+    "splat": Format(suffix=".splat", read=read_splat, write=save_splat, sh=False),
+    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz, antialiased=True),
     "ksplat": Format(suffix=".ksplat", sniff=is_ksplat, read=read_ksplat),
-    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog, lost=(NO_COMMENTS, QUANTISED)),
-    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb, lost=(NO_COMMENTS,)),
+    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog, antialiased=True, discs=True),
+    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb, exact=True),
     "gltf": Format(suffix=".gltf", read=read_gltf),
 }
 """Every format that is known, by name; readers, writers, messages and file dialogs go by it."""
@@ -118,7 +145,7 @@ def _reader(
     reader = next(told, None) or next(named, None)
     if reader is not None:
         return reader
-    suffixes = [known.suffix for known in FORMATS.values()]
+    suffixes = [known.suffix for known in FORMATS.values() if known.suffix.count(".") == 1]
     if start.startswith(PICTURES):
         raise InputError(f"{path}: is a picture, not a scene; scenes are {', '.join(suffixes)}")
     if suffix in suffixes:
@@ -145,11 +172,46 @@ def save_scene(
 
 def check_format(path: Path) -> Callable[[Gaussians, Path, Progress], None]:
     """The writer of the format that the suffix names. Raises InputError if that can be none."""
-    writers = {known.suffix: known.write for known in FORMATS.values() if known.write}
-    writer = writers.get(path.suffix.lower())
-    if writer is None:
-        raise InputError(f"{path}: scenes are saved as {' or '.join(writers)}; give it that suffix")
-    return save_compressed if path.name.lower().endswith(".compressed.ply") else writer
+    known = format_of(path)
+    if known is None or known.write is None:
+        suffixes = " or ".join(known.suffix for known in FORMATS.values() if known.write)
+        raise InputError(f"{path}: scenes are saved as {suffixes}; give it that suffix")
+    return known.write
+
+
+def format_of(path: Path) -> Format | None:
+    """The format that the name of `path` ends with."""
+    named = [known for known in FORMATS.values() if path.name.lower().endswith(known.suffix)]
+    return max(named, key=lambda known: len(known.suffix), default=None)
+
+
+def losses(gaussians: Gaussians, path: Path) -> list[str]:
+    """What the scene loses by being written to `path`, a line each."""
+    known = format_of(path)
+    if known is None:
+        return []
+    lost = []
+    left_out = 0 if known.exact else len(gaussians) - int(np.count_nonzero(storable(gaussians)))
+    if left_out:
+        lost.append(f"{left_out:,} splats with values that nothing can draw are left out")
+    if not known.sh and gaussians.sh_degree:
+        lost.append(f"SH of degree {gaussians.sh_degree} become one colour from everywhere")
+    if not known.exact:
+        lost.append("numbers are rounded to fewer bits")
+    if not known.doubles and gaussians.means.dtype == np.float64:
+        lost.append("positions become float32")
+    antialiased, blur, _ = antialiasing(gaussians.comments)
+    if antialiased and not known.antialiased:
+        lost.append("the tag that it was trained antialiased")
+    elif antialiased and blur != BLUR and not known.comments:
+        lost.append(f"the kernel of {blur:g} px² that it was trained with; readers take {BLUR:g}")
+    if is_flat(gaussians) and not known.discs:
+        lost.append("the tag that its splats are discs")
+    if gaussians.comments and not known.comments:
+        lost.append(f"{len(gaussians.comments)} comments")
+    if gaussians.extras and not known.extras:
+        lost.append(f"properties that are not a splat's own: {', '.join(gaussians.extras)}")
+    return lost
 
 
 def check_saving(path: Path) -> None:
