@@ -108,10 +108,12 @@ def load_scene(
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
-    if is_sog_folder(path):
-        return read_sog_folder(path, progress, room)
-    with open_regular(path, folder="is a folder, not a scene; name the file in it") as file:
-        return _reader(file, path)(file, path, progress, room)
+    # Numbers of a file may be anything, and what is computed of them too: nobody draws what is not finite.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if is_sog_folder(path):
+            return read_sog_folder(path, progress, room)
+        with open_regular(path, folder="is a folder, not a scene; name the file in it") as file:
+            return _reader(file, path)(file, path, progress, room)
 
 
 def is_camera_list(path: Path) -> bool:
