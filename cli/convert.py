@@ -1,30 +1,59 @@
-"""`splatview convert`: a scene file to another format, or the same one cleanly written."""
+"""`splatview convert`: a scene file to another format, what that costs said first."""
 
 from __future__ import annotations
 
+import json
+import math
 import sys
 from pathlib import Path
 
 from splatview.cli.arguments import Parser
-from splatview.scene.formats import FORMATS, check_saving, load_scene, save_scene
+from splatview.scene.errors import bytes_in_words
+from splatview.scene.formats import check_saving, format_of, load_scene
 
 
-def run(arguments: list[str]) -> int:
+def make_parser() -> Parser:
     parser = Parser(
         "convert",
-        "Writes the scene IN as OUT, in the format of OUT's suffix. All values, comments and properties\n"
-        "that the format can hold stay as they are. OUT may be IN.",
+        "Writes the scene IN as OUT, in the format of OUT's suffix, after it has said what comes back from\n"
+        "there: the size, the quality over views from around the scene, and what the format cannot hold.\n"
+        "OUT may be IN.",
     )
     parser.add_argument("scene", metavar="IN")
     parser.add_argument("output", metavar="OUT", type=Path)
-    args = parser.parse(arguments)
+    parser.add_argument("--json", action="store_true", help="the report for scripts, on standard output")
+    return parser
+
+
+def run(arguments: list[str]) -> int:
+    args = make_parser().parse(arguments)
     if args is None:
         return 0
     check_saving(args.output)
     gaussians = load_scene(args.scene)
-    save_scene(gaussians, args.output)
-    size = args.output.stat().st_size / 2**20
-    for loss in FORMATS[args.output.suffix.lower()[1:]].lost:
-        print(f"{args.output}: {loss}", file=sys.stderr)
-    print(f"{args.output}: {len(gaussians):,} splats, {size:.1f} MiB", file=sys.stderr)
+
+    from splatview.measure.conversion import Conversion, convert
+
+    def tell(found: Conversion) -> None:
+        for loss in found.lost:
+            print(f"{args.output}: {loss}", file=sys.stderr)
+        quality = (
+            "every number as it was"
+            if found.psnr == math.inf
+            else f"{found.psnr:.1f} dB, largest error {255 * found.max_error:.0f} of 255"
+        )
+        size = bytes_in_words(found.bytes)
+        print(f"{args.output}: {found.splats:,} splats, {size}, {quality}", file=sys.stderr)
+
+    found = convert(gaussians, args.output, on_measured=tell)
+    if args.json:
+        known = format_of(args.output)
+        report = {
+            "format": known.suffix[1:] if known else "",
+            "bytes": found.bytes,
+            "psnr": None if found.psnr == math.inf else found.psnr,
+            "max_error": found.max_error,
+            "lost": list(found.lost),
+        }
+        print(json.dumps(report))
     return 0

@@ -10,13 +10,25 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from splatview.scene.camera import Camera
+from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
 from splatview.scene.formats.colmap import find_model, is_colmap
-from splatview.scene.formats.io import CONVERT, open_regular, target_of
+from splatview.scene.formats.compressed_ply import save_compressed
+from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
+from splatview.scene.formats.io import open_regular, target_of
+from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
+from splatview.scene.formats.packing import storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
+from splatview.scene.formats.sog import is_sog_folder, is_zip, read_sog, read_sog_folder
+from splatview.scene.formats.sog_write import save_sog
+from splatview.scene.formats.splat import read_splat, save_splat
+from splatview.scene.formats.spz import is_spz, read_spz, save_spz
 from splatview.scene.gaussians import Gaussians
+from splatview.scene.image_model import BLUR
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 
 
@@ -28,29 +40,52 @@ class Format:
     """Lower case, with its dot."""
     sniff: Callable[[bytes], bool] | None = None
     """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
-    read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians] | None = None
-    """Reader of a file from its start into so many bytes of memory at most; the path is for messages. None:
-    recognised and refused."""
-    write: Callable[[Gaussians, Path], None] | None = None
+    read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians]
+    """Reader of a file from its start into so many bytes of memory at most; the path is for messages."""
+    write: Callable[[Gaussians, Path, Progress], None] | None = None
     """Writer of a whole file, atomically. None: not written."""
-    article: str = "a"
-    namesakes: str = ""
-    """What else begins with the same bytes, for messages."""
-    lost: tuple[str, ...] = ()
-    """What a scene loses by being written so, a line each."""
+    sh: bool = True
+    """Whether it holds bands above the constant one, as all that follows are things that it may hold."""
+    comments: bool = False
+    extras: bool = False
+    """Properties that are not a splat's own."""
+    doubles: bool = False
+    """Positions in float64."""
+    exact: bool = False
+    """Numbers as they are, not in fewer bits."""
+    antialiased: bool = False
+    """The tag that a scene was trained so."""
+    discs: bool = False
+    """The tag that splats are planar."""
 
 
 FORMATS = {
-    "ply": Format(suffix=".ply", sniff=is_ply, read=read_ply, write=save_ply),
-    "splat": Format(suffix=".splat"),
-    "spz": Format(suffix=".spz", article="an", sniff=lambda start: start.startswith((b"\x1f\x8b", b"NGSP"))),
-    "ksplat": Format(suffix=".ksplat"),
-    "sog": Format(
-        suffix=".sog",
-        article="an",
-        sniff=lambda start: start.startswith(b"PK\x03\x04"),
-        namesakes=" (or another zip)",
+    "ply": Format(
+        suffix=".ply",
+        sniff=is_ply,
+        read=read_ply,
+        write=save_ply,
+        comments=True,
+        extras=True,
+        doubles=True,
+        exact=True,
+        antialiased=True,
+        discs=True,
     ),
+    "compressed": Format(
+        suffix=".compressed.ply",
+        read=read_ply,
+        write=save_compressed,
+        comments=True,
+        antialiased=True,
+        discs=True,
+    ),
+    "splat": Format(suffix=".splat", read=read_splat, write=save_splat, sh=False),
+    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz, antialiased=True),
+    "ksplat": Format(suffix=".ksplat", sniff=is_ksplat, read=read_ksplat),
+    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog, antialiased=True, discs=True),
+    "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb, exact=True),
+    "gltf": Format(suffix=".gltf", read=read_gltf),
 }
 """Every format that is known, by name; readers, writers, messages and file dialogs go by it."""
 
@@ -73,13 +108,17 @@ def load_scene(
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
-    with open_regular(path, folder="is a folder, not a scene; name the .ply file in it") as file:
-        return _reader(file, path)(file, path, progress, room)
+    # Numbers of a file may be anything, and what is computed of them too: nobody draws what is not finite.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if is_sog_folder(path):
+            return read_sog_folder(path, progress, room)
+        with open_regular(path, folder="is a folder, not a scene; name the file in it") as file:
+            return _reader(file, path)(file, path, progress, room)
 
 
 def is_camera_list(path: Path) -> bool:
     """Whether `path` is that of cameras rather than of a scene, by its name."""
-    return is_colmap(path) or path.suffix.lower() == ".json"
+    return not is_sog_folder(path) and (is_colmap(path) or path.suffix.lower() == ".json")
 
 
 def check_opening(path: Path) -> None:
@@ -101,23 +140,19 @@ def _reader(
     file.seek(0)
     if not start:
         raise InputError(f"{path}: is empty")
-    sniffed = next((known for known in FORMATS.values() if known.sniff and known.sniff(start)), None)
     suffix = path.suffix.lower()
+    told = (known.read for known in FORMATS.values() if known.sniff is not None and known.sniff(start))
     # Where the bytes do not tell a format, the suffix does.
-    named = (
-        known for known in FORMATS.values() if known.suffix == suffix and not (known.sniff and known.read)
-    )
-    known = sniffed or next(named, None)
-    if known is not None and known.read is not None:
-        return known.read
-    if known is not None:
-        namesakes = known.namesakes if sniffed else ""
-        raise InputError(
-            f"{path}: {known.article} {known.suffix} file{namesakes} is not supported yet; {CONVERT}"
-        )
+    named = (known.read for known in FORMATS.values() if known.sniff is None and known.suffix == suffix)
+    reader = next(told, None) or next(named, None)
+    if reader is not None:
+        return reader
+    suffixes = [known.suffix for known in FORMATS.values() if known.suffix.count(".") == 1]
     if start.startswith(PICTURES):
-        raise InputError(f"{path}: is a picture, not a scene; give a .ply file")
-    raise InputError(f"{path}: is not a .ply file (it does not begin with the line 'ply')")
+        raise InputError(f"{path}: is a picture, not a scene; scenes are {', '.join(suffixes)}")
+    if suffix in suffixes:
+        raise InputError(f"{path}: is not a {suffix} file (it begins otherwise); export it again")
+    raise InputError(f"{path}: is no scene that is known; there are {', '.join(suffixes)}")
 
 
 def name_patterns(*, written: bool = False) -> str:
@@ -125,25 +160,60 @@ def name_patterns(*, written: bool = False) -> str:
     return " ".join(f"*{known.suffix}" for known in FORMATS.values() if known.write or not written)
 
 
-def save_scene(gaussians: Gaussians, path: str | os.PathLike[str]) -> None:
+def save_scene(
+    gaussians: Gaussians, path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS
+) -> None:
     """Writes a scene in the format of the suffix, wholly or not at all: an older file stays until then.
 
     Raises:
         InputError: the suffix names no format that can be written, or the system refuses.
     """
     path = Path(path)
-    check_format(path)(gaussians, path)
+    check_format(path)(gaussians, path, progress)
 
 
-def check_format(path: Path) -> Callable[[Gaussians, Path], None]:
+def check_format(path: Path) -> Callable[[Gaussians, Path, Progress], None]:
     """The writer of the format that the suffix names. Raises InputError if that can be none."""
-    writers = {known.suffix: known.write for known in FORMATS.values() if known.write}
-    writer = writers.get(path.suffix.lower())
-    if writer is None:
-        raise InputError(f"{path}: scenes are saved as {' or '.join(writers)}; give it that suffix")
-    if path.name.lower().endswith(".compressed.ply"):
-        raise InputError(f"{path}: compressed .ply cannot be written yet; drop .compressed from the name")
-    return writer
+    known = format_of(path)
+    if known is None or known.write is None:
+        suffixes = " or ".join(known.suffix for known in FORMATS.values() if known.write)
+        raise InputError(f"{path}: scenes are saved as {suffixes}; give it that suffix")
+    return known.write
+
+
+def format_of(path: Path) -> Format | None:
+    """The format that the name of `path` ends with."""
+    named = [known for known in FORMATS.values() if path.name.lower().endswith(known.suffix)]
+    return max(named, key=lambda known: len(known.suffix), default=None)
+
+
+def losses(gaussians: Gaussians, path: Path) -> list[str]:
+    """What the scene loses by being written to `path`, a line each."""
+    known = format_of(path)
+    if known is None:
+        return []
+    lost = []
+    left_out = 0 if known.exact else len(gaussians) - int(np.count_nonzero(storable(gaussians)))
+    if left_out:
+        lost.append(f"{left_out:,} splats with values that nothing can draw are left out")
+    if not known.sh and gaussians.sh_degree:
+        lost.append(f"SH of degree {gaussians.sh_degree} become one colour from everywhere")
+    if not known.exact:
+        lost.append("numbers are rounded to fewer bits")
+    if not known.doubles and gaussians.means.dtype == np.float64:
+        lost.append("positions become float32")
+    antialiased, blur, _ = antialiasing(gaussians.comments)
+    if antialiased and not known.antialiased:
+        lost.append("the tag that it was trained antialiased")
+    elif antialiased and blur != BLUR and not known.comments:
+        lost.append(f"the kernel of {blur:g} px² that it was trained with; readers take {BLUR:g}")
+    if is_flat(gaussians) and not known.discs:
+        lost.append("the tag that its splats are discs")
+    if gaussians.comments and not known.comments:
+        lost.append(f"{len(gaussians.comments)} comments")
+    if gaussians.extras and not known.extras:
+        lost.append(f"properties that are not a splat's own: {', '.join(gaussians.extras)}")
+    return lost
 
 
 def check_saving(path: Path) -> None:

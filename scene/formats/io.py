@@ -206,10 +206,6 @@ def take_lock(file: IO[bytes]) -> bool:
     return True
 
 
-CONVERT = "convert it to an uncompressed .ply, with `splat-transform IN OUT.ply` or in SuperSplat"
-"""What to do about a format that is recognised and not read."""
-
-
 def excerpt(text: str) -> str:
     """`text` quoted on one line, cut where long: for messages about files that may hold anything."""
     return ascii(text if len(text) <= 60 else text[:57] + "...")
@@ -293,3 +289,13 @@ def array(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str
         size = " x ".join(map(str, shape))
         raise InputError(f"{where}: {key!r} must be {size} numbers in brackets")
     return np.array(value, dtype=np.float64)
+
+
+def physical_memory() -> float:
+    """Bytes of this machine, or of the container that it is; infinite where the system does not tell."""
+    size = math.inf
+    with contextlib.suppress(AttributeError, ValueError, OSError):
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with contextlib.suppress(ValueError, OSError):
+        size = min(size, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return size

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement, PlyProperty
+from plyfile import PlyElement, PlyProperty
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.io import CONVERT, atomic_write
+from splatview.scene.formats.compressed_ply import read_compressed
+from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.ply_body import PlyBody, Target
-from splatview.scene.formats.ply_header import MAX_HEADER_BYTES, OBJ_INFO, Header, read_header, scalar_types
+from splatview.scene.formats.ply_header import Header, header_text, read_header, scalar_types
 from splatview.scene.formats.point_cloud import read_point_cloud
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import Progress
@@ -65,6 +65,8 @@ def read_ply(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     if vertex is None:
         raise InputError(f"{path}: has no element vertex, so no splats")
     body = PlyBody(file, header, path, progress, room)
+    if "packed_position" in scalar_types(vertex):
+        return read_compressed(body, vertex, progress, room)
     splat_prefixes = ("f_dc_", "f_rest_", "opacity", "scale_", "rot_")
     if not any(name.startswith(splat_prefixes) for name in scalar_types(vertex)):
         return read_point_cloud(body, vertex)
@@ -72,12 +74,10 @@ def read_ply(file: io.BufferedReader, path: Path, progress: Progress, room: floa
 
 
 def _refuse_other_ply(header: Header, path: Path) -> None:
-    """Raises InputError where the header is that of a mesh or of a compressed scene."""
+    """Raises InputError where the header is that of a mesh."""
     vertex = header.elements.get("vertex")
     names = {prop.name for prop in vertex.properties} if vertex else set()
-    if "packed_position" in names:
-        raise InputError(f"{path}: a compressed .ply is not supported yet; {CONVERT}")
-    if "opacity" in names or "f_dc_0" in names:
+    if names & {"opacity", "f_dc_0", "packed_position"}:
         return
     for element in header.elements.values():
         if element.name in ("face", "tristrips") and element.count > 0:
@@ -190,23 +190,21 @@ CHUNK_BYTES = 1 << 20
 """Put together at once; no second copy of the scene is made."""
 
 
-def save_ply(gaussians: Gaussians, path: Path) -> None:
+def save_ply(gaussians: Gaussians, path: Path, progress: Progress) -> None:
     """Writes x y z, nx ny nz, f_dc, f_rest, opacity, scale, rot, then the extras; comments in the header.
 
     Normals are zeros unless the extras have them. float64 means are written as doubles.
 
     Raises:
         InputError: an extra has a name or type that .ply cannot hold, or the file cannot be written.
+        Cancelled: nobody waits for it any more.
     """
     columns = _columns(gaussians, path)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     n = len(gaussians)
     chunk = max(1, CHUNK_BYTES // dtype.itemsize)
-    header = _header(gaussians, dtype).encode("utf-8", "replace")
-    if len(header) > MAX_HEADER_BYTES:
-        raise InputError(
-            f"{path}: cannot be written: comments of {len(header):,} bytes make no readable header"
-        )
+    properties = [PlyProperty(name, dtype[name].str[1:]) for name in columns]
+    header = header_text([PlyElement("vertex", properties, n)], gaussians.comments, path)
     with atomic_write(path) as file:
         file.write(header)
         for start in range(0, n, chunk):
@@ -215,6 +213,7 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
             for name, values in columns.items():
                 rows[name] = values[start:stop]
             file.write(rows.data)
+            progress.step(stop / n)
 
 
 def _columns(gaussians: Gaussians, path: Path) -> dict[str, np.ndarray]:
@@ -248,13 +247,3 @@ def _columns(gaussians: Gaussians, path: Path) -> dict[str, np.ndarray]:
                 "give it as float32, float64 or an integer of at most 32 bits"
             ) from None
     return columns
-
-
-def _header(gaussians: Gaussians, dtype: np.dtype) -> str:
-    properties = [PlyProperty(name, dtype[name].str[1:]) for name in dtype.names or ()]
-    vertex = PlyElement("vertex", properties, len(gaussians))
-    # plyfile takes comments of ASCII only. A comment may not bring in header lines of its own.
-    lines = [line for comment in gaussians.comments for line in re.split(r"[\r\n]+", comment)]
-    lines = [line if line.startswith(OBJ_INFO) else f"comment {line}".rstrip() for line in lines]
-    magic, form, *declarations = PlyData([vertex], byte_order="<").header.split("\n")
-    return "\n".join([magic, form, *lines, *declarations, ""])

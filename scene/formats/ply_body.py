@@ -7,7 +7,6 @@ object of every value, or maps the file, and a mapped file that another program 
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 import os
@@ -22,7 +21,7 @@ import numpy as np
 from plyfile import PlyElement, PlyListProperty, PlyParseError, PlyProperty
 
 from splatview.scene.errors import InputError, bytes_in_words
-from splatview.scene.formats.io import excerpt
+from splatview.scene.formats.io import excerpt, physical_memory
 from splatview.scene.formats.ply_header import Header, scalar_types
 from splatview.scene.progress import Progress
 
@@ -61,16 +60,6 @@ def _min_row_bytes(element: PlyElement) -> int:
     )
 
 
-def physical_memory() -> float:
-    """Bytes of this machine, or of the container that it is; infinite where the system does not tell."""
-    size = math.inf
-    with contextlib.suppress(AttributeError, ValueError, OSError):
-        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with contextlib.suppress(ValueError, OSError):
-        size = min(size, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return size
-
-
 def free_memory() -> int:
     """Bytes that programs can take before the machine swaps: half of all where the system does not tell,
     and 4 GiB where it does not even tell that."""
@@ -103,6 +92,8 @@ class PlyBody:
         self._file, self._file_bytes = file, os.fstat(file.fileno()).st_size
         self._progress = progress
         self._lines = 0
+        self._passed: set[str] = set()
+        """Elements that the file stands behind."""
 
     def check_size(self, element: PlyElement) -> None:
         """Raises InputError where the file is shorter than its header says, or `element` larger than memory.
@@ -134,8 +125,10 @@ class PlyBody:
                 "first"
             )
 
-    def read_rows(self, element: PlyElement, targets: Sequence[Target]) -> None:
-        """Fills `targets` from the rows of `element`.
+    def read_rows(
+        self, element: PlyElement, targets: Sequence[Target], progress: Progress | None = None
+    ) -> None:
+        """Fills `targets` from the rows of `element`; elements must be read in the order of the file.
 
         Raises:
             InputError: the file ends too early, or a row is not what the header says.
@@ -144,13 +137,16 @@ class PlyBody:
         for earlier in self.header.elements.values():
             if earlier is element:
                 break
-            self.skip(earlier)
+            if earlier.name not in self._passed:
+                self.skip(earlier)
+            self._passed.add(earlier.name)
+        self._passed.add(element.name)
         start = 0
         for block in self.blocks(element):
             stop = start + len(block)
             _unpack(block, targets, start, stop, self.path)
             start = stop
-            self._progress.step(start / element.count)
+            (progress or self._progress).step(start / element.count)
 
     def read(self, size: int) -> bytes:
         """Bytes of a binary body. Raises EOFError where a damaged list asks for more than any file has."""

@@ -123,3 +123,17 @@ def _header_lines(file: BinaryIO, path: object) -> list[str]:
         return raw.decode("utf-8").split("\n")
     except UnicodeDecodeError:
         return raw.decode("latin-1").split("\n")
+
+
+def header_text(elements: list[PlyElement], comments: tuple[str, ...], path: object) -> bytes:
+    """The header of a little-endian file of `elements`. Raises InputError where nobody could read it."""
+    # plyfile takes comments of ASCII only. A comment may not bring in header lines of its own.
+    lines = [line for comment in comments for line in re.split(r"[\r\n]+", comment)]
+    lines = [line if line.startswith(OBJ_INFO) else f"comment {line}".rstrip() for line in lines]
+    magic, form, *declarations = PlyData(elements, byte_order="<").header.split("\n")
+    header = "\n".join([magic, form, *lines, *declarations, ""]).encode("utf-8", "replace")
+    if len(header) > MAX_HEADER_BYTES:
+        raise InputError(
+            f"{path}: cannot be written: comments of {len(header):,} bytes make no readable header"
+        )
+    return header

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import whole_files as whole
@@ -53,6 +54,14 @@ class Loader:
 def _load_ply(folder: Path) -> bool:
     load_scene(folder / "scene.ply")
     return True
+
+
+def _load_named(name: str) -> Callable[[Path], bool]:
+    def load(folder: Path) -> bool:
+        load_scene(folder / name)
+        return True
+
+    return load
 
 
 def _ply_info(folder: Path) -> bool:
@@ -143,6 +152,36 @@ def _load_checkpoint(folder: Path) -> bool:
 LOADERS: tuple[Loader, ...] = (
     Loader(name="ply", file="scene.ply", seeds=whole.plys, call=_load_ply, words=whole.PLY_WORDS),
     Loader(name="ply_info", file="scene.ply", seeds=whole.plys, call=_ply_info, words=whole.PLY_WORDS),
+    *(
+        Loader(
+            name=f"scene_{suffix}",
+            file=f"scene.{suffix}",
+            seeds=partial(whole.packed, suffix),
+            call=_load_named(f"scene.{suffix}"),
+        )
+        for suffix in ("spz", "splat", "ksplat", "sog", "glb")
+    ),
+    Loader(
+        name="scene_compressed",
+        file="scene.ply",
+        seeds=lambda: whole.packed("compressed.ply"),
+        call=_load_ply,
+        words=whole.PLY_WORDS,
+    ),
+    Loader(
+        name="scene_sog_meta",
+        file="meta.json",
+        seeds=lambda: [whole.sog_folder()["meta.json"]],
+        call=_load_named("meta.json"),
+        around=lambda: {name: data for name, data in whole.sog_folder().items() if name != "meta.json"},
+    ),
+    Loader(
+        name="scene_lod_meta",
+        file="lod-meta.json",
+        seeds=lambda: [whole.lod_meta()],
+        call=_load_named("lod-meta.json"),
+        around=lambda: {f"0_0/{name}": data for name, data in whole.sog_folder().items()},
+    ),
     Loader(name="cameras_json", file="c.json", seeds=whole.camera_lists, call=_cameras_of("c.json")),
     Loader(
         name="colmap_cameras_bin",

@@ -12,6 +12,7 @@ from splatview.measure.machine import write_results
 FAMILIES = {
     "scenes and points, .ply": ("ply", "ply_info", "capture_points_ply"),
     "cameras, JSON and COLMAP": ("cameras_json", "colmap_", "clipboard"),
+    "packed scenes": ("scene_",),
     "captures, COLMAP and transforms": (
         *("capture_cameras", "capture_points_bin", "capture_points_txt", "capture_held_out"),
         *("capture_transforms", "capture_camera_list"),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import struct
+import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,9 @@ from splatview.edit.operations.cleanup import REPAIRS
 from splatview.raster import Parameters
 from splatview.scene import Camera, Gaussians, look_at
 from splatview.scene.edits import Crop
+from splatview.scene.formats import save_scene
+from splatview.scene.formats.sog_write import sog_files
+from splatview.scene.progress import NO_PROGRESS
 from splatview.trainer.checkpoint import FORMAT
 from splatview.trainer.settings import TrainSettings, recorded
 from splatview.trainer.trainer import Counters
@@ -133,6 +139,45 @@ def _trainer_json(i: int, camera: Camera) -> dict[str, Any]:
         "position": camera.eye.tolist(),
         "rotation": camera.R_camera_world.T.tolist(),
     }
+
+
+def packed(suffix: str) -> list[bytes]:
+    """Scenes of SH degree 0 and 2 in a packed format; .spz in versions 2 and 3, too."""
+    if suffix == "ksplat":
+        return [ksplat(level) for level in range(3)]
+    found = []
+    for degree in (0, 2):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"scene.{suffix}"
+            save_scene(splats(20, degree), path)
+            found.append(path.read_bytes())
+    if suffix == "spz":
+        for version, rotation in ((2, 3), (3, 4)):
+            head = struct.pack("<4sIIBBBB", b"NGSP", version, 20, 0, 12, 1, 0)
+            body = np.random.default_rng(version).integers(0, 256, 20 * (16 + rotation), np.uint8)
+            found.append(gzip.compress(head + body.tobytes(), mtime=0))
+    return found
+
+
+def ksplat(level: int) -> bytes:
+    """Six splats in two buckets, the second of which is not full."""
+    rng = np.random.default_rng(level)
+    row = 44 if level == 0 else 24
+    header = struct.pack("<BBxxIIIIHxx", 0, 1, 1, 1, 6, 6, level).ljust(4096, b"\0")
+    section = struct.pack("<4IfH2xI4x2IH", 6, 6, 4, 2, 5.0, 12, 32767, 1, 1, 0).ljust(1024, b"\0")
+    data = struct.pack("<I6f", 2, 0, 0, 0, 5, 0, 0) + rng.integers(0, 200, 6 * row, np.uint8).tobytes()
+    return header + section + data
+
+
+def sog_folder() -> dict[str, bytes]:
+    """Files of a scene by name."""
+    return sog_files(splats(20, 1), NO_PROGRESS)
+
+
+def lod_meta() -> bytes:
+    leaves = [{"lods": {"0": {"file": 0, "offset": 0, "count": 20}}}]
+    meta = {"version": 1, "lodLevels": 1, "filenames": ["0_0/meta.json"], "tree": {"children": leaves}}
+    return json.dumps(meta).encode()
 
 
 def camera_lists() -> list[bytes]:

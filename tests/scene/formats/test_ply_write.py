@@ -123,7 +123,7 @@ def test_extras_that_ply_cannot_hold(tmp_path, random_gaussians, extras, message
 
 
 def test_unknown_suffix(tmp_path, random_gaussians):
-    for name in ("scene.obj", "scene", "scene.compressed.ply"):
+    for name in ("scene.obj", "scene", "scene.ksplat"):
         with pytest.raises(InputError, match=name):
             save_scene(random_gaussians(2), tmp_path / name)
 

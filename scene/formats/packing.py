@@ -1,0 +1,155 @@
+"""Numbers in few bits, as several formats keep them: the one place that rounds them.
+
+Everything is rounded to the nearest step, so that an error is at most half of one. Encoders take values as
+`Gaussians` has them; what no file of few bits can hold (NaN, infinity) is for `storable` to leave out.
+"""
+
+from __future__ import annotations
+
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from splatview.scene.errors import InputError, bytes_in_words
+from splatview.scene.formats.io import physical_memory
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
+from splatview.scene.progress import Progress
+from splatview.scene.projection import sigmoid
+
+SQRT_HALF = np.float32(np.sqrt(0.5))
+
+SLICE = 1 << 17
+"""Splats at a time: what is computed of them stays in the second-level cache, and cancelling takes effect
+soon."""
+
+LEAST_OPACITY = 1e-6
+"""Opacities of 0 and 1 have no finite logit: they are read as this, and as 1 less this."""
+
+MOST_EXPANSION = 16
+"""Most that compressed splats grow by, above ALWAYS_ALLOWED: real ones grow to two or three times, as their
+low bits are noise."""
+
+ALWAYS_ALLOWED = 1 << 26
+"""Bytes that any file may grow to."""
+
+
+def storable(gaussians: Gaussians) -> np.ndarray:
+    """(N,) bool: splats whose every value is finite and whose quaternion has a length. No renderer draws the
+    others, but for log-scales of -inf."""
+    kept = np.abs(gaussians.quats).max(axis=1, initial=0.0) > 0
+    for values in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh):
+        kept &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    return kept & ~np.isnan(gaussians.opacity_logits)
+
+
+def unit_quats(quats: np.ndarray) -> np.ndarray:
+    """(N, 4) of length 1, float32; zeros stay zeros."""
+    # By the largest component first: squares of 1e-30 vanish, those of 1e30 overflow.
+    largest = np.abs(quats).max(axis=1, keepdims=True, initial=0.0)
+    scaled = quats / np.where(largest > 0, largest, 1)
+    length = np.sqrt(np.einsum("ni,ni->n", scaled, scaled))[:, None]
+    return (scaled / np.where(length > 0, length, 1)).astype(np.float32)
+
+
+REST = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+"""Columns that are left when one of four is taken out."""
+
+
+def smallest_three(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 4) quaternions, in any order of components -> the index (N,) of the largest component and the other
+    three (N, 3) in order, in [-1, 1] of their range ±sqrt(½), the largest made positive."""
+    unit = unit_quats(quats)
+    largest = np.abs(unit).argmax(axis=1)
+    rows = np.arange(len(unit))
+    sign = np.where(unit[rows, largest] < 0, np.float32(-1), np.float32(1))
+    rest = unit[rows[:, None], REST[largest]] * (sign / SQRT_HALF)[:, None]
+    return largest, np.clip(rest, -1, 1)
+
+
+def from_smallest_three(largest: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """The inverse of `smallest_three`, (N, 4) float32. Damaged ones, too long for a unit quaternion, get a
+    largest component of 0."""
+    rest = rest.astype(np.float32) * SQRT_HALF
+    quats = np.empty((len(rest), 4), np.float32)
+    rows = np.arange(len(rest))
+    quats[rows[:, None], REST[largest]] = rest
+    quats[rows, largest] = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", rest, rest), 0))
+    return quats
+
+
+def opacity_levels(logits: np.ndarray, levels: int = 255) -> np.ndarray:
+    """(N,) logits -> opacities as whole numbers, 0 to `levels`."""
+    return np.rint(sigmoid(logits.astype(np.float64)) * levels)
+
+
+def logits_of(opacities: np.ndarray) -> np.ndarray:
+    """(N,) opacities in [0, 1] -> logits float32, finite for 0 and 1 as well."""
+    inside = np.clip(opacities.astype(np.float64), LEAST_OPACITY, 1 - LEAST_OPACITY)
+    return (np.log(inside) - np.log1p(-inside)).astype(np.float32)
+
+
+def morton_order(means: np.ndarray) -> np.ndarray:
+    """(N,) indices that sort finite points along a Z-curve of 2^21 steps a side: neighbours in space stand
+    near each other in the file, which codecs of pictures and of streams profit from."""
+    low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
+    span = np.where(high > low, high - low, 1)
+    cells = ((means - low) / span * (2**21 - 1)).astype(np.uint64)
+    keys = np.zeros(len(means), np.uint64)
+    for axis in range(3):
+        keys |= _spread(cells[:, axis]) << np.uint64(axis)
+    return np.argsort(keys, kind="stable")
+
+
+def _spread(x: np.ndarray) -> np.ndarray:
+    """21 bits with two zeros after each."""
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+    return x
+
+
+def check_expansion(path: Path, promised: int, held: int) -> None:
+    """Raises InputError where `held` bytes of a file say that they are `promised` bytes of splats, which no
+    codec makes so small: a damaged count, or a file made to fill the memory."""
+    if promised > max(ALWAYS_ALLOWED, MOST_EXPANSION * held):
+        raise InputError(
+            f"{path}: {held:,} bytes that promise {promised:,} bytes of splats: it is damaged, or made to "
+            "fill the memory; export it again"
+        )
+
+
+def gunzipped(file: io.BufferedReader, path: Path, most: int, progress: Progress) -> bytes:
+    """The content of a gzip file, of which at most `most` bytes are unpacked: more is none of its splats.
+    Raises InputError where it is damaged, and Cancelled."""
+    inflate, parts, left = zlib.decompressobj(wbits=31), [], most
+    try:
+        while left > 0 and not inflate.eof and (packed := inflate.unconsumed_tail or file.read(1 << 20)):
+            progress.check()
+            parts.append(inflate.decompress(packed, min(left, 1 << 22)))
+            left -= len(parts[-1])
+    except zlib.error as error:
+        raise InputError(f"{path}: is damaged ({error}); copy or export it again") from None
+    return b"".join(parts)
+
+
+def check_room(path: Path, count: int, degree: int, room: float) -> None:
+    """Raises InputError where so many splats of an SH degree do not fit into `room` bytes, or into memory. To
+    be called before memory is taken."""
+    needed, free = count * 4 * (11 + 3 * SH_COEFFICIENTS[degree]), min(room, physical_memory())
+    if not needed <= free:
+        raise InputError(
+            f"{path}: {count:,} splats need {bytes_in_words(needed)} of memory, and there are "
+            f"{bytes_in_words(free)} for them; thin the scene out elsewhere first"
+        )
+
+
+def too_short(path: Path, wanted: str) -> InputError:
+    """What to say of a file that ends before `wanted`."""
+    return InputError(f"{path}: ends before {wanted}: it is truncated or damaged; copy or export it again")

@@ -1,0 +1,382 @@
+"""Scenes from .sog, splats as pictures: a zip or a folder of lossless WebP and a meta.json.
+
+Texel i of every picture is splat i. Versions 1 (ranges) and 2 (codebooks), and streamed SOG: a lod-meta.json
+whose tree names parts of several such folders, one per level of detail, of which the finest is read. Source:
+playcanvas/splat-transform, read-sog.ts, read-sog-v1.ts and read-lod.ts (MIT), read for facts.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from PIL import Image
+
+from splatview.scene.errors import InputError
+from splatview.scene.formats.io import excerpt, open_regular
+from splatview.scene.formats.packing import (
+    ALWAYS_ALLOWED,
+    check_expansion,
+    check_room,
+    from_smallest_three,
+    logits_of,
+)
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
+from splatview.scene.progress import Progress
+
+META, LOD_META = "meta.json", "lod-meta.json"
+
+MAX_META_BYTES = 1 << 24
+
+PALETTE_COLUMNS = 64
+"""Palette entries side by side in the picture of the centroids."""
+
+TAGS = {"antialiased": "antialiased 1", "2dgs": "SplatRenderMode: 2dgs"}
+"""The file's word for its model -> the comment that says so."""
+
+MOST_CHUNKS = 1 << 16
+"""Files that a streamed scene may name."""
+
+
+class Source(Protocol):
+    """Where the files of a scene come from."""
+
+    name: Path
+    """For messages."""
+    held: int
+    """Bytes in all."""
+
+    def read(self, name: str, most: int) -> bytes:
+        """A file of at most `most` bytes. Raises InputError."""
+        ...
+
+
+def is_zip(start: bytes) -> bool:
+    return start.startswith(b"PK\x03\x04")
+
+
+def is_sog_folder(path: Path) -> bool:
+    """Whether `path` is such a folder, or the file in it that describes the others."""
+    if path.name in (META, LOD_META):
+        return path.is_file()
+    return path.is_dir() and any((path / name).is_file() for name in (META, LOD_META))
+
+
+def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
+    """Splats of a zip. Raises InputError and Cancelled."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            source = _Zip(archive, path)
+            return _read_unit(source, _meta_of(source, META), progress, room)
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+        raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
+
+
+def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
+    """Splats of a folder, or of the finest level of a streamed scene. Raises InputError and Cancelled."""
+    folder = path if path.is_dir() else path.parent
+    streamed = path.name == LOD_META or (path.is_dir() and not (path / META).is_file())
+    source = _Folder(folder)
+    if streamed:
+        return _read_streamed(source, folder, progress, room)
+    return _read_unit(source, _meta_of(source, META), progress, room)
+
+
+class _Zip:
+    def __init__(self, archive: zipfile.ZipFile, path: Path) -> None:
+        self.name, self._archive = path, archive
+        self.held = sum(entry.compress_size for entry in archive.infolist())
+
+    def read(self, name: str, most: int) -> bytes:
+        try:
+            entry = self._archive.getinfo(_plain(name, self.name))
+        except KeyError:
+            raise InputError(f"{self.name}: has no {excerpt(name)}; export it again") from None
+        with self._archive.open(entry) as file:
+            # An entry may lie about its size.
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise InputError(f"{self.name}: its {name} is larger than {most:,} bytes: it is damaged")
+        return data
+
+
+class _Folder:
+    def __init__(self, folder: Path) -> None:
+        self.name = folder
+        try:
+            with os.scandir(folder) as entries:
+                self.held = sum(entry.stat().st_size for entry in entries if entry.is_file())
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from None
+
+    def read(self, name: str, most: int) -> bytes:
+        path = self.name / _plain(name, self.name)
+        with open_regular(path) as file:
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise InputError(f"{path}: is larger than {most:,} bytes: it is damaged")
+        return data
+
+
+def _plain(name: Any, where: Path) -> str:
+    """`name` if it is that of a file beside meta.json; nothing else is ever opened. Raises InputError."""
+    if not isinstance(name, str) or not name or name in (".", "..") or any(c in name for c in "/\\:\0"):
+        raise InputError(
+            f"{where}: names {excerpt(str(name))} as one of its files: only plain names are read"
+        )
+    return name
+
+
+def _meta_of(source: Source, name: str) -> dict[str, Any]:
+    try:
+        meta = json.loads(source.read(name, MAX_META_BYTES))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{source.name}: its {name} is no JSON ({error}); export it again") from None
+    if not isinstance(meta, dict):
+        raise InputError(f"{source.name}: its {name} holds no object; export it again")
+    return meta
+
+
+@contextmanager
+def _described(source: Source) -> Iterator[None]:
+    """Whatever is not as meta.json should have it is told in one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
+        raise InputError(
+            f"{source.name}: its {META} is not that of a scene ({type(error).__name__}: {excerpt(str(error))}"
+            "); export it again"
+        ) from None
+
+
+def _read_unit(source: Source, meta: dict[str, Any], progress: Progress, room: float) -> Gaussians:
+    with _described(source):
+        version = meta.get("version", 1)
+        if version not in (1, 2):
+            raise InputError(f"{source.name}: is version {excerpt(str(version))} of .sog; 1 and 2 are read")
+        n = meta["count"] if version == 2 else meta["means"]["shape"][0]
+        if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31:
+            raise InputError(f"{source.name}: a count of {excerpt(str(n))} splats: it is damaged")
+        check_expansion(source.name, 20 * n, source.held)
+        shn = meta.get("shN") or {}
+        check_room(source.name, n, int(shn.get("bands", 3 if shn else 0)), room)
+        pictures = _Pictures(source, n)
+        return _decoded(pictures, meta, version, n, progress)
+
+
+class _Pictures:
+    """The pictures of a scene of n splats, as rows of texels."""
+
+    def __init__(self, source: Source, n: int) -> None:
+        self.source, self._n = source, n
+
+    def texels(self, name: Any) -> np.ndarray:
+        """(N, 4) uint8: one per splat."""
+        pixels = self.pixels(name, self._n)
+        return pixels.reshape(-1, 4)[: self._n]
+
+    def pixels(self, name: Any, least: int) -> np.ndarray:
+        """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
+        source = self.source
+        data = source.read(name, max(ALWAYS_ALLOWED, source.held))
+        try:
+            with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
+                width, height = image.size
+                if width * height < least:
+                    raise InputError(
+                        f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is "
+                        "of another scene, or damaged"
+                    )
+                if width * height > 2 * least + 2**20:
+                    raise InputError(
+                        f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
+                    )
+                return np.asarray(image.convert("RGBA"))
+        except InputError:
+            raise
+        except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+            raise InputError(
+                f"{source.name}: {name} is no WebP that can be read ({error}); export it again"
+            ) from None
+
+
+def _decoded(
+    pictures: _Pictures, meta: dict[str, Any], version: int, n: int, progress: Progress
+) -> Gaussians:
+    low, high = (pictures.texels(name) for name in _names(meta["means"], 2))
+    progress.step(0.2)
+    whole = high[:, :3].astype(np.uint16) << 8 | low[:, :3]
+    means = _between(_numbers(meta["means"]["mins"], 3), _numbers(meta["means"]["maxs"], 3), whole, 65535)
+    means = np.sign(means) * np.expm1(np.abs(means))
+    quats_rgba = pictures.texels(_names(meta["quats"], 1)[0])
+    largest = quats_rgba[:, 3].astype(np.int64) - 252
+    quats = from_smallest_three(np.maximum(largest, 0), quats_rgba[:, :3] * np.float32(2 / 255) - 1)
+    quats[largest < 0] = 1, 0, 0, 0
+    progress.step(0.4)
+    scales = pictures.texels(_names(meta["scales"], 1)[0])[:, :3]
+    sh0 = pictures.texels(_names(meta["sh0"], 1)[0])
+    progress.step(0.6)
+    shn = meta.get("shN") or None
+    rest = _rest(pictures, shn, version, n) if shn else np.zeros((n, 0, 3), np.float32)
+    if version == 2:
+        log_scales = _codebook(meta["scales"])[scales]
+        constant = _codebook(meta["sh0"])[sh0[:, :3]]
+        logits = logits_of(sh0[:, 3] / 255)
+    else:
+        log_scales = _between(
+            _numbers(meta["scales"]["mins"], 3), _numbers(meta["scales"]["maxs"], 3), scales, 255
+        )
+        four = _between(_numbers(meta["sh0"]["mins"], 4), _numbers(meta["sh0"]["maxs"], 4), sh0, 255)
+        constant, logits = four[:, :3], np.ascontiguousarray(four[:, 3])
+    progress.step(0.9)
+    tag = TAGS.get(str(meta.get("model", "")))
+    if tag is None and meta.get("antialias") is True:
+        tag = TAGS["antialiased"]
+    return Gaussians(
+        means=means.astype(np.float32),
+        quats=quats,
+        log_scales=log_scales.astype(np.float32),
+        opacity_logits=logits.astype(np.float32),
+        sh=np.concatenate([constant[:, None], rest], axis=1, dtype=np.float32),
+        comments=(tag,) if tag else (),
+    )
+
+
+def _rest(pictures: _Pictures, shn: dict[str, Any], version: int, n: int) -> np.ndarray:
+    """(N, K - 1, 3) float32 by the palette; labels beyond it are zeros."""
+    centroids_name, labels_name = _names(shn, 2)
+    labels_rgba = pictures.texels(labels_name)
+    labels = labels_rgba[:, 0].astype(np.int64) | labels_rgba[:, 1].astype(np.int64) << 8
+    most = int(shn["count"]) if version == 2 else 2**16
+    if not 0 < most <= 2**16:
+        raise InputError(f"{pictures.source.name}: a palette of {most:,} entries: it is damaged")
+    pixels = pictures.pixels(centroids_name, PALETTE_COLUMNS) if version == 1 else None
+    if pixels is None:
+        degree = int(shn["bands"])
+        if not 1 <= degree <= 3:
+            raise InputError(f"{pictures.source.name}: SH degree {degree}; there are 1 to 3: it is damaged")
+        per_channel = SH_COEFFICIENTS[degree] - 1
+        rows = -(-most // PALETTE_COLUMNS)
+        pixels = pictures.pixels(centroids_name, rows * PALETTE_COLUMNS * per_channel)
+    per_channel = pixels.shape[1] // PALETTE_COLUMNS
+    if per_channel + 1 not in SH_COEFFICIENTS[1:] or pixels.shape[1] % PALETTE_COLUMNS:
+        raise InputError(f"{pictures.source.name}: a palette {pixels.shape[1]} texels wide makes no SH bands")
+    entries = pixels[..., :3].reshape(-1, per_channel, 3)[:most]
+    if version == 2:
+        palette = _codebook(shn)[entries]
+    else:
+        low, high = float(shn["mins"]), float(shn["maxs"])
+        palette = (low + (high - low) * (entries / np.float32(255))).astype(np.float32)
+    inside = labels < len(palette)
+    rest = palette[np.where(inside, labels, 0)]
+    rest[~inside] = 0
+    return rest
+
+
+def _names(entry: dict[str, Any], count: int) -> list[Any]:
+    files = entry["files"]
+    if not isinstance(files, list) or len(files) != count:
+        raise ValueError(f"files must be {count} names")
+    return files
+
+
+def _numbers(values: Any, count: int) -> np.ndarray:
+    numbers = np.array(values, np.float64)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{count} finite numbers are needed")
+    return numbers
+
+
+def _codebook(entry: dict[str, Any]) -> np.ndarray:
+    """(256,) float32. Old files have null for entries that nothing uses."""
+    values = entry["codebook"]
+    if not isinstance(values, list) or not 0 < len(values) <= 256:
+        raise ValueError("codebook must be 256 numbers")
+    known = [0.0 if value is None else float(value) for value in values]
+    book = np.zeros(256, np.float32)
+    book[: len(known)] = known
+    if not np.isfinite(book).all():
+        raise ValueError("codebook must be finite")
+    return book
+
+
+def _between(low: np.ndarray, high: np.ndarray, whole: np.ndarray, most: int) -> np.ndarray:
+    return low + (high - low) * (whole / most)
+
+
+def _read_streamed(source: _Folder, folder: Path, progress: Progress, room: float) -> Gaussians:
+    """Every leaf of the tree at its finest level: levels show the same things, and are never put together."""
+    meta = _meta_of(source, LOD_META)
+    with _described(source):
+        if meta.get("version", 1) != 1:
+            raise InputError(
+                f"{folder}: is version {excerpt(str(meta['version']))} of streamed SOG; 1 is read"
+            )
+        names = meta["filenames"]
+        if not isinstance(names, list) or len(names) > MOST_CHUNKS:
+            raise InputError(f"{folder}: its {LOD_META} names no files, or too many")
+        parts = _finest(meta["tree"], len(names), folder)
+        if isinstance(meta.get("environment"), str):
+            names, parts = [*names, meta["environment"]], {**parts, len(names): None}
+    scenes = []
+    for done, (number, ranges) in enumerate(sorted(parts.items())):
+        unit = _unit_folder(folder, names[number])
+        piece = progress.part(done / len(parts), (done + 1) / len(parts))
+        scene = _read_unit(unit, _meta_of(unit, META), piece, room - sum(scene.nbytes for scene in scenes))
+        if ranges is not None:
+            if any(stop > len(scene) for _, stop in ranges):
+                raise InputError(
+                    f"{unit.name}: has {len(scene):,} splats, and {LOD_META} asks for more: damaged"
+                )
+            taken = np.zeros(len(scene), bool)
+            for start, stop in ranges:
+                taken[start:stop] = True
+            scene = scene if taken.all() else scene.take(taken)
+        scenes.append(scene)
+    if not scenes:
+        raise InputError(f"{folder}: its {LOD_META} names no splats")
+    levels = meta.get("lodLevels")
+    whole = concatenate(scenes)
+    note = f"splatview: the finest of {levels} levels of detail, from {len(scenes)} files"
+    return whole if levels in (None, 1) else replace(whole, comments=(*whole.comments, note))
+
+
+def _finest(tree: Any, files: int, folder: Path) -> dict[int, list[tuple[int, int]] | None]:
+    """Ranges of splats by number of the file."""
+    found: dict[int, list[tuple[int, int]] | None] = {}
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        levels = {int(level): part for level, part in (node.get("lods") or {}).items()}
+        if levels:
+            part = levels[min(levels)]
+            number, start, count = (part[key] for key in ("file", "offset", "count"))
+            if any(isinstance(x, bool) or not isinstance(x, int) or x < 0 for x in (number, start, count)):
+                raise ValueError("file, offset and count must be whole numbers")
+            if number >= files:
+                raise InputError(f"{folder}: its tree asks for file {number}, and there are {files}: damaged")
+            ranges = found.setdefault(number, [])
+            assert ranges is not None
+            ranges.append((start, start + count))
+        waiting += node.get("children") or []
+    return found
+
+
+def _unit_folder(folder: Path, name: Any) -> _Folder:
+    """The folder of a meta.json one level down; no other path is followed. Raises InputError."""
+    parts = name.split("/") if isinstance(name, str) else []
+    if len(parts) != 2 or parts[1] != META:
+        raise InputError(f"{folder}: names {excerpt(str(name))}, and only FOLDER/{META} below it is read")
+    return _Folder(folder / _plain(parts[0], folder))

@@ -1,0 +1,135 @@
+"""Scenes to .sog, version 2: pictures of splats along a Z-curve, and a palette of their SH."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from splatview.scene.effects.appearance import antialiasing, is_flat
+from splatview.scene.formats.io import atomic_write
+from splatview.scene.formats.packing import morton_order, opacity_levels, smallest_three, storable
+from splatview.scene.formats.palette import levels, vectors
+from splatview.scene.formats.sog import META, PALETTE_COLUMNS
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.progress import Progress
+from splatview.scene.projection import sigmoid
+
+LARGEST_PALETTE = 1 << 16
+"""Entries of the SH palette that labels of 16 bits can name; fewer make a smaller file."""
+
+
+def save_sog(gaussians: Gaussians, path: Path, progress: Progress, *, palette: int | None = None) -> None:
+    """Writes a zip. `palette`: entries at most; None: as many as there can be.
+
+    Raises:
+        InputError: the system refuses.
+        Cancelled: nobody waits for it any more.
+    """
+    files = sog_files(gaussians, progress, palette=palette)
+    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in files.items():
+            # A date of its own, so that equal scenes give equal files.
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content)
+
+
+def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None = None) -> dict[str, bytes]:
+    """Contents by name of file, meta.json last. Splats that no renderer draws are left out."""
+    gaussians = gaussians.take(storable(gaussians))
+    gaussians = gaussians.take(morton_order(gaussians.means))
+    n = len(gaussians)
+    width = max(4, math.ceil(math.sqrt(n) / 4) * 4)
+    height = max(4, math.ceil(n / width / 4) * 4)
+    files: dict[str, bytes] = {}
+
+    def add(name: str, texels: np.ndarray, shape: tuple[int, int] = (height, width)) -> str:
+        picture = np.zeros((shape[0] * shape[1], 4), np.uint8)
+        picture[:, 3] = 255
+        picture[: len(texels), : texels.shape[1]] = texels
+        files[f"{name}.webp"] = _webp(picture.reshape(*shape, 4))
+        return f"{name}.webp"
+
+    weights = importance(gaussians)
+    means = gaussians.means.astype(np.float64)
+    means = np.sign(means) * np.log1p(np.abs(means))
+    low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
+    if not n:
+        low, high = np.zeros(3), np.zeros(3)
+    whole = np.rint((means - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
+    meta: dict[str, object] = {"version": 2, "asset": {"generator": "splatview"}, "count": n}
+    if is_flat(gaussians):
+        meta["model"] = "2dgs"
+    elif antialiasing(gaussians.comments)[0]:
+        meta["model"] = "antialiased"
+    meta["means"] = {
+        "mins": low.tolist(),
+        "maxs": high.tolist(),
+        "files": [
+            add("means_l", (whole & 255).astype(np.uint8)),
+            add("means_u", (whole >> 8).astype(np.uint8)),
+        ],
+    }
+    progress.step(0.1)
+    book, indices = levels(gaussians.log_scales, weights[:, None])
+    meta["scales"] = {"codebook": book.tolist(), "files": [add("scales", indices)]}
+    progress.step(0.2)
+    largest, rest = smallest_three(gaussians.quats)
+    packed = np.column_stack([np.rint((rest + 1) * 127.5), 252 + largest]).astype(np.uint8)
+    meta["quats"] = {"files": [add("quats", packed)]}
+    progress.step(0.3)
+    book, indices = levels(gaussians.sh[:, 0], weights[:, None])
+    opacities = opacity_levels(gaussians.opacity_logits).astype(np.uint8)
+    meta["sh0"] = {"codebook": book.tolist(), "files": [add("sh0", np.column_stack([indices, opacities]))]}
+    progress.step(0.4)
+    if gaussians.sh_degree and n:
+        entries = min(palette or LARGEST_PALETTE, LARGEST_PALETTE)
+        centroids, labels = vectors(
+            gaussians.sh[:, 1:].reshape(n, -1), weights, entries, progress=progress.part(0.4, 0.9)
+        )
+        order = _similar_order(centroids)
+        centroids, places = centroids[order], np.empty(len(order), np.int64)
+        places[order] = np.arange(len(order))
+        labels = places[labels]
+        book, indices = levels(centroids, np.bincount(labels, weights, len(centroids))[:, None])
+        per_channel = gaussians.sh.shape[1] - 1
+        rows = -(-len(centroids) // PALETTE_COLUMNS)
+        picture = add("shN_centroids", indices.reshape(-1, 3), (rows, PALETTE_COLUMNS * per_channel))
+        numbered = np.column_stack([labels & 255, labels >> 8]).astype(np.uint8)
+        meta["shN"] = {
+            "count": len(centroids),
+            "bands": gaussians.sh_degree,
+            "codebook": book.tolist(),
+            "files": [picture, add("shN_labels", numbered)],
+        }
+    files[META] = json.dumps(meta, separators=(",", ":")).encode()
+    progress.step(1.0)
+    return files
+
+
+def importance(gaussians: Gaussians) -> np.ndarray:
+    """(N,) float64: opacity times the area of the two longest axes, about what a splat adds to pictures; at
+    most 10,000 times the median, so that no backdrop takes the whole palette."""
+    ordered = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
+    area = np.exp(np.clip(ordered[:, 1] + ordered[:, 2], -300, 300))
+    weights = sigmoid(gaussians.opacity_logits.astype(np.float64)) * area
+    return np.minimum(weights, 1e4 * np.median(weights)) if len(weights) else weights
+
+
+def _similar_order(centroids: np.ndarray) -> np.ndarray:
+    """Centroids in an order in which neighbours are alike, which WebP makes smaller: along the direction in
+    which they differ most."""
+    centred = centroids - centroids.mean(axis=0)
+    _, directions = np.linalg.eigh(centred.T @ centred)
+    return np.argsort(centred @ directions[:, -1], kind="stable")
+
+
+def _webp(picture: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    # exact: colours under an alpha of 0 are values, too.
+    Image.fromarray(picture, "RGBA").save(out, "WEBP", lossless=True, exact=True, quality=75, method=4)
+    return out.getvalue()

@@ -1,0 +1,65 @@
+"""Frames of scene files: which way their axes point, and scenes turned from one to another.
+
+A frame is three letters, one for each axis: right or left, up or down, front or back. Scenes in memory are
+"RDF", as trained .ply files are: x to the right, y down, z to the front.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from splatview.scene.edits import quat_product
+from splatview.scene.gaussians import Gaussians
+from splatview.scene.lod import quaternions
+from splatview.scene.sh import sh_rotation
+
+OURS = "RDF"
+
+_DIRECTIONS = {"R": (0, 1), "L": (0, -1), "U": (1, 1), "D": (1, -1), "F": (2, 1), "B": (2, -1)}
+
+FRAMES = tuple(
+    "".join(letters)
+    for axes in itertools.permutations(("LR", "DU", "BF"))
+    for letters in itertools.product(*axes)
+)
+"""All 48 of them."""
+
+
+def frame_matrix(frame: str, to: str = OURS) -> np.ndarray:
+    """(3, 3) float64 that takes points of `frame` to points of `to`; a mirror where one is left-handed."""
+
+    def axes(name: str) -> np.ndarray:
+        matrix = np.zeros((3, 3))
+        for column, letter in enumerate(name):
+            row, sign = _DIRECTIONS[letter]
+            matrix[row, column] = sign
+        return matrix
+
+    return axes(to).T @ axes(frame)
+
+
+def reframed(gaussians: Gaussians, frame: str, to: str = OURS) -> Gaussians:
+    """The scene of a file in `frame` with its axes as `to` has them; exact but for rotated SH."""
+    return gaussians if frame == to else turned(gaussians, frame_matrix(frame, to))
+
+
+def turned(gaussians: Gaussians, matrix: np.ndarray) -> Gaussians:
+    """The scene turned by an orthogonal matrix (3, 3), mirrored where its determinant is -1."""
+    # A Gaussian is its own mirror image, so a reflection turns it as its negative does, which is a rotation.
+    turn = quaternions(matrix[None] * np.linalg.det(matrix))[0].astype(np.float32)
+    sh = gaussians.sh
+    if gaussians.sh_degree:
+        bands = np.round(sh_rotation(matrix, gaussians.sh_degree), 12).astype(np.float32)
+        if np.array_equal(bands, np.diag(signs := bands.diagonal())):
+            sh = sh * signs[:, None]  # as is where axes only change their signs
+        else:
+            sh = np.einsum("jk,nkc->njc", bands, sh, optimize=True)
+    return replace(
+        gaussians,
+        means=gaussians.means @ matrix.T.astype(gaussians.means.dtype),
+        quats=quat_product(np.broadcast_to(turn, gaussians.quats.shape), gaussians.quats),
+        sh=sh,
+    )
