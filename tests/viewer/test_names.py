@@ -22,7 +22,7 @@ from splatview.scene.formats import save_scene
 from splatview.scene.formats.cameras import camera_values
 from splatview.viewer import layout, menus
 from splatview.viewer import open as opening
-from splatview.viewer.camera import go_to_bookmark, open_camera_list
+from splatview.viewer.camera import CameraLists, go_to_bookmark
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.dialogs import loading as loading_dialog
 from splatview.viewer.dialogs import problem as problem_dialog
@@ -72,7 +72,10 @@ def opened(app, tmp_path, random_gaussians, wait_for_loading) -> AppState:
     wait_for_loading(app)
     view = camera_values(look_at((0, 0, -4), (0, 0, 0), width=64, height=48)) | {"name": BROKEN}
     (tmp_path / "cameras.json").write_text(json.dumps([view, view]))
-    open_camera_list(app, tmp_path / "cameras.json")
+    lists = app.feature(CameraLists)
+    lists.open(tmp_path / "cameras.json")
+    while lists.busy(app):
+        lists.before_frame(app)
     session = session_of(app)
     assert session is not None
     for _ in range(2):
