@@ -8,6 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+NOTE = "splatview: "
+"""What comments begin with that say how a file was read, and are not the file's own."""
+
 SH_COEFFICIENTS = (1, 4, 9, 16)
 """Coefficients per colour channel at SH degree 0, 1, 2, 3."""
 
@@ -80,6 +83,11 @@ class Gaussians:
     def nbytes(self) -> int:
         """Bytes of the arrays, extras included."""
         return len(self) * self.row_bytes
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How the file was read, where there was a choice: comments of ours, without NOTE."""
+        return tuple(text.removeprefix(NOTE) for text in self.comments if text.startswith(NOTE))
 
     def take(self, indices: np.ndarray | slice) -> Gaussians:
         """The splats at `indices` (integer or boolean array, or a slice, whose arrays are views), in that

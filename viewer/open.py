@@ -126,6 +126,8 @@ def adopt(app: AppState, scene: LoadedScene) -> None:
     for path in reversed(scene.paths):
         app.preferences = with_recent(app.preferences, path)
     app.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
+    for note in scene.gaussians.notes:
+        app.tell(f"{scene.name}: {note}")
     app.examination, app.examined = Examination(scene.gaussians), False
 
 

@@ -23,7 +23,7 @@ from splatview.scene.formats.io import open_regular, target_of
 from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
 from splatview.scene.formats.packing import storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
-from splatview.scene.formats.sog import is_sog_folder, is_zip, read_sog, read_sog_folder
+from splatview.scene.formats.sog import LOD_META, META, is_sog_folder, is_zip, read_sog, read_sog_folder
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_spz, read_spz, save_spz
@@ -157,7 +157,8 @@ def _reader(
 
 def name_patterns(*, written: bool = False) -> str:
     """File name patterns of all formats, or of those that are `written`, as file dialogs want them."""
-    return " ".join(f"*{known.suffix}" for known in FORMATS.values() if known.write or not written)
+    suffixes = [f"*{known.suffix}" for known in FORMATS.values() if known.write or not written]
+    return " ".join(suffixes if written else [*suffixes, META, LOD_META])
 
 
 def save_scene(

@@ -371,3 +371,10 @@ def test_a_shown_scene_is_examined_and_ill_splats_are_told(app, tmp_path, random
     assert len(told) == 1
     assert told[0].startswith("4 splats")
     assert any(effect.name.startswith("SH band") for effect in app.examination.effects)
+
+
+def test_what_was_assumed_of_a_file_is_told(app, tmp_path, random_gaussians, wait_for_loading) -> None:
+    save_scene(random_gaussians(20), tmp_path / "a.spz")
+    open_paths(app, [tmp_path / "a.spz"])
+    wait_for_loading(app)
+    assert any("its frame is RUB" in message.text for message in app.messages)
