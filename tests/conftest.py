@@ -6,10 +6,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 
 from splatview.scene import Gaussians
+
+# A busy machine is no failure.
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 DATA = Path(os.environ.get("SPLATVIEW_DATA", Path(__file__).parents[2] / "shared" / "data"))
 """Trained scenes and photo sets that are not part of the repository."""

@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, cast
 
-import hypothesis
 import numpy as np
 import pytest
 
@@ -24,10 +23,6 @@ from splatview.viewer.open import continue_loading
 from splatview.viewer.picture import Picture
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
-
-# A busy machine is no failure.
-hypothesis.settings.register_profile("window", deadline=None)
-hypothesis.settings.load_profile("window")
 
 
 class RecordingPicture:
