@@ -6,6 +6,7 @@ Everything is numpy and the rasteriser's own backward pass; torch has no part in
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -98,8 +99,9 @@ class Trainer:
         _, strategy = STRATEGIES[settings.strategy]
         self.control: Strategy = strategy(self._local(settings), self.extent)
         self.control.begin(len(self.splats))
-        self._unseen = 0
-        """Photos in a row that show no splat."""
+        self._unseen = 0.0
+        """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
+        edits and rules may take out of sight what there is."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
@@ -209,7 +211,7 @@ class Trainer:
                 self.threads,
             )
         gradients, visible, loss = self._batch_gradients(progress)
-        self._unseen = 0 if any(map(len, visible)) else self._unseen + settings.batch
+        self._unseen = math.nan if any(map(len, visible)) else self._unseen + settings.batch
         # Of so many in a row each photo is one: orders of the photos differ from round to round.
         if self._unseen >= 2 * len(self.views):
             raise NothingSeen(

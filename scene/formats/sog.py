@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from PIL import Image
 
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt, open_regular
@@ -66,8 +65,9 @@ def is_zip(start: bytes) -> bool:
 def is_sog_folder(path: Path) -> bool:
     """Whether `path` is such a folder, or the file in it that describes the others."""
     if path.name in (META, LOD_META):
-        return path.is_file()
-    return path.is_dir() and any((path / name).is_file() for name in (META, LOD_META))
+        return os.path.isfile(path)
+    # os.path: unlike Path's, its questions have an answer for every name.
+    return os.path.isdir(path) and any(os.path.isfile(path / name) for name in (META, LOD_META))
 
 
 def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
@@ -83,7 +83,7 @@ def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: floa
 def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a folder, or of the finest level of a streamed scene. Raises InputError and Cancelled."""
     folder = path if path.is_dir() else path.parent
-    streamed = path.name == LOD_META or (path.is_dir() and not (path / META).is_file())
+    streamed = path.name == LOD_META or not os.path.isfile(folder / META)
     source = _Folder(folder)
     if streamed:
         return _read_streamed(source, folder, progress, room)
@@ -189,6 +189,8 @@ class _Pictures:
 
     def pixels(self, name: Any, least: int) -> np.ndarray:
         """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
+        from PIL import Image
+
         source = self.source
         data = source.read(name, max(ALWAYS_ALLOWED, source.held))
         try:

@@ -9,7 +9,6 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.formats.io import atomic_write
@@ -129,6 +128,8 @@ def _similar_order(centroids: np.ndarray) -> np.ndarray:
 
 
 def _webp(picture: np.ndarray) -> bytes:
+    from PIL import Image
+
     out = io.BytesIO()
     # exact: colours under an alpha of 0 are values, too.
     Image.fromarray(picture, "RGBA").save(out, "WEBP", lossless=True, exact=True, quality=75, method=4)

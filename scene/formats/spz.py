@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import zstandard
 
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.errors import InputError
@@ -209,6 +208,8 @@ def _read_streams(
 
 def _unpacked(packed: bytes, length: int, name: str, path: Path) -> bytes:
     """A zstd frame of exactly `length` bytes. Raises InputError."""
+    import zstandard
+
     try:
         # A frame may lie about its size, or say none: never more is unpacked than belongs there.
         reader = zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(packed)
@@ -327,6 +328,8 @@ def save_spz(
     progress.step(0.1)
     blocks = [block for block in _encoded(gaussians, header, sh_bits) if len(block)]
     records = struct.pack("<III", FRAME, 4, NUMBERED_FRAMES.index(DEFAULT_FRAME) + 1)
+    import zstandard
+
     compressor = zstandard.ZstdCompressor(level=LEVEL, threads=-1)
     streams = []
     for block in blocks:

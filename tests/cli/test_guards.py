@@ -45,6 +45,7 @@ CASES = {
     (PROJECTION, "largest component first"): ("quads", "tiny quaternion"),
     (PROJECTION, "slope clamp"): ("quads", "grazing splat"),
     (PROJECTION, "spread"): ("quads", "largest footprint"),
+    (PROJECTION, "huge extents"): ("quads", "largest footprint, from beside"),
     (PROJECTION, "determinant as a sum"): ("quads", "needle of 10⁴ px"),
     (PROJECTION, "largest offset first"): ("quads", "star at 10²⁵"),
     (PROJECTION, "fold of the lens"): ("quads", FOLDED),

@@ -147,7 +147,7 @@ def test_pictures_that_cannot_be_read_are_named(tmp_path):
     (tmp_path / "text.jpg").write_text("no picture")
     with pytest.raises(InputError, match=r"text\.jpg: is no picture that can be read \(cannot identify"):
         load_panorama(tmp_path / "text.jpg")
-    with pytest.raises(InputError, match="is no picture"):
+    with pytest.raises(InputError, match="is a folder"):
         load_panorama(tmp_path)
 
 

@@ -199,7 +199,7 @@ def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path
     ("options", "message"),
     [
         (("-o", "nowhere/toy.ply"), "does not exist; make it first"),
-        (("-o", "toy.splat"), "saved as .ply"),
+        (("-o", "toy.png"), "saved as .ply"),
         (("--iterations", "0"), "at least 1"),
         (("--resume", "missing.safetensors"), "no such file"),
         (("--metrics", "nowhere/m.jsonl"), "cannot be written"),
