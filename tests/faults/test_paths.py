@@ -266,12 +266,19 @@ def test_the_window_complains_of_bad_paths(scene, place, monkeypatch, kind):
 
 def run(app: AppState) -> None:
     """The part of the frame loop that files need, until nothing is under way."""
+    features = [app.feature(Editing), app.feature(camera.CameraLists)]
     app.run_posted()
-    while app.loading is not None or ((session := session_of(app)) is not None and session.job is not None):
+    while app.loading is not None or any(feature.busy(app) for feature in features[1:]) or editing(app):
         opening.continue_loading(app)
         app.run_posted()
-        app.feature(Editing).before_frame(app)
-    app.feature(Editing).before_frame(app)
+        for feature in features:
+            feature.before_frame(app)
+    features[0].before_frame(app)
+
+
+def editing(app: AppState) -> bool:
+    session = session_of(app)
+    return session is not None and session.job is not None
 
 
 @pytest.mark.parametrize("kind", ["long", "loop", "locked", "pipe", "no home"])

@@ -175,7 +175,7 @@ def ill_rows(parameters: Parameters) -> np.ndarray:
 
 
 OUT_OF_SIGHT = "10¹² m from the origin"
-"""Case whose means, in float32 and not about a centre, are beside its views: its runs end at once, in a line."""
+"""Case whose means, in float32 and about no centre, are beside its views: its runs end at once, in a line."""
 
 
 def wrong_run(case: HardCase, strategy: str) -> list[str]:
