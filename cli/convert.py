@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 from splatview.cli.arguments import Parser
-from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import check_saving, format_of, load_scene
 
 
@@ -37,13 +36,7 @@ def run(arguments: list[str]) -> int:
     def tell(found: Conversion) -> None:
         for loss in found.lost:
             print(f"{args.output}: {loss}", file=sys.stderr)
-        quality = (
-            "every number as it was"
-            if found.psnr == math.inf
-            else f"{found.psnr:.1f} dB, largest error {255 * found.max_error:.0f} of 255"
-        )
-        size = bytes_in_words(found.bytes)
-        print(f"{args.output}: {found.splats:,} splats, {size}, {quality}", file=sys.stderr)
+        print(f"{args.output}: {found.splats:,} splats, {found.in_words}", file=sys.stderr)
 
     found = convert(gaussians, args.output, on_measured=tell)
     if args.json:

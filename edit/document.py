@@ -15,7 +15,7 @@ from splatview.edit.operations.base import Operation
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import bake
-from splatview.scene.formats import save_scene
+from splatview.scene.formats import format_of, save_scene
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -302,14 +302,17 @@ def exported(document: Document) -> Gaussians:
     return scene
 
 
-def export(document: Document, path: Path) -> int:
+def export(document: Document, path: Path, *, write: Callable[[Gaussians, Path], object] = save_scene) -> int:
     """Writes the edited scene to `path`, wholly or not at all, in the format of the suffix; it may be the
-    very file that the scene came from. Returns the number of splats.
+    very file that the scene came from. Returns the number of splats. The edits count as saved where the
+    format keeps every number.
 
     Raises:
         InputError: no splats would be left, or the file cannot be written; an older file is still whole.
     """
     scene = exported(document)
-    save_scene(scene, path)
-    document.history.mark_saved()
+    write(scene, path)
+    known = format_of(path)
+    if known is not None and known.exact:
+        document.history.mark_saved()
     return len(scene)

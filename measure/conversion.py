@@ -16,6 +16,7 @@ from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Gaussians, RenderSettings
 from splatview.scene.effects.overrides import settings_for
+from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import format_of, load_scene, losses, save_scene
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -35,6 +36,14 @@ class Conversion:
     """Largest difference of a colour channel, 0 to 1."""
     lost: tuple[str, ...]
     """What the format cannot hold, a line each."""
+
+    @property
+    def in_words(self) -> str:
+        """Size and quality."""
+        size = bytes_in_words(self.bytes)
+        if self.psnr == math.inf:
+            return f"{size}, every number as it was"
+        return f"{size}, {self.psnr:.1f} dB, largest error {255 * self.max_error:.0f} of 255"
 
 
 def convert(

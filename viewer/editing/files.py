@@ -12,6 +12,7 @@ from splatview.edit.document import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
+from splatview.measure.conversion import Conversion, convert
 from splatview.scene import InputError
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
@@ -71,13 +72,21 @@ def export_to(app: AppState, session: EditSession, path: Path) -> None:
     session.document.cancel_preview()
     document = session.document
 
+    found: list[Conversion] = []
+
     def work(progress: Progress) -> int:
-        return export(document, target)
+        return export(
+            document,
+            target,
+            write=lambda scene, path: found.append(convert(scene, path, progress=progress)),
+        )
 
     def done(count: int) -> None:
         if read is not None:
             session.stamps.update(stamps_of([target]))
-        session.news = f"Exported {count:,} splats to {target}"
+        session.news = f"Exported {count:,} splats to {target}: {found[0].in_words}"
+        for loss in found[0].lost:
+            app.tell(f"{target.name}: {loss}")
 
     session.start(f"Exporting {target.name}", work, done)
 
