@@ -36,7 +36,7 @@ def show(app: AppState) -> None:
         *RANGES["edit_memory_gib"],
         "GiB that edits and undo may take beyond the open scene, undo half of it at most; then the oldest "
         "steps are final. 0: half of the memory that is free.",
-        form="%.1f GiB" if app.preferences.edit_memory_gib else "half of what is free",
+        form="%.1f GiB" if app.preferences.edit_memory_gib else "auto",
         logarithmic=True,
     )
     if allowed is not None:
