@@ -2,7 +2,7 @@
 
     python tools/bench/bench_formats.py [SCENE ...] [-o JSON]
 
-Without scenes the demo of 196,000 splats is written. No times are taken. Writes assets/benchmarks/formats.json.
+Without scenes the demo of 196,000 splats is written. No times are taken.
 """
 
 from __future__ import annotations
