@@ -31,7 +31,7 @@ def run(arguments: list[str]) -> int:
     check_saving(args.output)
     gaussians = load_scene(args.scene)
 
-    from splatview.measure.conversion import Conversion, convert
+    from splatview.renderers.conversion import Conversion, convert
 
     def tell(found: Conversion) -> None:
         for loss in found.lost:

@@ -18,10 +18,9 @@ from splatview.scene.formats.packing import (
     check_room,
     from_smallest_three,
     logits_of,
-    morton_order,
     opacity_levels,
     smallest_three,
-    storable,
+    storable_in_z_order,
 )
 from splatview.scene.formats.ply_body import PlyBody, Target
 from splatview.scene.formats.ply_header import header_text, scalar_types
@@ -144,9 +143,8 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
         InputError: the system refuses.
         Cancelled: nobody waits for it any more.
     """
-    gaussians = gaussians.take(storable(gaussians))
-    order = morton_order(gaussians.means)
-    n, per_channel = len(gaussians), SH_COEFFICIENTS[gaussians.sh_degree] - 1
+    order = storable_in_z_order(gaussians)
+    n, per_channel = len(order), SH_COEFFICIENTS[gaussians.sh_degree] - 1
     chunks = -(-n // CHUNK)
     bounds, words = np.empty((chunks, 18), "<f4"), np.empty((n, 4), "<u4")
     rest = np.empty((n, 3 * per_channel), np.uint8)

@@ -102,6 +102,12 @@ def morton_order(means: np.ndarray) -> np.ndarray:
     return np.argsort(keys, kind="stable")
 
 
+def storable_in_z_order(gaussians: Gaussians) -> np.ndarray:
+    """(M,) indices of the splats that are storable, as `morton_order` has them."""
+    kept = np.flatnonzero(storable(gaussians))
+    return kept[morton_order(gaussians.means[kept])]
+
+
 def _spread(x: np.ndarray) -> np.ndarray:
     """21 bits with two zeros after each."""
     for shift, mask in (

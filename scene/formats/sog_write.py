@@ -12,7 +12,7 @@ import numpy as np
 
 from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.formats.io import atomic_write
-from splatview.scene.formats.packing import morton_order, opacity_levels, smallest_three, storable
+from splatview.scene.formats.packing import opacity_levels, smallest_three, storable_in_z_order
 from splatview.scene.formats.palette import levels, vectors
 from splatview.scene.formats.sog import META, PALETTE_COLUMNS
 from splatview.scene.gaussians import Gaussians
@@ -39,8 +39,7 @@ def save_sog(gaussians: Gaussians, path: Path, progress: Progress, *, palette: i
 
 def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None = None) -> dict[str, bytes]:
     """Contents by name of file, meta.json last. Splats that no renderer draws are left out."""
-    gaussians = gaussians.take(storable(gaussians))
-    gaussians = gaussians.take(morton_order(gaussians.means))
+    gaussians = gaussians.take(storable_in_z_order(gaussians))
     n = len(gaussians)
     width = max(4, math.ceil(math.sqrt(n) / 4) * 4)
     height = max(4, math.ceil(n / width / 4) * 4)

@@ -61,14 +61,14 @@ def read_splat(file: io.BufferedReader, path: Path, progress: Progress, room: fl
 
 
 def save_splat(gaussians: Gaussians, path: Path, progress: Progress) -> None:
-    """Writes all splats with finite values, largest contributions first where a viewer loads gradually: by
-    opacity times area. Raises InputError and Cancelled."""
-    gaussians = gaussians.take(storable(gaussians)) if not storable(gaussians).all() else gaussians
+    """Writes all splats that are storable, large and opaque ones first, as viewers that load gradually want
+    them. Raises InputError and Cancelled."""
+    kept = np.flatnonzero(storable(gaussians))
     with np.errstate(over="ignore"):
-        size = gaussians.log_scales.sum(axis=1) + np.minimum(gaussians.opacity_logits, 0)
-    order = np.argsort(-size, kind="stable")
+        size = gaussians.log_scales[kept].sum(axis=1) + np.minimum(gaussians.opacity_logits[kept], 0)
+    order = kept[np.argsort(-size, kind="stable")]
     with atomic_write(path) as file:
-        for start in range(0, len(gaussians), SLICE):
+        for start in range(0, len(order), SLICE):
             at = order[start : start + SLICE]
             rows = np.empty(len(at), ROW)
             rows["mean"] = gaussians.means[at]
@@ -78,4 +78,4 @@ def save_splat(gaussians: Gaussians, path: Path, progress: Progress) -> None:
             rows["opacity"] = opacity_levels(gaussians.opacity_logits[at])
             rows["quat"] = np.clip(np.rint(unit_quats(gaussians.quats[at]) * 128 + 128), 0, 255)
             file.write(rows.tobytes())
-            progress.step(min(start + SLICE, len(gaussians)) / len(gaussians))
+            progress.step(min(start + SLICE, len(order)) / len(order))

@@ -28,10 +28,9 @@ from splatview.scene.formats.packing import (
     from_smallest_three,
     gunzipped,
     logits_of,
-    morton_order,
     opacity_levels,
     smallest_three,
-    storable,
+    storable_in_z_order,
     too_short,
 )
 from splatview.scene.frames import OURS, reframed
@@ -305,7 +304,7 @@ def save_spz(
         InputError: a position is too far out for 24 bits, or the system refuses.
         Cancelled: nobody waits for it any more.
     """
-    gaussians = gaussians.take(storable(gaussians))
+    gaussians = gaussians.take(storable_in_z_order(gaussians))
     largest = float(np.abs(gaussians.means).max(initial=0.0))
     bits = (
         MOST_FRACTION_BITS
@@ -317,7 +316,7 @@ def save_spz(
             f"{path}: a splat is {largest:g} from the origin, and .spz holds positions to {LARGEST:,}: move "
             "the scene to the origin first, or take another format"
         )
-    gaussians = reframed(gaussians.take(morton_order(gaussians.means)), OURS, DEFAULT_FRAME)
+    gaussians = reframed(gaussians, OURS, DEFAULT_FRAME)
     header = Header(
         version=NEWEST,
         count=len(gaussians),

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from harness import load_scenes, make_parser
 
-from splatview.measure.conversion import Conversion, convert
 from splatview.measure.machine import write_results
+from splatview.renderers.conversion import Conversion, convert
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import FORMATS
 

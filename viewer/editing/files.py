@@ -12,7 +12,7 @@ from splatview.edit.document import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
-from splatview.measure.conversion import Conversion, convert
+from splatview.renderers.conversion import Conversion, convert
 from splatview.scene import InputError
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
