@@ -210,8 +210,9 @@ def losses(gaussians: Gaussians, path: Path) -> list[str]:
         lost.append(f"the kernel of {blur:g} px² that it was trained with; readers take {BLUR:g}")
     if is_flat(gaussians) and not known.discs:
         lost.append("the tag that its splats are discs")
-    if gaussians.comments and not known.comments:
-        lost.append(f"{len(gaussians.comments)} comments")
+    comments = len(gaussians.comments) - len(gaussians.notes)
+    if comments and not known.comments:
+        lost.append("a comment" if comments == 1 else f"{comments} comments")
     if gaussians.extras and not known.extras:
         lost.append(f"properties that are not a splat's own: {', '.join(gaussians.extras)}")
     return lost
