@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -39,6 +39,9 @@ from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
+
+if TYPE_CHECKING:
+    from splatview.viewer.training.live import LiveTraining
 
 
 def make_bar(console: Console) -> Bar:
@@ -121,10 +124,25 @@ def train_in_window(
     `window` goes to `run_window`.
     """
     console = make_console()
+    ready, thread = background_training(options, console, started, opening)
+    with _undisturbed():
+        try:
+            code = _watch(ready, thread, {"rescue": lambda: save_run(console, ready, thread), **window})
+        except BaseException:
+            save_run(console, ready, thread)
+            raise
+        save_run(console, ready, thread)
+    return code
+
+
+def background_training(
+    options: argparse.Namespace, console: Console, started: float, opening: Callable[[Run], str]
+) -> tuple[Run, BackgroundTraining]:
+    """The run that a window watches, its thread waiting to begin; arguments as of `train_in_window`."""
     ready = prepare(options, console, Alone())
     say(console, opening(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
-    session = TrainingRun(
+    run = TrainingRun(
         ready.trainer,
         ready.held_out,
         ready.outputs,
@@ -134,18 +152,10 @@ def train_in_window(
         notes=ready.notes,
         effects=ready.effects,
     )
-    thread = BackgroundTraining(session, cores=options.threads)
-    with _undisturbed():
-        try:
-            code = _watch(ready, thread, {"rescue": lambda: _save(console, ready, thread), **window})
-        except BaseException:
-            _save(console, ready, thread)
-            raise
-        _save(console, ready, thread)
-    return code
+    return ready, BackgroundTraining(run, cores=options.threads)
 
 
-def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
+def save_run(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     """Writes what was trained, and says where it is."""
     try:
         with console.status("Saving the scene"):
@@ -157,19 +167,25 @@ def _save(console: Console, ready: Run, thread: BackgroundTraining) -> None:
 
 
 def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> int:
+    from splatview.cli.train_from_window import start_from_window
     from splatview.viewer.app import run_window
     from splatview.viewer.platform import give_way
+
+    training = watched(ready, thread)
+    give_way()  # the training's thread is there already, and keeps its priority
+    return run_window([], training=training, starter=start_from_window, **options)
+
+
+def watched(ready: Run, thread: BackgroundTraining) -> LiveTraining:
+    """The run as a window shows it."""
     from splatview.viewer.training.live import LiveTraining, watched_photos
 
-    training = LiveTraining(
+    return LiveTraining(
         thread=thread,
         name=ready.capture.name,
         photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
         settings=ready.trainer.render_settings,
     )
-
-    give_way()  # the training's thread is there already, and keeps its priority
-    return run_window([], training=training, **options)
 
 
 def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
@@ -304,7 +320,7 @@ def run(arguments: Sequence[str]) -> int:
     # Pillow reports damaged notes of cameras, of photos that can be read all the same.
     warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
     if not options.headless:
-        return train_in_window(options, started, _opening)
+        return train_in_window(options, started, opening_lines)
     group = Processes() if is_launched() else Alone()
     try:
         return _train(options, group, started)
@@ -318,12 +334,12 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
         ready = prepare(options, console, group)
     except ToldElsewhere:
         return EXIT_BAD_INPUT
-    say(console, _opening(ready))
+    say(console, opening_lines(ready))
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 
-def _opening(ready: Run) -> str:
+def opening_lines(ready: Run) -> str:
     trainer, (_, width, height) = ready.trainer, ready.trainer.views.names()[0]
     text = (
         f"{ready.capture.name}: {len(trainer.views)} photos to train on, {len(ready.held_out)} held out,"

@@ -34,9 +34,10 @@ def run(arguments: list[str]) -> int:
         check_opening(path)
     problem = no_window()
     if problem is None:
+        from splatview.cli.train_from_window import start_from_window
         from splatview.viewer.app import run_window
 
-        return run_window(args.scenes, renderer=args.renderer)
+        return run_window(args.scenes, renderer=args.renderer, starter=start_from_window)
     check_output(args.output, (".png",))
     gaussians, camera = first_view(args.scenes)
     print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)

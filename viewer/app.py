@@ -28,13 +28,18 @@ from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.saving import Saving
 from splatview.viewer.editing.session import Editing
+from splatview.viewer.panels.start_screen import StartScreen
+from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState, Feature
+from splatview.viewer.thumbnails import SceneThumbnails
+from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.training.start import Starter, TrainingStart
 
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
@@ -45,6 +50,10 @@ FEATURES: tuple[type[Feature], ...] = (
     Accuracy,
     Effects,
     Saving,
+    SceneThumbnails,
+    TrainingStart,
+    StartScreen,
+    TrainForm,
 )
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
@@ -67,7 +76,7 @@ def install_drop_handler(app: AppState) -> None:
     """
 
     def dropped(_window: Any, names: Sequence[str]) -> None:
-        app.post(opening.open_paths, [Path(name) for name in names])
+        app.post(start.open_dropped, [Path(name) for name in names])
 
     # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
     glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]
@@ -117,11 +126,16 @@ class Window:
     """Ties the frame loop's callbacks to one `AppState`."""
 
     def __init__(
-        self, paths: Sequence[Path], *, renderer: str = "auto", training: LiveTraining | None = None
+        self,
+        paths: Sequence[Path],
+        *,
+        renderer: str = "auto",
+        training: LiveTraining | None = None,
+        starter: Starter | None = None,
     ):
         preferences, complaint = load_preferences()
         self.app = window_state(preferences, training)
-        self.training = training
+        self.app.feature(TrainingStart).starter = starter
         self.app.prefer(background=preferences.background, blend=preferences.blend)
         self.app.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs(recent=lambda: self.app.preferences.recent)
@@ -139,6 +153,11 @@ class Window:
         self._last_view: object = None
         if complaint:
             self.app.tell(complaint)
+
+    @property
+    def training(self) -> LiveTraining | None:
+        """The training that the window watches; one may begin at any time."""
+        return self.app.find(LiveTraining)
 
     def start(self) -> None:
         """The GL context is there: make the picture and begin to load."""
@@ -158,6 +177,7 @@ class Window:
         info = describe(self._ctx)
         self.app.gpu_name = info.renderer
         self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
+        self.app.feature(TrainingStart).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         install_close_handler(self.app)
@@ -169,6 +189,8 @@ class Window:
             opening.open_paths(self.app, self._paths)
         else:
             opening.begin_demo(self.app)
+            if self.app.preferences.start_screen:
+                self.app.dialog = "start"
         look_for_abandoned(self.app)
 
     def _picture(self, ctx: moderngl.Context) -> Picture:
@@ -301,6 +323,7 @@ def run_window(
     size: tuple[int, int] = (1280, 800),
     renderer: str = "auto",
     training: LiveTraining | None = None,
+    starter: Starter | None = None,
     drive: Callable[[AppState, Any], None] | None = None,
     rescue: Callable[[], None] = lambda: None,
 ) -> int:
@@ -310,7 +333,8 @@ def run_window(
 
     `size` is that of the window in its first run, in units of a 96-dpi screen; later runs remember.
     `renderer`: one of `picture.RENDERERS`. `drive(app, ctx)` is for tests: it runs beside the frame loop
-    with ImGui's test-engine context, and the window closes when it returns. `rescue` saves what the caller
+    with ImGui's test-engine context, and the window closes when it returns. `starter` readies a training that
+    is begun in the window; that is ended and saved here, after the window. `rescue` saves what the caller
     answers for where the display ends: then the process ends with it, and this does not return.
 
     Returns:
@@ -320,7 +344,7 @@ def run_window(
         InputError: no display can be opened, or no renderer works on it.
     """
     major, minor = best_gl_version()
-    window = Window(paths, renderer=renderer, training=training)
+    window = Window(paths, renderer=renderer, training=training, starter=starter)
     params = layout.runner_params(window.app, size)
     options = params.renderer_backend_options.open_gl_options
     options.major_version, options.minor_version = major, minor
@@ -342,6 +366,7 @@ def run_window(
 
     def rescue_all() -> None:
         window.keep()
+        window.app.feature(TrainingStart).finish()
         rescue()
         window.end_precompiler()
 
@@ -350,6 +375,7 @@ def run_window(
             hello_imgui.run(params)
     finally:
         implot.destroy_context()
+        window.app.feature(TrainingStart).finish()
     if window.failure:
         raise window.failure
     return 0 if run is None or run.succeeded else 1

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene import Camera, Gaussians, InputError
+from splatview.scene.captures import read_poses
+from splatview.scene.captures.nerfstudio import find_transforms
 from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
 from splatview.scene.errors import one_line
 from splatview.scene.formats import load_cameras
@@ -278,7 +280,10 @@ class CameraLists(Feature):
 
 def read_camera_list(path: Path, progress: Progress) -> CameraList:
     notes: list[str] = []
-    cameras = load_cameras(path, on_note=notes.append, progress=progress)
+    if path.is_dir() and find_transforms(path):
+        cameras = [entry.camera for entry in read_poses(path, progress)[1].entries]
+    else:
+        cameras = load_cameras(path, on_note=notes.append, progress=progress)
     return CameraList(cameras=cameras, up=common_up(cameras), notes=notes)
 
 

@@ -27,6 +27,7 @@ from splatview.viewer.navigation import AXIS_NAMES, level
 from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
+from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
@@ -210,6 +211,11 @@ COMMANDS: dict[str, Command] = {
             files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
             "Selection to its own file...", lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
+        _file("start_screen", "", "Start screen: open, train, recent scenes, demo",
+            partial(toggle_dialog, name="start"), "Start screen", words="recent welcome home begin"),
+        _file("train_photos", "", "Train on photos: a folder with their cameras", start.choose_photos,
+            "Train on photos...", words="training capture colmap nerfstudio reconstruct new",
+            lacks=lambda app: app.feature(start.TrainingStart).lacks),
         _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
         _camera("frame_selection", "F", "Show what is selected, else the whole scene",
             camera.frame_selection),

@@ -22,7 +22,9 @@ from splatview.viewer.panels import (
     rendering,
     save_questions,
     scene,
+    start_screen,
     statistics,
+    train_form,
 )
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
@@ -157,6 +159,8 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     dialogs.screenshot(app)
     menus.show_palette(app)
     history.show_restore(app)
+    start_screen.show(app)
+    train_form.show(app)
     save_questions.show(app)
     files.show()
 

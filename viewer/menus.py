@@ -100,7 +100,8 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     "File": (
         "open", "add", recent_files, "merge", "reload", None,
         "save", "save_as", "export", "split", None,
-        "demo", None, "open_cameras", None, "screenshot", "screenshot_as", None, "quit",
+        "train_photos", "start_screen", "demo", None,
+        "open_cameras", None, "screenshot", "screenshot_as", None, "quit",
     ),
     "Edit": (
         "undo", "redo", None,

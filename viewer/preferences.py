@@ -65,6 +65,8 @@ class Preferences:
     """How often the growing scene is shown."""
     edit_memory_gib: float = 0.0
     """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
+    start_screen: bool = True
+    """Whether a window without a scene begins with the start screen."""
     closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""

@@ -38,7 +38,7 @@ def load_capture(
     path = Path(path)
     # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        folder, posed = _read_poses(path, progress.part(0.0, POSES))
+        folder, posed = read_poses(path, progress.part(0.0, POSES))
         return capture_of(
             posed,
             name=capture_name(folder),
@@ -53,7 +53,7 @@ POSES = 0.05
 """Share of the work that finding the photos is taken to be."""
 
 
-def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
+def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     """The folder of the capture and what it says. COLMAP first: of several models in one folder it is the
     one that has points."""
     if os.path.isfile(path) and path.suffix.lower() == ".json":

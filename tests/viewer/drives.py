@@ -23,6 +23,7 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
+from splatview.cli.train_from_window import start_from_window
 from splatview.renderers.request import FrameRequest
 from splatview.viewer import app as dropping
 from splatview.viewer import commands as keys
@@ -394,6 +395,7 @@ def main(drives: dict[str, Any]) -> int:
         [Path(path) for path in paths],
         size=tuple(given.get("size", (800, 500))),
         renderer=given.get("renderer", "quads"),
+        starter=start_from_window,
         drive=act,
     )
     Path(result).write_text(json.dumps(found))

@@ -10,7 +10,7 @@ from typing import Any
 
 import drives
 from drives import Hand
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 from PIL import ImageGrab
 
@@ -21,7 +21,12 @@ from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout
 from splatview.viewer.editing.saving import Saving, has_unsaved_edits
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.panels.start_screen import StartScreen
+from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.state import AppState
+from splatview.viewer.training import start
+from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.training.start import TrainingStart
 
 SHOTS = os.environ.get("SPLATVIEW_SHOTS")
 """Folder for pictures of the window, to be looked at."""
@@ -158,13 +163,13 @@ def browses(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.frames(4)
     found["above"] = rows(app)
     shoot(hand, "browser")
-    ctx.item_double_click(f"{name}/**/garden##0")
+    click_row(hand, rows(app).index("garden"), times=2)
     hand.wait(lambda: rows(app) == ["deep.ply"], "the folder by mouse")
     hand.frames(3)
-    ctx.item_click(f"{name}/**/deep.ply##0")
+    click_row(hand, 0)
     hand.frames(2)
     found["clicked"] = text()
-    ctx.item_click(f"{name}/**/Recent files")
+    click_place(hand, 0)
     hand.frames(4)
     found["recent"] = rows(app)
     shoot(hand, "browser_recent")
@@ -190,6 +195,78 @@ def browses(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.wait(lambda: "Saved" in hand.said[-1], "the replaced file")
 
 
+def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A window without a scene: the start screen, then photos chosen, trained on, and saved at the end."""
+    file_dialogs.has_native_dialogs = lambda: False
+    hand.settle()
+    ctx, state = hand.ctx, app.feature(TrainingStart)
+    hand.wait(lambda: not app.feature(StartScreen).thumbnails.busy, "the pictures")
+    shoot(hand, "start")
+    found["open"] = app.dialog
+    found["demo_behind"] = app.scene.name
+    hand.press("Escape")
+    found["after_escape"] = app.dialog
+    ctx.set_ref("##MainMenuBar")
+    ctx.menu_click("File/Start screen")
+    hand.frames(3)
+    found["again"] = app.dialog
+    hand.point(0.02, 0.95)
+    ctx.mouse_click(0)
+    hand.frames(3)
+    found["after_click"] = app.dialog
+
+    ctx.menu_click("File/Start screen")
+    hand.frames(3)
+    ctx.set_ref("")
+    ctx.item_click("**/###train")
+    hand.wait(lambda: found_browser(app) is not None, "the browser")
+    hand.frames(5)
+    ctx.key_chars_replace_enter(options["capture"])
+    hand.wait(lambda: state.found is not None, "the photos to be found")
+    hand.wait(lambda: not app.feature(TrainForm).thumbnails.busy, "the photos' pictures")
+    assert state.found is not None
+    found["photos"] = len(state.found.photos)
+    found["proposed"] = str(state.form.output)
+    state.form.length, state.form.output = "1 minute", Path(options["output"])
+    shoot(hand, "train_form")
+    ctx.item_click("//Train on photos/Start training")
+    hand.frames(3)
+    shoot(hand, "readying")
+    hand.wait(lambda: app.find(LiveTraining) is not None, f"the training {state.problem}", 200)
+    training = app.feature(LiveTraining)
+    hand.wait(lambda: app.is_open, "the first snapshot", 120)
+    hand.wait(lambda: training.status.iteration >= options["steps"], "some steps", 120)
+    shoot(hand, "training")
+    found["scene"] = app.scene.name
+    found["steps"] = training.status.iteration
+
+
+def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A capture that is dropped, with and without PyTorch; a folder that holds none."""
+    hand.settle()
+    state = app.feature(TrainingStart)
+    hand.drop(options["capture"])
+    hand.frames(4)
+    found["asked"] = app.dialog
+    shoot(hand, "dropped")
+    hand.ctx.item_click("//Photos with cameras/Only load its cameras")
+    hand.wait(lambda: bool(app.cameras), "the cameras")
+    found["cameras"] = len(app.cameras)
+    start.find_spec = lambda name: None  # PyTorch is not installed
+    hand.drop(options["capture"])
+    hand.frames(4)
+    shoot(hand, "dropped_without_torch")
+    found["lacks"] = state.lacks
+    hand.press("Escape")
+    found["closed"] = app.dialog
+    app.post(start.open_form, Path(options["empty"]))
+    hand.wait(lambda: state.problem != "", "the problem")
+    hand.frames(3)
+    shoot(hand, "no_capture")
+    found["problem"] = state.problem
+    hand.press("Escape")
+
+
 def found_browser(app: AppState) -> Any:
     return window_of(app).dialogs.browser
 
@@ -203,6 +280,23 @@ def window_of(app: AppState) -> Any:
 def rows(app: AppState) -> list[str]:
     browser = found_browser(app)
     return [] if browser is None else [entry.name for entry in browser._rows()]
+
+
+def click_row(hand: Hand, row: int, *, times: int = 1) -> None:
+    """On a row of the browser's table, below its headings."""
+    child = hand.ctx.window_info("//Open a scene/##files").window
+    height = imgui.get_text_line_height() + 2 * imgui.get_style().cell_padding.y
+    hand.ctx.mouse_move_to_pos(ImVec2(child.pos.x + 120, child.pos.y + (row + 1.5) * height))
+    hand.ctx.mouse_click(0) if times == 1 else hand.ctx.mouse_double_click(0)
+    hand.frames(3)
+
+
+def click_place(hand: Hand, row: int) -> None:
+    child = hand.ctx.window_info("//Open a scene/##places").window
+    height = imgui.get_text_line_height_with_spacing()
+    hand.ctx.mouse_move_to_pos(ImVec2(child.pos.x + 60, child.pos.y + 8 + (row + 0.3) * height))
+    hand.ctx.mouse_click(0)
+    hand.frames(3)
 
 
 def found_up(hand: Hand) -> str:

@@ -44,5 +44,11 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
             tmp_path / place
         ).write_text("")
     found = drive("browses", scene_file, script="start_drives.py", folder=str(tmp_path), size=(1000, 700))
-    assert found["completed"] == "ga", "two folders begin with it, and differ then"
-    assert found["listed"] == str(tmp_path) and found["narrowed"] == []
+    assert found["completed"] == [f"{tmp_path}/ga", f"{tmp_path}/garden/"], "as far as both folders agree"
+    assert found["listed"] == str(tmp_path / "garden") and found["narrowed"] == ["deep.ply"]
+    assert found["starts_in"] == str(tmp_path / "garden"), "where the last file was"
+    assert found["above"] == ["config", "gallery", "garden", "scene.ply"], "notes.txt is no scene"
+    assert found["clicked"] == "deep.ply" and found["recent"] == ["deep.ply", "scene.ply"]
+    assert found["closed"]
+    assert found["missing"].endswith("none.ply: there is no such file")
+    assert found["replace"] == "deep.ply exists; Replace writes over it"

@@ -1,0 +1,204 @@
+"""The form of a new training, with what was found in its folder; and the question about a dropped capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from imgui_bundle import ImVec2, imgui
+
+from splatview.scene.errors import printable
+from splatview.viewer import theme
+from splatview.viewer.dialogs import DIALOG_FLAGS, centred
+from splatview.viewer.panels import widgets
+from splatview.viewer.panels.start_screen import fitted
+from splatview.viewer.state import AppState, Feature
+from splatview.viewer.thumbnails import Thumbnails
+from splatview.viewer.training import start
+from splatview.viewer.training.start import DOWNSCALES, LENGTHS, TrainingStart
+
+NAME, DROPPED = "Train on photos", "Photos with cameras"
+"""Titles of the two windows."""
+
+PHOTOS_SHOWN = 6
+PHOTO_PX = 200
+"""Thumbnails of photos: how many, and the longer side as they are read."""
+
+BUTTON_EM = 9.0
+
+SIZES = {1: "Full size", 2: "Half", 4: "A quarter", 8: "An eighth"}
+
+
+class TrainForm(Feature):
+    """Thumbnails of the photos of the form, while it is open."""
+
+    def __init__(self) -> None:
+        self.thumbnails = Thumbnails(PHOTO_PX)
+
+    def before_frame(self, app: AppState) -> None:
+        if app.dialog != "train":
+            self.thumbnails.forget()
+
+    def busy(self, app: AppState) -> bool:
+        return app.dialog == "train" and self.thumbnails.busy
+
+    def close(self, app: AppState) -> None:
+        self.thumbnails.forget()
+
+
+def show(app: AppState) -> None:
+    """The form or the question, whichever is open."""
+    if app.dialog == "train":
+        _window(app, NAME, 34, _form)
+    elif app.dialog == "capture":
+        _window(app, DROPPED, 28, _question)
+
+
+def _window(app: AppState, name: str, width: float, contents: Callable[[AppState], None]) -> None:
+    centred(width)
+    opened = imgui.begin(name, True, DIALOG_FLAGS | imgui.WindowFlags_.no_resize)[1]
+    contents(app)
+    imgui.end()
+    if not opened:
+        app.dialog = None
+
+
+def _question(app: AppState) -> None:
+    dropped = app.feature(TrainingStart).dropped
+    name = printable(dropped.name) if dropped is not None else ""
+    imgui.push_text_wrap_pos(0)
+    imgui.text_unformatted(f"{name} may hold photos with their cameras. What shall be done with it?")
+    imgui.pop_text_wrap_pos()
+    imgui.spacing()
+    lacks = app.feature(TrainingStart).lacks
+    widgets.button(
+        "Train on the photos",
+        "Opens the form: how long, at which size, and where the scene goes.",
+        partial(app.post, start.train_on_dropped),
+        lacks=lacks,
+    )
+    imgui.same_line()
+    widgets.button(
+        "Only load its cameras",
+        "Their views can be gone through over the open scene.",
+        partial(app.post, start.load_dropped_cameras),
+    )
+    widgets.beside("Cancel")
+    widgets.button("Cancel", "Does nothing (Escape).", partial(_close, app))
+    if lacks:
+        widgets.note(lacks, theme.WARNING)
+
+
+def _form(app: AppState) -> None:
+    state = app.feature(TrainingStart)
+    folder = printable(str(state.folder)) if state.folder is not None else "No folder yet"
+    widgets.label("Photos", "A folder with a COLMAP model (sparse/0) or a transforms.json, and its photos.")
+    change = "Change..."
+    room = imgui.get_content_region_avail().x - imgui.calc_text_size(change).x - 3 * imgui.get_font_size()
+    imgui.text_unformatted(fitted(folder, room))
+    widgets.tooltip(folder)
+    widgets.beside(change)
+    widgets.button(change, "Another folder.", partial(app.post, start.choose_photos))
+    if state.found is not None:
+        _found(app, state)
+        _choices(app, state)
+    elif state.is_looking:
+        widgets.note("Looking through the folder...")
+    if state.problem:
+        widgets.note(state.problem, theme.ERROR)
+    if state.lacks:
+        widgets.note(state.lacks, theme.WARNING)
+    imgui.spacing()
+    _buttons(app, state)
+
+
+def _found(app: AppState, state: TrainingStart) -> None:
+    found = state.found
+    assert found is not None
+    width, height = found.size
+    text = f"{len(found.photos):,} photos, {width} x {height} px"
+    text += f", {found.points:,} points" if found.points else ", no points: it begins with random ones"
+    widgets.fact("Found", text)
+    if found.missing:
+        widgets.note(
+            f"{found.missing:,} photos with a camera are not there; the others are enough", theme.WARNING
+        )
+    gap = imgui.get_style().item_spacing.x
+    side = (imgui.get_content_region_avail().x - (PHOTOS_SHOWN - 1) * gap) / PHOTOS_SHOWN
+    thumbnails, step = app.feature(TrainForm).thumbnails, max(len(found.photos) // PHOTOS_SHOWN, 1)
+    low, draw = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
+    imgui.dummy(ImVec2(imgui.get_content_region_avail().x, 0.75 * side))
+    for number, path in enumerate(found.photos[::step][:PHOTOS_SHOWN]):
+        left = low.x + number * (side + gap)
+        corner, end = ImVec2(left, low.y), ImVec2(left + side, low.y + 0.75 * side)
+        draw.add_rect_filled(corner, end, imgui.get_color_u32(imgui.Col_.frame_bg), 4)
+        if (texture := thumbnails.get(path)) is None:
+            continue
+        fit = min(texture.width / side, texture.height / (0.75 * side))
+        u, v = fit * side / texture.width / 2, fit * 0.75 * side / texture.height / 2
+        white = imgui.get_color_u32((1, 1, 1, 1))
+        draw.add_image_rounded(
+            imgui.ImTextureRef(texture.glo), corner, end, (0.5 - u, 0.5 - v), (0.5 + u, 0.5 + v), white, 4
+        )
+    imgui.spacing()
+
+
+def _choices(app: AppState, state: TrainingStart) -> None:
+    form = state.form
+    length = widgets.combo(
+        "Length",
+        form.length,
+        tuple(LENGTHS),
+        "How long to train. A minute shows whether the photos fit together; the best takes the whole recipe, "
+        "some hours on a laptop. It can be ended and saved at any time.",
+    )
+    if length is not None:
+        form.length = length
+    sizes = [f"{SIZES[factor]}: {_size(state, factor)}" for factor in DOWNSCALES]
+    chosen = widgets.combo(
+        "Size of the photos",
+        str(form.downscale),
+        [str(factor) for factor in DOWNSCALES],
+        "Smaller photos train faster; larger ones show finer detail, given the time.",
+        sizes,
+    )
+    if chosen is not None:
+        form.downscale = int(chosen)
+    widgets.label("Save as", "The scene, written when training ends or the window closes.")
+    change = "Change...###output"
+    room = (
+        imgui.get_content_region_avail().x - imgui.calc_text_size("Change...").x - 3 * imgui.get_font_size()
+    )
+    imgui.text_unformatted(fitted(printable(str(form.output)), room))
+    widgets.tooltip(str(form.output))
+    widgets.beside(change)
+    widgets.button(change, "Another place or name.", partial(app.post, start.choose_output))
+
+
+def _size(state: TrainingStart, factor: int) -> str:
+    assert state.found is not None
+    width, height = state.found.size
+    return f"{width // factor} x {height // factor} px"
+
+
+def _buttons(app: AppState, state: TrainingStart) -> None:
+    width = BUTTON_EM * imgui.get_font_size()
+    if state.is_readying:
+        imgui.progress_bar(-imgui.get_time(), (-1, 0), "")
+        widgets.note(state.stage)
+        widgets.button("Cancel", "Ends what is being readied.", partial(app.post, state.cancel), width=width)
+        return
+    lacks = state.lacks or ("" if state.found is not None else "Choose a folder of photos first")
+    widgets.button(
+        "Start training",
+        "Trains in this window; the scene is seen as it grows.",
+        partial(app.post, start.start_training),
+        width=width,
+        lacks=lacks,
+    )
+    imgui.same_line()
+    widgets.button("Cancel", "Closes the form (Escape).", partial(_close, app), width=width)
+
+
+def _close(app: AppState) -> None:
+    app.dialog = None

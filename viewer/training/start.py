@@ -1,0 +1,333 @@
+"""Starting a training from the window: what a folder of photos holds, the length and size asked for, and the
+run that is readied beside the frame loop. No ImGui in here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal, Protocol
+
+from splatview.scene import InputError
+from splatview.scene.captures import read_poses
+from splatview.scene.captures.photos import downscaled_size
+from splatview.scene.formats import is_camera_list
+from splatview.scene.progress import Cancelled, Progress
+from splatview.viewer import open as opening
+from splatview.viewer.camera import CameraLists
+from splatview.viewer.editing.session import Editing
+from splatview.viewer.loading import EMPTY_SCENE
+from splatview.viewer.platform import give_way
+from splatview.viewer.save import next_free
+from splatview.viewer.state import AppState, Feature
+from splatview.viewer.tasks import Task
+from splatview.viewer.training.live import LiveTraining
+
+NO_TORCH = "Training needs PyTorch, which is not installed: pip install 'splatview[train]'"
+
+Length = Literal["1 minute", "3 minutes", "10 minutes", "30 minutes", "Best quality"]
+
+LENGTHS: dict[Length, tuple[str, ...]] = {
+    "1 minute": ("--minutes", "1"),
+    "3 minutes": ("--minutes", "3"),
+    "10 minutes": ("--minutes", "10"),
+    "30 minutes": ("--minutes", "30"),
+    "Best quality": (),
+}
+"""Options of `splatview train` for each length; the last is the whole recipe, however long it takes."""
+
+PHOTO_SIDES = (800, 1600)
+"""Px: photos larger than the first are halved unless the user says otherwise, than the second quartered."""
+
+DOWNSCALES = (1, 2, 4, 8)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """What a folder holds, before its photos are read."""
+
+    folder: Path
+    """The folder, or the .json file that was named."""
+    photos: tuple[Path, ...]
+    size: tuple[int, int]
+    """Width and height in px of the largest photo."""
+    missing: int
+    """Photos with a pose that are not there."""
+    points: int
+    """Points that the capture gives to begin with."""
+
+
+def look_through(folder: Path, progress: Progress) -> Found:
+    """Raises InputError where `folder` is no capture."""
+    _, posed = read_poses(folder, progress)
+    largest = max((entry.camera for entry in posed.entries), key=lambda camera: camera.width * camera.height)
+    return Found(
+        folder=folder,
+        photos=tuple(entry.path for entry in sorted(posed.entries, key=lambda entry: entry.name)),
+        size=(largest.width, largest.height),
+        missing=len(posed.missing),
+        points=len(posed.points),
+    )
+
+
+def is_capture(path: Path) -> bool:
+    """Whether `path` is a folder, or a transforms file, that may hold photos with their cameras, by its
+    names alone."""
+    if path.is_dir():
+        names = ("transforms.json", "transforms_train.json", "cameras.json")
+        return is_camera_list(path) or any((path / name).is_file() for name in names)
+    return path.name in ("transforms.json", "transforms_train.json") and path.is_file()
+
+
+def suitable_downscale(size: tuple[int, int]) -> int:
+    """By how much photos of `size` px are made smaller to begin with."""
+    longer = max(size)
+    return 1 if longer <= PHOTO_SIDES[0] else 2 if longer <= PHOTO_SIDES[1] else 4
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StartedTraining:
+    """A training that is ready for its first step."""
+
+    training: LiveTraining
+    notes: tuple[str, ...]
+    """What was found out on the way, lines for the user."""
+    finish: Callable[[], None]
+    """Ends it, saves what was trained and says where, on standard error."""
+
+
+class Starter(Protocol):
+    """Readies what `splatview train ARGUMENTS` would train. The window is given one, as it may not know of
+    commands.
+
+    Raises:
+        InputError: the user asked for something that cannot be.
+        Cancelled: `report` raised it.
+    """
+
+    def __call__(self, arguments: Sequence[str], report: Callable[[str], None]) -> StartedTraining: ...
+
+
+@dataclass(kw_only=True)
+class TrainingForm:
+    """What the user has chosen."""
+
+    length: Length = "3 minutes"
+    downscale: int = 1
+    output: Path = field(default_factory=Path)
+    """File that will hold the scene."""
+
+
+class TrainingStart(Feature):
+    """The form of a new training, what is in its folder, and the run being readied."""
+
+    def __init__(self) -> None:
+        self.starter: Starter | None = None
+        """Set by whoever opens the window; None: nothing can be trained from it."""
+        self.wake: Callable[[], object] = lambda: None
+        self.form = TrainingForm()
+        self.folder: Path | None = None
+        self.found: Found | None = None
+        self.problem = ""
+        """Why the folder cannot be trained on, or training has not begun."""
+        self.stage = ""
+        """What is being done before the first step."""
+        self.dropped: Path | None = None
+        """Capture that was dropped and that the user is asked about."""
+        self.started: list[StartedTraining] = []
+        """Trainings of this window, the last in force."""
+        self._looking: Task[Found] | None = None
+        self._readying: Task[StartedTraining] | None = None
+
+    @property
+    def lacks(self) -> str:
+        """Why nothing can be trained here; "" where it can."""
+        if self.starter is None:
+            return "This window was opened without training"
+        return "" if find_spec("torch") else NO_TORCH
+
+    @property
+    def is_looking(self) -> bool:
+        return self._looking is not None
+
+    @property
+    def is_readying(self) -> bool:
+        return self._readying is not None
+
+    def choose(self, folder: Path) -> None:
+        """Looks through `folder`."""
+        self.folder, self.found, self.problem = folder, None, ""
+        if self._looking is not None:
+            self._looking.cancel()
+        self._looking = Task(
+            lambda task: look_through(folder, Progress(cancelled=lambda: task.cancelled)),
+            name="splatview-capture",
+            on_done=self.wake,
+        )
+
+    def arguments(self) -> list[str]:
+        """Those of `splatview train` for the form."""
+        assert self.found is not None
+        return [
+            os.path.abspath(self.found.folder),
+            *("-o", os.path.abspath(self.form.output)),
+            *LENGTHS[self.form.length],
+            *("--downscale", str(self.form.downscale)),
+        ]
+
+    def trained_size(self) -> tuple[int, int]:
+        """Width and height of the largest photo as it is trained on, px."""
+        assert self.found is not None
+        return downscaled_size(*self.found.size, self.form.downscale)
+
+    def start(self, app: AppState) -> None:
+        """Readies the run of the form; the window goes on meanwhile. One that is under way is ended first,
+        and what it has trained is saved."""
+        starter, before = self.starter, self.started[-1] if self.started else None
+        if starter is None or self.found is None or self._readying is not None or self.lacks:
+            return
+        arguments = self.arguments()
+        self.problem, self.stage = "", "Loading the trainer"
+
+        def work(task: Task[StartedTraining]) -> StartedTraining:
+            def report(stage: str) -> None:
+                if task.cancelled:
+                    raise Cancelled
+                self.stage = stage
+                self.wake()
+
+            if before is not None:
+                report("Saving the training before")
+                self.started.remove(before)
+                before.finish()
+            return starter(arguments, report)
+
+        self._readying = Task(work, name="splatview-ready", on_done=self.wake)
+
+    def before_frame(self, app: AppState) -> None:
+        self._collect_found()
+        task = self._readying
+        if task is None or not task.done:
+            return
+        self._readying, self.stage = None, ""
+        if task.cancelled or isinstance(task.error, Cancelled):
+            if task.result is not None:
+                task.result.finish()
+            app.tell("Cancelled: nothing is trained")
+        elif isinstance(task.error, InputError):
+            self.problem = str(task.error)
+        elif isinstance(task.error, ImportError):
+            self.problem = NO_TORCH
+        elif task.error is not None:
+            self.problem = f"Training cannot begin: {type(task.error).__name__}: {task.error}"
+        elif task.result is not None:
+            app.post(adopt, task.result)
+
+    def _collect_found(self) -> None:
+        task = self._looking
+        if task is None or not task.done:
+            return
+        self._looking = None
+        if task.error is not None:
+            known = isinstance(task.error, (InputError, Cancelled))
+            self.problem = str(task.error) if known else f"{type(task.error).__name__}: {task.error}"
+        elif task.result is not None:
+            found = self.found = task.result
+            output = found.folder.absolute()
+            folder = output.parent if os.access(output.parent, os.W_OK) else Path.cwd()
+            stem = output.name if output.is_dir() else output.parent.name
+            self.form.output = next_free(folder / f"{stem or 'scene'}.ply")
+            self.form.downscale = suitable_downscale(found.size)
+
+    def busy(self, app: AppState) -> bool:
+        return self._looking is not None or self._readying is not None
+
+    def cancel(self, app: AppState) -> bool:
+        if self._readying is None:
+            return False
+        self._readying.cancel()
+        return True
+
+    def close(self, app: AppState) -> None:
+        if self._readying is not None:
+            self._readying.cancel()
+
+    def finish(self) -> None:
+        """Ends the training of this window, where there is one, and saves it: the window has closed."""
+        if self.started:
+            self.started[-1].finish()
+
+
+def adopt(app: AppState, started: StartedTraining) -> None:
+    """The window shows `started` from now on, and the first step is taken."""
+    start = app.feature(TrainingStart)
+    if (before := app.find(LiveTraining)) is not None:
+        before.thread.stop()  # whoever began it ends it
+        before.close(app)
+    editing = app.feature(Editing)
+    editing.close_session(app)
+    opening.cancel_loading(app, quiet=True)
+    # It comes first, as in a window that was opened for it.
+    others = {kind: feature for kind, feature in app.features.items() if kind is not LiveTraining}
+    app.features = {LiveTraining: started.training, **others}
+    app.scene, app.dialog = EMPTY_SCENE, None
+    app.bookmarks, app.bookmark_index = [], -1
+    start.started.append(started)
+    started.training.start(app, on_change=start.wake)
+    give_way()  # the training's thread is there already, and keeps its priority
+    for note in started.notes:
+        app.tell(note)
+    app.tell(
+        f"Training {started.training.name}: the scene is saved to {started.training.thread.outputs.scene}"
+    )
+
+
+# Commands, to be posted.
+
+
+def choose_photos(app: AppState) -> None:
+    """Asks for a folder of photos and opens the form for it."""
+    app.choose_files("Train on photos", lambda paths: app.post(open_form, paths[0]), kind="folder")
+
+
+def open_form(app: AppState, folder: Path) -> None:
+    app.feature(TrainingStart).choose(folder)
+    app.dialog = "train"
+
+
+def start_training(app: AppState) -> None:
+    """Starts what the form says, after asking where the open scene has unsaved edits."""
+    app.leave(app.feature(TrainingStart).start)
+
+
+def choose_output(app: AppState) -> None:
+    form = app.feature(TrainingStart).form
+
+    def chosen(paths: list[Path]) -> None:
+        form.output = paths[0] if paths[0].suffix else paths[0].with_suffix(".ply")
+
+    app.choose_files("Save the trained scene as", chosen, kind="save_scene", name=form.output.name)
+
+
+def open_dropped(app: AppState, paths: Sequence[Path]) -> None:
+    """Opens what was dropped; of a capture it asks whether to train on it."""
+    if len(paths) == 1 and is_capture(paths[0]):
+        app.feature(TrainingStart).dropped = paths[0]
+        app.dialog = "capture"
+    else:
+        opening.open_paths(app, paths)
+
+
+def load_dropped_cameras(app: AppState) -> None:
+    """Only the cameras of the dropped capture."""
+    dropped, app.dialog = app.feature(TrainingStart).dropped, None
+    if dropped is not None:
+        app.feature(CameraLists).open(dropped)
+
+
+def train_on_dropped(app: AppState) -> None:
+    dropped = app.feature(TrainingStart).dropped
+    if dropped is not None:
+        open_form(app, dropped)
