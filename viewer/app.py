@@ -28,6 +28,7 @@ from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.saving import Saving
 from splatview.viewer.editing.session import Editing
+from splatview.viewer.panels.settings import Appearance
 from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
@@ -141,6 +142,7 @@ class Window:
         self.dialogs = FileDialogs(recent=lambda: self.app.preferences.recent)
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
+        self._appearance = Appearance()
         self._title = ""
         self._is_software = False
         self._ctx: moderngl.Context | None = None
@@ -221,6 +223,7 @@ class Window:
         if self.failure is not None:
             params.app_shall_exit = True
             return
+        self._appearance.follow(app.preferences)
         unattended = self._unattended()
         if self._is_software and app.loading is None and not unattended:
             app.picture.wait(PICTURE_SECONDS)

@@ -23,6 +23,7 @@ from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing import cleanup, files, saving
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
+from splatview.viewer.key_presets import Preset, use
 from splatview.viewer.navigation import AXIS_NAMES, level
 from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
@@ -53,6 +54,10 @@ def set_mode(app: AppState, mode: VisualMode) -> None:
 
 def toggle_dialog(app: AppState, name: str) -> None:
     app.dialog = None if app.dialog == name else name
+
+
+def set_dialog(app: AppState, name: str) -> None:
+    app.dialog = name
 
 
 def toggle_panels(app: AppState) -> None:
@@ -334,13 +339,33 @@ COMMANDS: dict[str, Command] = {
         _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
             checked=lambda app: app.panels_hidden),
         _window("reset_panels", "", "Put the panels back", reset_panels),
+        _window("settings", "Ctrl+Comma", "Settings", partial(toggle_dialog, name="settings"), "Settings...",
+            words="preferences options configuration"),
+        _window("theme", "", "Theme: dark, light or high contrast", partial(set_dialog, name="settings"),
+            words="colours appearance dark light contrast look"),
+        _window("font", "", "Font size", partial(set_dialog, name="settings"), words="text scale dpi larger"),
+        _window("keys", "", "Keys and mouse as in SuperSplat, Blender or Unreal",
+            partial(set_dialog, name="settings"),
+            words="presets shortcuts hotkeys bindings touchpad gestures supersplat blender unreal"),
         _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
             "Keys and mouse"),
         _window("cancel", "Escape", "Cancel loading, close what is open", cancel),
     )
 }
-"""By id, in the order of the palette and the help page."""
+"""By id, in the order of the palette and the help page; with the keys of the preset in force."""
 # fmt: on
+
+DEFAULTS = dict(COMMANDS)
+"""The commands with their own keys."""
+
+_not_flying: set[str] = set()
+"""Keys that the preset in force gives to commands, though they would fly."""
+
+
+def use_keys(preset: Preset) -> None:
+    """Gives the table the keys of `preset`."""
+    _not_flying.clear()
+    _not_flying.update(use(COMMANDS, DEFAULTS, preset))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,14 +391,11 @@ FAST, SLOW = "Shift", "Alt"
 """Modifiers of the held keys; Ctrl is left to the commands."""
 
 MOUSE: tuple[tuple[str, str], ...] = (
-    ("Left drag", "Turn: orbit, look around or roll the ball"),
-    ("Right or middle drag", "Pan: the scene moves with the mouse"),
-    ("Shift + left drag", "Pan, too"),
     ("Wheel", "Nearer and farther; when flying: slower and faster"),
     ("Double click", "Turn about the surface under the mouse"),
     ("Drop a file", "Open it; several files are merged"),
 )
-"""Use of the mouse for the help page; `viewer.viewport` implements it."""
+"""Use of the mouse besides drags, for the help page; `viewer.viewport` implements it."""
 
 
 def keys_of(id: str) -> str:
@@ -411,6 +433,9 @@ def chord(text: str) -> int:
 def _key(name: str) -> imgui.Key:
     if name in _NAMED:
         return _NAMED[name]
+    if name.startswith("Keypad"):
+        rest = name.removeprefix("Keypad")
+        return getattr(imgui.Key, f"keypad{rest}" if rest.isdigit() else f"keypad_{rest.lower()}")
     return getattr(imgui.Key, f"_{name}" if name.isdigit() else name.lower())
 
 
@@ -442,7 +467,11 @@ def held_step() -> tuple[float, float, float] | None:
     io = imgui.get_io()
     if io.want_text_input or io.key_ctrl or under_question():
         return None
-    down = [held.direction for held in HELD_KEYS if any(imgui.is_key_down(_key(key)) for key in held.keys)]
+    down = [
+        held.direction
+        for held in HELD_KEYS
+        if any(imgui.is_key_down(_key(key)) for key in held.keys if key not in _not_flying)
+    ]
     if not down:
         return None
     modifiers = {"Shift": io.key_shift, "Alt": io.key_alt}

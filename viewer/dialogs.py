@@ -15,6 +15,8 @@ from splatview.scene.formats import name_patterns
 from splatview.viewer import save as saving
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, MOUSE
+from splatview.viewer.key_presets import ACTION_TEXTS, Preset
+from splatview.viewer.key_presets import MOUSE as DRAGS
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.file_browser import FileBrowser
 from splatview.viewer.state import AppState
@@ -90,17 +92,17 @@ def help_page(app: AppState) -> None:
         for column in HELP_COLUMNS:
             imgui.table_next_column()
             for group in column:
-                key_table(group, help_rows(group))
+                key_table(group, help_rows(group, app.preferences.mouse))
         imgui.end_table()
     imgui.end()
     if not opened:
         app.dialog = None
 
 
-def help_rows(group: str) -> list[tuple[str, str]]:
-    """Keys and what they do, of one group of the help page."""
+def help_rows(group: str, mouse: Preset = "splatview") -> list[tuple[str, str]]:
+    """Keys and what they do, of one group of the help page; drags as in the preset `mouse`."""
     if group == "Mouse":
-        return list(MOUSE)
+        return [*((drag.text, ACTION_TEXTS[drag.action]) for drag in DRAGS[mouse]), *MOUSE]
     entries = HELD_KEYS if group == "Moving" else [c for c in COMMANDS.values() if c.group == group]
     return [(", ".join(entry.keys), entry.title) for entry in entries if entry.keys]
 

@@ -22,6 +22,7 @@ from splatview.viewer.panels import (
     rendering,
     save_questions,
     scene,
+    settings,
     start_screen,
     statistics,
     train_form,
@@ -161,6 +162,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     history.show_restore(app)
     start_screen.show(app)
     train_form.show(app)
+    settings.show(app)
     save_questions.show(app)
     files.show()
 

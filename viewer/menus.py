@@ -101,7 +101,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         "open", "add", recent_files, "merge", "reload", None,
         "save", "save_as", "export", "split", None,
         "train_photos", "start_screen", "demo", None,
-        "open_cameras", None, "screenshot", "screenshot_as", None, "quit",
+        "open_cameras", None, "screenshot", "screenshot_as", None, "settings", None, "quit",
     ),
     "Edit": (
         "undo", "redo", None,

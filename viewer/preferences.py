@@ -16,6 +16,7 @@ from splatview.scene import InputError
 from splatview.scene.formats.cameras import is_orthographic, lens_of
 from splatview.scene.formats.io import atomic_write, read_json
 from splatview.scene.user_dirs import config_folder
+from splatview.viewer.key_presets import PRESETS, Preset
 from splatview.viewer.navigation import Lens, View
 from splatview.viewer.navigation.view import MAX_FOV, MIN_FOV, orthonormal, unit
 
@@ -23,6 +24,7 @@ NavigationMode = Literal["orbit", "fly", "trackball"]
 BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
+Theme = Literal["dark", "light", "contrast"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -65,6 +67,15 @@ class Preferences:
     """How often the growing scene is shown."""
     edit_memory_gib: float = 0.0
     """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
+    theme: Theme = "dark"
+    font_size: float = 16.0
+    """Height of the font on a screen of 96 dpi, px."""
+    keys: Preset = "splatview"
+    """Program whose keys are used."""
+    mouse: Preset = "splatview"
+    """Program whose drags are used."""
+    touchpad: bool = False
+    """Whether two fingers turn the view, instead of going nearer and farther."""
     start_screen: bool = True
     """Whether a window without a scene begins with the start screen."""
     closed_panels: tuple[str, ...] = ()
@@ -76,6 +87,7 @@ RANGES = {
     "fly_speed": (0.01, 100.0),
     "mouse_speed": (0.1, 10.0),
     "fov_y": (5.0, 140.0),
+    "font_size": (11.0, 32.0),
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
     "edit_memory_gib": (0.0, 1024.0),
@@ -88,6 +100,9 @@ CHOICES = {
     "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
+    "theme": get_args(Theme),
+    "keys": PRESETS,
+    "mouse": PRESETS,
 }
 """Values of the fields that are one of a few words."""
 

@@ -14,6 +14,7 @@ from splatview.viewer.camera import focus_at
 from splatview.viewer.commands import held_step
 from splatview.viewer.depth_of_field import DepthOfField, focus_on
 from splatview.viewer.editing.tools import draw_tool, on_handles, use_tool
+from splatview.viewer.key_presets import Action, Button, action_of
 from splatview.viewer.navigation import dolly, look, move, orbit, pan, trackball
 from splatview.viewer.panels.split_view import drag_line, draw_split
 from splatview.viewer.preferences import RANGES
@@ -28,6 +29,15 @@ LOOK_SPEED = 1.5
 
 WHEEL_STEP = 0.85
 """Factor on the distance for one notch towards the scene."""
+
+ZOOM_SPEED = 3.0
+"""Logarithm of the distance for a drag across the picture's height."""
+
+WALK_SPEED = 2.0
+"""Scene radii for a drag across the picture's height, at speed 1."""
+
+SCROLL_PX = 24.0
+"""Drag that a notch of two fingers counts for."""
 
 FLY_SPEED = 0.4
 """Scene radii a second at speed 1."""
@@ -122,21 +132,18 @@ def steer_by_mouse(
     not free a tool has it."""
     io = imgui.get_io()
     if imgui.is_item_active() and (io.mouse_delta.x or io.mouse_delta.y):
-        dx, dy = io.mouse_delta.x, io.mouse_delta.y
-        panning = imgui.is_mouse_down(_RIGHT) or imgui.is_mouse_down(_MIDDLE)
-        # When flying, Shift is the fast gear of the keys.
-        panning = panning or (left_is_free and io.key_shift and app.preferences.navigation != "fly")
-        if panning:
-            app.steer(pan(app.view, dx, dy, height=height))
-        elif left_is_free and imgui.is_mouse_down(_LEFT):
-            turn(app, io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y, dx, dy, width, height)
+        action = drag_action(app, left_is_free=left_is_free)
+        x, y = io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y
+        drag(app, action, x, y, io.mouse_delta.x, io.mouse_delta.y, width, height)
     if not imgui.is_item_hovered():
         return
     if left_is_free and imgui.is_mouse_double_clicked(_LEFT):
         x = (io.mouse_pos.x - corner.x) * scale.x
         y = (io.mouse_pos.y - corner.y) * scale.y
         app.post(focus_at, x, y)
-    if io.mouse_wheel:
+    if app.preferences.touchpad and not io.key_ctrl and (io.mouse_wheel or io.mouse_wheel_h):
+        scroll(app, io.mouse_wheel_h, io.mouse_wheel, width, height)
+    elif io.mouse_wheel:
         notches = -io.mouse_wheel if app.preferences.invert_wheel else io.mouse_wheel
         if app.preferences.navigation == "fly":
             low, high = RANGES["fly_speed"]
@@ -144,6 +151,63 @@ def steer_by_mouse(
             app.tell(f"Flying speed {app.preferences.fly_speed:.2g}")
         else:
             app.steer(dolly(app.view, WHEEL_STEP**notches))
+
+
+def drag_action(app: AppState, *, left_is_free: bool) -> Action | None:
+    """What the drag under way does, by the preset of the mouse; None where a tool has it."""
+    io, down = imgui.get_io(), imgui.is_mouse_down
+    names = (("Shift", io.key_shift), ("Ctrl", io.key_ctrl), ("Alt", io.key_alt))
+    held = frozenset(name for name, is_held in names if is_held)
+    buttons: tuple[tuple[Button, imgui.MouseButton_], ...] = (
+        ("right", _RIGHT),
+        ("middle", _MIDDLE),
+        ("left", _LEFT),
+    )
+    button = next((name for name, number in buttons if down(number)), None)
+    if button is None or (button == "left" and not left_is_free):
+        return None
+    action = action_of(app.preferences.mouse, button, held)
+    # When flying, Shift is the fast gear of the keys.
+    if app.preferences.navigation == "fly" and button == "left" and held == {"Shift"} and action == "pan":
+        return "turn"
+    return action
+
+
+def drag(
+    app: AppState, action: Action | None, x: float, y: float, dx: float, dy: float, width: int, height: int
+) -> None:
+    """A drag that came to (x, y) by (dx, dy), in ImGui's units from the picture's corner."""
+    radians = app.preferences.mouse_speed * ORBIT_SPEED / height
+    pixel = app.preferences.mouse_speed * math.radians(app.view.lens.fov_y) / height * LOOK_SPEED
+    match action:
+        case "turn":
+            turn(app, x, y, dx, dy, width, height)
+        case "orbit":
+            app.steer(orbit(app.view, dx * radians, dy * radians))
+        case "look":
+            app.steer(look(app.view, dx * pixel, -dy * pixel))
+        case "pan":
+            app.steer(pan(app.view, dx, dy, height=height))
+        case "zoom":
+            app.steer(dolly(app.view, math.exp(ZOOM_SPEED * dy / height)))
+        case "walk":
+            radius = app.scene.radius if app.is_open else app.view.distance
+            step = -dy / height * WALK_SPEED * radius * app.preferences.fly_speed
+            app.steer(move(look(app.view, dx * pixel, 0.0), (0.0, 0.0, step)))
+        case None:
+            pass
+
+
+def scroll(app: AppState, right: float, up: float, width: int, height: int) -> None:
+    """Two fingers on a touchpad, by as much as a wheel would have turned: they turn the view, with Shift they
+    slide it; with Ctrl they are a wheel. GLFW tells nothing of pinching."""
+    dx, dy = right * SCROLL_PX, up * SCROLL_PX
+    if app.preferences.invert_wheel:
+        dx, dy = -dx, -dy
+    if imgui.get_io().key_shift:
+        app.steer(pan(app.view, dx, dy, height=height))
+    else:
+        turn(app, width / 2 + dx, height / 2 + dy, dx, dy, width, height)
 
 
 def turn(app: AppState, x: float, y: float, dx: float, dy: float, width: int, height: int) -> None:

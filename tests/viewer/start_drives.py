@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout
 from splatview.viewer.editing.saving import Saving, has_unsaved_edits
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.panels.settings import THEMES
 from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.state import AppState
@@ -217,9 +219,8 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
 
     ctx.menu_click("File/Start screen")
     hand.frames(3)
-    ctx.set_ref("")
-    ctx.item_click("**/###train")
-    hand.wait(lambda: found_browser(app) is not None, "the browser")
+    click_in(hand, "//Start", 0.19, 0.5)
+    hand.wait(lambda: found_browser(app) is not None, "the browser", 10)
     hand.frames(5)
     ctx.key_chars_replace_enter(options["capture"])
     hand.wait(lambda: state.found is not None, "the photos to be found")
@@ -267,6 +268,79 @@ def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], foun
     hand.press("Escape")
 
 
+def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Themes, font size, keys and mouse of other programs, two fingers: at once, and kept."""
+    hand.settle()
+    app.prefer(smooth=False)
+    session = session_of(app)
+    assert session is not None
+    hand.press("Ctrl+Comma")
+    hand.frames(3)
+    found["open"] = app.dialog
+    shoot(hand, "settings_dark")
+    for theme_name in ("light", "contrast"):
+        hand.ctx.combo_click(f"//Settings/##Theme/{THEMES[theme_name]}")
+        hand.frames(3)
+        found[theme_name] = app.preferences.theme
+        shoot(hand, f"settings_{theme_name}")
+    hand.press("F1")
+    hand.frames(3)
+    shoot(hand, "help_contrast")
+    hand.press("F1")
+    heights = [hand.on_gl_thread(imgui.get_font_size)]
+    app.prefer(font_size=24.0)
+    hand.frames(3)
+    heights.append(hand.on_gl_thread(imgui.get_font_size))
+    found["heights"] = heights
+    app.prefer(theme="light")
+    hand.press("Ctrl+Comma")
+    shoot(hand, "settings_large")
+    hand.press("Escape")
+    app.prefer(font_size=16.0)
+    hand.press("R")
+    hand.frames(4)
+    shoot(hand, "light")
+    hand.press("Escape")
+
+    def moved(act: Callable[[], object]) -> list[bool]:
+        """Whether the eye has moved, and what it looks at."""
+        before = app.view
+        act()
+        hand.settle()
+        after = app.view
+        return [
+            bool(abs(a - b).max() > 1e-4) for a, b in ((before.eye, after.eye), (before.target, after.target))
+        ]
+
+    drags = found.setdefault("drags", {})
+    for preset in ("splatview", "supersplat", "blender", "unreal"):
+        app.prefer(mouse=preset)
+        drags[preset] = [moved(lambda number=number: hand.drag(40, 25, number)) for number in range(3)]
+    app.prefer(mouse="splatview", touchpad=True)
+    hand.point(0.5, 0.5)
+    found["two_fingers"] = moved(lambda: hand.ctx.mouse_wheel_y(2))
+    app.prefer(touchpad=False)
+    found["wheel"] = moved(lambda: hand.ctx.mouse_wheel_y(2))
+
+    app.prefer(keys="blender")
+    hand.frames(3)
+    hand.press("B")
+    found["blender_b"] = session.tool
+    hand.press("A")
+    hand.settle()
+    found["blender_a"] = [session.document.counts.selected, moved(lambda: hand.hold("A", 0.2))]
+    hand.press("Alt+A")
+    hand.press("Ctrl+Comma")
+    hand.frames(3)
+    hand.ctx.item_click("//Settings/Reset all")
+    hand.frames(3)
+    found["reset"] = [app.preferences.keys, app.preferences.theme]
+    hand.press("Escape")
+    hand.press("B")
+    found["own_b"] = len(app.bookmarks)
+    app.prefer(theme="light", font_size=18.0, keys="unreal")
+
+
 def found_browser(app: AppState) -> Any:
     return window_of(app).dialogs.browser
 
@@ -280,6 +354,17 @@ def window_of(app: AppState) -> Any:
 def rows(app: AppState) -> list[str]:
     browser = found_browser(app)
     return [] if browser is None else [entry.name for entry in browser._rows()]
+
+
+def click_in(hand: Hand, name: str, x: float, y: float) -> None:
+    """At a share of a window's width and height: of what is drawn by hand and has no name."""
+    place = hand.ctx.window_info(name).rect_full
+    hand.ctx.mouse_move_to_pos(
+        ImVec2(place.min.x + x * (place.max.x - place.min.x), place.min.y + y * (place.max.y - place.min.y))
+    )
+    hand.frames(2)
+    hand.ctx.mouse_click(0)
+    hand.frames(3)
 
 
 def click_row(hand: Hand, row: int, *, times: int = 1) -> None:

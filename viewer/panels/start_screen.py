@@ -106,6 +106,7 @@ def show(app: AppState) -> None:
     _foot(app)
     beside = imgui.is_mouse_clicked(0) and not imgui.is_window_hovered(
         imgui.HoveredFlags_.root_and_child_windows
+        | imgui.HoveredFlags_.allow_when_blocked_by_active_item  # a press on one of its own buttons
     )
     imgui.end()
     if beside and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):

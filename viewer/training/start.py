@@ -248,6 +248,7 @@ class TrainingStart(Feature):
         if self._readying is None:
             return False
         self._readying.cancel()
+        self.stage = "Cancelling; kernels that are being compiled are kept for the next time"
         return True
 
     def close(self, app: AppState) -> None:
@@ -289,7 +290,7 @@ def adopt(app: AppState, started: StartedTraining) -> None:
 
 def choose_photos(app: AppState) -> None:
     """Asks for a folder of photos and opens the form for it."""
-    app.choose_files("Train on photos", lambda paths: app.post(open_form, paths[0]), kind="folder")
+    app.choose_files("Folder of the photos", lambda paths: app.post(open_form, paths[0]), kind="folder")
 
 
 def open_form(app: AppState, folder: Path) -> None:
