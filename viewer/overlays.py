@@ -97,7 +97,7 @@ def draw_ball(draw: imgui.ImDrawList, middle: ImVec2, ball: Ball, radius: float,
         ink = imgui.get_color_u32(ImVec4(0.08, 0.08, 0.09, 1))
         draw.add_text(ImVec2(place.x - size.x / 2, place.y - size.y / 2), ink, letter)
     else:
-        draw.add_circle_filled(place, radius * 0.75, imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8)))
+        draw.add_circle_filled(place, radius * 0.75, imgui.get_color_u32(theme.OVERLAY))
         draw.add_circle(place, radius * 0.75, colour, 0, radius * 0.18)
 
 
@@ -262,7 +262,7 @@ def over_picture(app: AppState) -> None:
         if i:
             imgui.same_line()
         chosen = app.preferences.navigation == mode
-        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
+        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else theme.OVERLAY
         imgui.push_style_color(imgui.Col_.button, fill)
         widgets.command_button(app, NAVIGATION_NAMES[mode], f"navigate_{mode}")
         imgui.pop_style_color()
@@ -305,7 +305,7 @@ def note_below(text: str) -> None:
     low = ImVec2(corner.x + (area.x - size.x) / 2, corner.y + area.y - size.y - 5 * edge)
     high = ImVec2(low.x + size.x + edge, low.y + size.y + edge)
     draw = imgui.get_window_draw_list()
-    ground = imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.8))
+    ground = imgui.get_color_u32(theme.OVERLAY)
     draw.add_rect_filled(ImVec2(low.x - edge, low.y - edge), high, ground, edge)
     font, ink = imgui.get_font(), imgui.get_color_u32(theme.WARNING)
     draw.add_text(font, imgui.get_font_size(), low, ink, text, wrap_width=room)
@@ -318,7 +318,7 @@ def badge(note: str, at: ImVec2) -> None:
     draw = imgui.get_window_draw_list()
     low = ImVec2(at.x, at.y - size.y - 2 * edge)
     draw.add_rect_filled(
-        low, ImVec2(at.x + size.x + 2 * edge, at.y), imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.7)), edge
+        low, ImVec2(at.x + size.x + 2 * edge, at.y), imgui.get_color_u32(theme.OVERLAY), edge
     )
     draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
 
@@ -326,7 +326,7 @@ def badge(note: str, at: ImVec2) -> None:
 def mode_chooser(app: AppState) -> None:
     """A small list of the visual modes; bright where it is not the picture itself."""
     usual = app.mode == "splats"
-    fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
+    fill = theme.OVERLAY if usual else ImVec4(*theme.ACCENT, 0.75)
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     imgui.set_next_item_width(imgui.get_font_size() * 7)

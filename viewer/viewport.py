@@ -163,7 +163,8 @@ def drag_action(app: AppState, *, left_is_free: bool) -> Action | None:
         ("middle", _MIDDLE),
         ("left", _LEFT),
     )
-    button = next((name for name, number in buttons if down(number)), None)
+    pressed: list[Button] = [name for name, number in buttons if down(number)]
+    button = pressed[0] if pressed else None
     if button is None or (button == "left" and not left_is_free):
         return None
     action = action_of(app.preferences.mouse, button, held)

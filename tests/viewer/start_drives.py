@@ -25,6 +25,7 @@ from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels.settings import THEMES
 from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
+from splatview.viewer.preferences import Theme
 from splatview.viewer.state import AppState
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
@@ -278,8 +279,11 @@ def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     hand.frames(3)
     found["open"] = app.dialog
     shoot(hand, "settings_dark")
-    for theme_name in ("light", "contrast"):
-        hand.ctx.combo_click(f"//Settings/##Theme/{THEMES[theme_name]}")
+    names: tuple[Theme, ...] = ("light", "contrast")
+    for theme_name in names:
+        hand.ctx.item_click("//Settings/##Theme")
+        hand.frames(3)
+        hand.ctx.item_click(f"//$FOCUSED/{THEMES[theme_name]}")
         hand.frames(3)
         found[theme_name] = app.preferences.theme
         shoot(hand, f"settings_{theme_name}")

@@ -5,13 +5,18 @@ from __future__ import annotations
 from imgui_bundle import imgui
 
 from splatview.viewer import commands, theme
-from splatview.viewer.dialogs import DIALOG_FLAGS, centred
+from splatview.viewer.dialogs import DIALOG_FLAGS
 from splatview.viewer.key_presets import ACTION_TEXTS, MOUSE, PRESET_NAMES, PRESETS
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import RANGES, Preferences, Theme
 from splatview.viewer.state import AppState
 
 NAME = "Settings"
+
+WIDTH_EM = 32.0
+
+FONT_SIZES = ("12", "13", "14", "15", "16", "18", "20", "22", "24", "28", "32")
+"""Px. A list, as a slider would move away under the mouse that drags it."""
 
 THEMES: dict[Theme, str] = {"dark": "Dark", "light": "Light", "contrast": "High contrast"}
 
@@ -37,9 +42,12 @@ def show(app: AppState) -> None:
     """The settings, while they are open."""
     if app.dialog != "settings":
         return
-    centred(32)
+    viewport = imgui.get_main_viewport()
+    width = min(WIDTH_EM * imgui.get_font_size(), 0.96 * viewport.size.x)
+    # In the middle also when the font grows.
+    imgui.set_next_window_pos(viewport.get_center(), imgui.Cond_.always, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((width, 0), (width, 0.94 * viewport.size.y))
     opened = imgui.begin(NAME, True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
-    imgui.dummy((imgui.get_font_size() * 30, 0))
     _appearance(app)
     _controls(app)
     _start(app)
@@ -67,12 +75,15 @@ def _appearance(app: AppState) -> None:
     )
     if chosen is not None:
         app.prefer(theme=chosen)
-    low, high = RANGES["font_size"]
-    size = widgets.slider(
-        "Font size", preferences.font_size, low, high, "Height of all text, px at 96 dpi.", form="%.0f"
+    size = widgets.combo(
+        "Font size",
+        min(FONT_SIZES, key=lambda one: abs(float(one) - preferences.font_size)),
+        FONT_SIZES,
+        "Height of all text, px on a screen of 96 dpi.",
+        [f"{one} px" for one in FONT_SIZES],
     )
     if size is not None:
-        app.prefer(font_size=float(round(size)))
+        app.prefer(font_size=float(size))
     widgets.label("Background", "Colour behind the scene; the View page has gradients and panoramas.")
     changed, colour = imgui.color_edit3("##background", list(preferences.background))
     if changed:

@@ -78,7 +78,7 @@ def caption(text: str, low: ImVec2, colour: ImVec4 | None = None) -> None:
     edge, size = imgui.get_font_size() * 0.3, imgui.calc_text_size(text)
     draw = imgui.get_window_draw_list()
     high = ImVec2(low.x + size.x + 2 * edge, low.y + size.y + 2 * edge)
-    draw.add_rect_filled(low, high, imgui.get_color_u32(ImVec4(0.1, 0.1, 0.11, 0.7)), edge)
+    draw.add_rect_filled(low, high, imgui.get_color_u32(theme.OVERLAY), edge)
     ink = imgui.get_color_u32(colour or theme.QUIET)
     draw.add_text(ImVec2(low.x + edge, low.y + edge), ink, text)
 
