@@ -14,10 +14,11 @@ from plyfile import PlyElement, PlyProperty
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
+    LOGITS,
     SLICE,
+    SQRT_HALF,
     check_room,
-    from_smallest_three,
-    logits_of,
+    empty_arrays,
     opacity_levels,
     smallest_three,
     storable_in_z_order,
@@ -26,7 +27,7 @@ from splatview.scene.formats.ply_body import PlyBody, Target
 from splatview.scene.formats.ply_header import header_text, scalar_types
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
-from splatview.scene.sh import SH_C0, rgb_to_sh
+from splatview.scene.sh import SH_C0
 
 CHUNK = 256
 
@@ -61,12 +62,9 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
     check_room(path, vertex.count, 3 if sh_element is not None else 0, room)
     coloured = set(COLOUR_BOUNDS) <= set(scalar_types(chunk))
     bounds = np.empty((chunk.count, 18 if coloured else 12), np.float32)
-    packed = [np.empty(vertex.count, np.uint32) for _ in PACKED]
+    words = np.empty((vertex.count, 4), np.uint32)
     names = list(BOUNDS + COLOUR_BOUNDS if coloured else BOUNDS)
-    wanted = {
-        "chunk": [Target(names=names, array=bounds)],
-        "vertex": [Target(names=[name], array=array) for name, array in zip(PACKED, packed, strict=True)],
-    }
+    wanted = {"chunk": Target(names=names, array=bounds), "vertex": Target(names=PACKED, array=words)}
     rest = np.empty((vertex.count, 0), np.uint8)
     if sh_element is not None:
         rest_names = [f"f_rest_{i}" for i in range(len(sh_element.properties))]
@@ -79,57 +77,30 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
             )
         rest = np.empty((vertex.count, len(rest_names)), np.uint8)
         if rest_names:
-            wanted["sh"] = [Target(names=rest_names, array=rest)]
+            wanted["sh"] = Target(names=rest_names, array=rest)
     read = [element for name, element in elements.items() if name in wanted]
     for i, element in enumerate(read):
-        body.read_rows(
-            element, wanted[element.name], progress.part(0.5 * i / len(read), 0.5 * (i + 1) / len(read))
-        )
-    return _decoded(bounds, packed, rest, body.header.comments, progress.part(0.5, 1.0))
+        piece = progress.part(0.5 * i / len(read), 0.5 * (i + 1) / len(read))
+        body.read_rows(element, [wanted[element.name]], piece)
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.decoding import decode_compressed_ply
 
-
-def _decoded(
-    bounds: np.ndarray,
-    packed: list[np.ndarray],
-    rest: np.ndarray,
-    comments: tuple[str, ...],
-    progress: Progress,
-) -> Gaussians:
-    n, per_channel = len(packed[0]), rest.shape[1] // 3
-    means, log_scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-    quats, logits = np.empty((n, 4), np.float32), np.empty(n, np.float32)
-    sh = np.empty((n, 1 + per_channel, 3), np.float32)
-    for start in range(0, n, SLICE):
-        at = slice(start, min(start + SLICE, n))
-        low_high = bounds[np.arange(at.start, at.stop) // CHUNK]
-        position, rotation, scale, colour = (words[at] for words in packed)
-        means[at] = _between(low_high[:, 0:6], position)
-        log_scales[at] = _between(low_high[:, 6:12], scale)
-        three = np.stack([(rotation >> np.uint32(shift)) & 1023 for shift in (20, 10, 0)], axis=1)
-        quats[at] = from_smallest_three((rotation >> 30).astype(np.int64), three * np.float32(2 / 1023) - 1)
-        rgb = np.stack([(colour >> np.uint32(shift)) & 255 for shift in (24, 16, 8)], axis=1) / np.float32(
-            255
-        )
-        if bounds.shape[1] == 18:
-            rgb = low_high[:, 12:15] * (1 - rgb) + low_high[:, 15:18] * rgb
-        sh[at, 0] = rgb_to_sh(rgb)
-        logits[at] = logits_of((colour & 255) / 255)
-        if per_channel:
-            sh[at, 1:] = SH_LEVELS[rest[at]].reshape(-1, 3, per_channel).transpose(0, 2, 1)
-        progress.step(at.stop / n)
-    return Gaussians(
-        means=means, quats=quats, log_scales=log_scales, opacity_logits=logits, sh=sh, comments=comments
+    arrays = empty_arrays(vertex.count, SH_COEFFICIENTS.index(rest.shape[1] // 3 + 1))
+    tables = (QUAT_LEVELS, LOGITS, SH_LEVELS)
+    over_splats(
+        decode_compressed_ply,
+        vertex.count,
+        *(bounds, words, rest, SHARES, tables, tuple(arrays.values())),
+        progress=progress.part(0.5, 1.0),
     )
+    return Gaussians(**arrays, comments=body.header.comments)
 
 
-def _between(low_high: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Points (N, 3) within bounds (N, 6) from 11, 10 and 11 bits."""
-    t = np.stack(
-        [((words >> np.uint32(shift)) & (2**bits - 1)) / np.float32(2**bits - 1) for shift, bits in BITS],
-        axis=1,
-    )
-    return low_high[:, :3] * (1 - t) + low_high[:, 3:] * t
+SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))
+"""Whole numbers of so many bits as shares of the largest."""
 
+QUAT_LEVELS = (np.arange(1024) * np.float64(np.float32(2 / 1023)) - 1).astype(np.float32) * SQRT_HALF
+"""Component of a quaternion for each number of 10 bits."""
 
 SH_LEVELS = ((np.arange(256) + 0.5) / 256 - 0.5).astype(np.float32) * np.float32(SH_RANGE)
 """Coefficient of each byte: the middle of its step, but for the two ends."""

@@ -90,6 +90,17 @@ def logits_of(opacities: np.ndarray) -> np.ndarray:
     return (np.log(inside) - np.log1p(-inside)).astype(np.float32)
 
 
+LOGITS = logits_of(np.arange(256) / 255)
+"""Logit of an opacity in a byte."""
+
+
+def empty_arrays(count: int, degree: int) -> dict[str, np.ndarray]:
+    """Arrays of `Gaussians` for so many splats, float32, to be filled."""
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "opacity_logits": ()}
+    shapes |= {"sh": (SH_COEFFICIENTS[degree], 3)}
+    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
+
+
 def morton_order(means: np.ndarray) -> np.ndarray:
     """(N,) indices that sort finite points along a Z-curve of 2^21 steps a side: neighbours in space stand
     near each other in the file, which codecs of pictures and of streams profit from."""

@@ -23,17 +23,18 @@ from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
+    LOGITS,
+    SQRT_HALF,
     check_expansion,
     check_room,
-    from_smallest_three,
+    empty_arrays,
     gunzipped,
-    logits_of,
     opacity_levels,
     smallest_three,
     storable_in_z_order,
     too_short,
 )
-from splatview.scene.frames import OURS, reframed
+from splatview.scene.frames import NO_FLIPS, OURS, axis_flips, frame_matrix, reframed, turn_in_place
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 
@@ -132,7 +133,8 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     else:
         header, blocks, records = _read_streams(file, path, size, progress, room)
     progress.step(0.5)
-    return _decoded(header, blocks, _extensions(records) if header.flags & HAS_EXTENSIONS else {})
+    extensions = _extensions(records) if header.flags & HAS_EXTENSIONS else {}
+    return _decoded(header, blocks, extensions, progress.part(0.5, 1.0))
 
 
 def _read_header(file: io.BufferedReader | io.BytesIO, path: Path) -> Header:
@@ -232,16 +234,9 @@ def _extensions(records: bytes) -> dict[int, bytes]:
     return found
 
 
-def _decoded(header: Header, content: dict[str, bytes], extensions: dict[int, bytes]) -> Gaussians:
-    n, degree = header.count, min(header.degree, 3)
-    blocks = {name: np.frombuffer(block, np.uint8) for name, block in content.items()}
-    coefficients = (header.degree + 1) ** 2 - 1
-    sh = np.empty((n, SH_COEFFICIENTS[degree], 3), np.float32)
-    sh[:, 0] = (blocks["colours"].reshape(n, 3) / np.float32(255) - np.float32(0.5)) / np.float32(
-        COLOUR_SCALE
-    )
-    rest = blocks["sh"].reshape(n, coefficients, 3)[:, : SH_COEFFICIENTS[degree] - 1]
-    np.divide(rest.astype(np.float32) - 128, 128, out=sh[:, 1:])
+def _decoded(
+    header: Header, content: dict[str, bytes], extensions: dict[int, bytes], progress: Progress
+) -> Gaussians:
     comments, frame = [], DEFAULT_FRAME
     number = int.from_bytes(extensions.get(FRAME, b"")[:4], "little")
     if 1 <= number <= len(NUMBERED_FRAMES):
@@ -259,40 +254,57 @@ def _decoded(header: Header, content: dict[str, bytes], extensions: dict[int, by
     for kind, payload in extensions.items():
         if kind not in (FRAME, ORBIT):
             comments.append(f"spz extension {kind:#010x}: {payload.hex()}")
-    gaussians = Gaussians(
-        means=_positions(header, blocks["positions"]),
-        quats=_rotations(header, blocks["rotations"]),
-        log_scales=blocks["scales"].reshape(n, 3) / np.float32(16) - 10,
-        opacity_logits=logits_of(blocks["alphas"] / 255),
-        sh=sh,
-        comments=tuple(comments),
+    return Gaussians(**_arrays(header, content, frame, progress), comments=tuple(comments))
+
+
+def _arrays(
+    header: Header, content: dict[str, bytes], frame: str, progress: Progress
+) -> dict[str, np.ndarray]:
+    """Arrays of `Gaussians` in our frame. Raises Cancelled."""
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.decoding import decode_spz
+
+    n, halves, three_bytes = header.count, header.version == 1, header.version < 3
+    blocks = [
+        np.frombuffer(content[name], np.uint8).reshape(n, -1) if n else NO_ROWS for name in header.sizes
+    ]
+    if not three_bytes:
+        blocks[4] = blocks[4].view("<u4")
+    arrays = empty_arrays(n, min(header.degree, 3))
+    if halves:
+        arrays["means"][:] = blocks[0].view("<f2")
+    flips = axis_flips(frame)
+    axes, turn, signs = flips or NO_FLIPS
+    units = axes if halves else np.ldexp(axes, -header.fraction_bits)
+    over_splats(
+        decode_spz,
+        n,
+        (blocks[0], blocks[1].reshape(-1), *blocks[2:]),
+        (not halves, three_bytes),
+        (LOGITS, COLOUR_LEVELS, SCALE_LEVELS, XYZ_LEVELS if three_bytes else QUAT_LEVELS, SH_LEVELS),
+        (units, turn, signs),
+        tuple(arrays.values()),
+        progress=progress,
     )
-    return reframed(gaussians, frame)
+    if flips is None:
+        turn_in_place(arrays, frame_matrix(frame))
+    return arrays
 
 
-def _positions(header: Header, block: np.ndarray) -> np.ndarray:
-    if header.version == 1:
-        return block.view("<f2").astype(np.float32).reshape(-1, 3)
-    # Three bytes into the upper three of four: shifting back down brings the sign along.
-    wide = np.zeros((len(block) // 3, 4), np.uint8)
-    wide[:, 1:] = block.reshape(-1, 3)
-    whole = (wide.view("<i4")[:, 0] >> 8).astype(np.float32)
-    return np.ldexp(whole, -header.fraction_bits).reshape(-1, 3)
+NO_ROWS = np.zeros((0, 4), np.uint8)
 
+COLOUR_LEVELS = (np.arange(256, dtype=np.float32) / np.float32(255) - np.float32(0.5)) / np.float32(
+    COLOUR_SCALE
+)
+SCALE_LEVELS = np.arange(256, dtype=np.float32) / np.float32(16) - 10
+SH_LEVELS = (np.arange(256, dtype=np.float32) - 128) / 128
+"""What each byte means."""
 
-def _rotations(header: Header, block: np.ndarray) -> np.ndarray:
-    """(N, 4) wxyz."""
-    if header.version < 3:
-        xyz = block.reshape(-1, 3) / np.float32(127.5) - 1
-        w = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", xyz, xyz), 0))
-        return np.column_stack([w, xyz]).astype(np.float32)
-    packed = block.view("<u4")
-    rest = np.empty((len(packed), 3), np.float32)
-    for place in range(3):  # the last component in the lowest bits
-        bits = packed >> np.uint32(10 * (2 - place))
-        size = (bits & 511).astype(np.float32) / 511
-        rest[:, place] = np.where(bits & 512, -size, size)
-    return from_smallest_three((packed >> 30).astype(np.int64), rest)[:, [3, 0, 1, 2]]
+XYZ_LEVELS = np.arange(256, dtype=np.float32) / np.float32(127.5) - 1
+"""Component of a quaternion for each byte, up to version 2."""
+
+QUAT_LEVELS = np.concatenate([size := np.arange(512, dtype=np.float32) / 511, -size]) * SQRT_HALF
+"""The same for each number of 10 bits, the highest of which is the sign."""
 
 
 def save_spz(
