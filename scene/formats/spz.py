@@ -76,6 +76,9 @@ COLOUR_SCALE = 0.15
 MOST_FRACTION_BITS = 12
 """Bits behind the point of a position, as the reference writes: steps of a quarter of a millimetre."""
 
+FINEST_FRACTION_BITS = 23
+"""Bits behind the point beyond which readers may fail."""
+
 LARGEST = 2**23 - 1
 """Largest whole number of 24 bits with a sign."""
 
@@ -308,9 +311,16 @@ QUAT_LEVELS = np.concatenate([size := np.arange(512, dtype=np.float32) / 511, -s
 
 
 def save_spz(
-    gaussians: Gaussians, path: Path, progress: Progress, *, sh_bits: tuple[int, ...] = SH_BITS
+    gaussians: Gaussians,
+    path: Path,
+    progress: Progress,
+    *,
+    sh_bits: tuple[int, ...] = SH_BITS,
+    position_bits: int | None = None,
 ) -> None:
-    """Writes version 4 in the frame RUB. `sh_bits`: bits kept of each band's coefficients, 1 to 8.
+    """Writes version 4 in the frame RUB. `sh_bits`: bits kept of each band's coefficients, 1 to 8;
+    `position_bits`: bits of the largest coordinate, 2 to 24, or as many as there are in steps of
+    2**-MOST_FRACTION_BITS.
 
     Raises:
         InputError: a position is too far out for 24 bits, or the system refuses.
@@ -318,16 +328,15 @@ def save_spz(
     """
     gaussians = gaussians.take(storable_in_z_order(gaussians))
     largest = float(np.abs(gaussians.means).max(initial=0.0))
-    bits = (
-        MOST_FRACTION_BITS
-        if largest == 0
-        else min(MOST_FRACTION_BITS, math.floor(math.log2(LARGEST / largest)))
-    )
+    most = MOST_FRACTION_BITS if position_bits is None else FINEST_FRACTION_BITS
+    bits = most if largest == 0 else min(most, math.floor(math.log2(LARGEST / largest)))
     if bits < 0:
         raise InputError(
             f"{path}: a splat is {largest:g} from the origin, and .spz holds positions to {LARGEST:,}: move "
             "the scene to the origin first, or take another format"
         )
+    if position_bits is not None:
+        bits = max(bits - (24 - position_bits), 0)
     gaussians = reframed(gaussians, OURS, DEFAULT_FRAME)
     header = Header(
         version=NEWEST,
