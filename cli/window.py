@@ -11,9 +11,9 @@ from splatview.cli.render import check_output, write_picture
 from splatview.renderers import FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
 from splatview.scene import Camera, Gaussians, InputError, concatenate
+from splatview.scene import first_view as framing
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import check_opening, load_scene
-from splatview.scene.framing import frame_camera
 
 DEFAULT_PREVIEW = Path("splatview-preview.png")
 
@@ -68,7 +68,7 @@ def first_view(paths: list[Path]) -> tuple[Gaussians, Camera]:
 
         return cached_demo(), demo_camera(width, height)
     gaussians = concatenate([load_scene(path) for path in paths])
-    return gaussians, frame_camera(gaussians, width, height)
+    return gaussians, framing.first_view(gaussians, width, height).camera
 
 
 def preview_renderer(name: str) -> Renderer:
