@@ -32,6 +32,7 @@ from splatview.viewer.platform import best_gl_version, closing_on_signals, guard
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
+from splatview.viewer.sequence import Sequences
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
 
@@ -43,6 +44,7 @@ FEATURES: tuple[type[Feature], ...] = (
     Restoring,
     Accuracy,
     Effects,
+    Sequences,
 )
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
@@ -146,6 +148,7 @@ class Window:
         info = describe(self._ctx)
         self.app.gpu_name = info.renderer
         self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
+        self.app.feature(Sequences).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         self.app.clipboard_read = imgui.get_clipboard_text
@@ -214,7 +217,8 @@ class Window:
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
         if self._is_software:
             params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
-        params.fps_idling.enable_idling = not (app.transition or flying or turning)
+        playing = app.feature(Sequences).playing
+        params.fps_idling.enable_idling = not (app.transition or flying or turning or playing)
         idle = IDLE_FPS if self.training is None else self.training.idle_fps(app)
         params.fps_idling.fps_idle = WAITING_FPS if app.waiting or self.dialogs.open else idle
         params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS

@@ -326,18 +326,18 @@ def go_to_bookmark(app: AppState, index: int) -> None:
 
 def keep_bookmarks(app: AppState) -> None:
     """Saves them, and says where."""
-    if app.scene_path is None:
+    if app.scene.bookmarked is None:
         app.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
         return
     try:
         # What another window on the scene has added since stays, and a file that is damaged is not lost.
         app.bookmarks += [
             bookmark
-            for bookmark in load_bookmarks(app.scene_path)
+            for bookmark in load_bookmarks(app.scene.bookmarked)
             if bookmark.entry not in app.bookmarks_read
         ]
-        path = save_bookmarks(app.scene_path, app.bookmarks)
-        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
+        path = save_bookmarks(app.scene.bookmarked, app.bookmarks)
+        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene.bookmarked))
     except InputError as error:
         app.complain(f"The bookmarks cannot be saved: {error}")
         return

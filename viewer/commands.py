@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field
+from splatview.viewer import background, camera, depth_of_field, sequence
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
 from splatview.viewer.depth_of_field import DepthOfField
@@ -24,7 +24,8 @@ from splatview.viewer.editing import cleanup, files
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
 from splatview.viewer.navigation import AXIS_NAMES, level
-from splatview.viewer.preferences import NavigationMode
+from splatview.viewer.preferences import NavigationMode, PlayMode
+from splatview.viewer.sequence import Sequences
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 from splatview.viewer.training.live import LiveTraining
@@ -99,6 +100,8 @@ class Command:
     and say so; keys and the palette run the command all the same, which then says why it does nothing."""
     checked: Callable[[AppState], bool] = lambda app: False
     """Whether menus show it as chosen."""
+    when: Callable[[AppState], bool] = lambda app: True
+    """Whether its keys are its own now: a key may have one meaning in training and one in a sequence."""
 
 
 def _needs(check: Callable[[AppState], bool], otherwise: str) -> Callable[[AppState], str]:
@@ -119,6 +122,17 @@ _a_scene = _needs(can_edit, "Open a scene first")
 _a_scene_at_rest = _needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
 _a_selection = _has("counts", "selected", editing.SELECT_FIRST)
 _cameras = _needs(lambda app: bool(app.cameras), "Load cameras first")
+
+
+def _in_sequence(app: AppState) -> bool:
+    return app.feature(Sequences).player is not None
+
+
+def _not_in_sequence(app: AppState) -> bool:
+    return not _in_sequence(app)
+
+
+_a_sequence = _needs(_in_sequence, "Open a folder of scenes first")
 
 
 def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
@@ -159,10 +173,32 @@ def _command(
     return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **more)
 
 
-_file, _camera, _navigation, _picture, _edit, _select, _training, _window = (
+_file, _camera, _navigation, _picture, _edit, _select, _sequence, _training, _window = (
     partial(_command, group)
-    for group in ("File", "Camera", "Navigation", "Picture", "Edit", "Select", "Training", "Window")
+    for group in (
+        *("File", "Camera", "Navigation", "Picture", "Edit", "Select"),
+        *("Sequence", "Training", "Window"),
+    )
 )
+
+
+def _of_sequence(
+    id: str, keys: str, title: str, run: Callable[[AppState], object], menu: str = "", **more: Any
+) -> Command:
+    """A command for which a sequence must be open."""
+    words = f"{more.pop('words', '')} sequence timeline playback animation 4D".strip()
+    return _sequence(id, keys, title, run, menu, words=words, lacks=_a_sequence, when=_in_sequence, **more)
+
+
+def _play_mode(mode: PlayMode, title: str) -> Command:
+    return _of_sequence(
+        f"play_{mode}",
+        "",
+        title,
+        partial(sequence.set_mode, mode=mode),
+        mode.capitalize(),
+        checked=lambda app: app.preferences.play_mode == mode,
+    )
 
 
 def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
@@ -182,6 +218,8 @@ COMMANDS: dict[str, Command] = {
     command.id: command
     for command in (
         _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open..."),
+        _file("open_folder", "", "Open a folder of scenes as a sequence", opening.choose_folder,
+            "Open a folder...", words="frames timeline play 4D animation directory"),
         _file("add", "Ctrl+Shift+O", "Add another scene to this one", files.choose_addition,
             "Add to the scene...", lacks=_needs(lambda app: app.is_open, "Open a scene first")),
         _file("reload", "F5", "Read the scene's files again", opening.reload,
@@ -306,8 +344,33 @@ COMMANDS: dict[str, Command] = {
         ),
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",
             partial(toggle_dialog, name="palette")),
-        _training("pause_training", "Space", "Pause or resume training", training.pause_or_resume, "Pause"),
-        _training("step_training", "Period", "Train one step, then pause", training.step_once, "One step"),
+        _of_sequence("play", "Space", "Play or pause the sequence", sequence.play_or_pause, "Play",
+            checked=lambda app: app.feature(Sequences).playing),
+        _of_sequence("next_frame", "Period", "Next frame of the sequence", partial(sequence.step, by=1),
+            "Next frame", words="step forward"),
+        _of_sequence("previous_frame", "Comma", "Previous frame of the sequence",
+            partial(sequence.step, by=-1), "Previous frame", words="step back"),
+        _of_sequence("first_frame", "Shift+Comma", "First frame of the sequence",
+            partial(sequence.go_to_end, last=False), "First frame", words="start begin"),
+        _of_sequence("last_frame", "Shift+Period", "Last frame of the sequence",
+            partial(sequence.go_to_end, last=True), "Last frame", words="end"),
+        _play_mode("loop", "Loop: play the sequence again from its first frame"),
+        _play_mode("bounce", "Bounce: play the sequence forwards and backwards"),
+        _play_mode("once", "Once: stop at the last frame of the sequence"),
+        *(
+            _of_sequence(f"rate_{fps}", "", f"Frame rate: {fps} frames a second",
+                partial(sequence.set_rate, fps=fps), f"{fps} frames a second", words="fps speed",
+                checked=lambda app, fps=fps: app.preferences.frame_rate == fps)
+            for fps in sequence.USUAL_RATES
+        ),
+        _of_sequence("merge_frames", "", "Merge all frames of the sequence into one scene",
+            sequence.merge_frames, "Merge all frames into one scene"),
+        _of_sequence("discard_frame_edits", "", "Discard the edits of this frame", sequence.discard_edits,
+            "Discard this frame's edits", words="revert"),
+        _training("pause_training", "Space", "Pause or resume training", training.pause_or_resume, "Pause",
+            when=_not_in_sequence),
+        _training("step_training", "Period", "Train one step, then pause", training.step_once, "One step",
+            when=_not_in_sequence),
         _training("stop_training", "", "Pause training, and save scene and checkpoint",
             training.stop_and_save, "Stop and save"),
         _training("export_training", "", "Export the scene in training", training.export, "Export .ply..."),
@@ -408,7 +471,7 @@ def post_pressed(app: AppState) -> None:
     pressed = [
         command
         for command in ((COMMANDS["cancel"],) if asked else COMMANDS.values())
-        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys)
+        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys) and command.when(app)
     ]
     if pressed and not asked and imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         imgui.internal.close_popups_except_modals()

@@ -75,7 +75,7 @@ HELP_COLUMNS = (
     ("Mouse", "Moving", "Navigation"),
     ("Camera", "File"),
     ("Select", "Edit"),
-    ("Picture", "Window", "Training"),
+    ("Picture", "Sequence", "Window", "Training"),
 )
 """Groups of commands, held keys and the mouse, column by column."""
 
@@ -159,11 +159,13 @@ def screenshot(app: AppState) -> None:
 
 
 Kind = Literal[
-    "scene", "cameras", "picture", "save_picture", "save_camera", "save_scene", "recipe", "save_recipe"
+    *("scene", "folder", "cameras", "picture", "save_picture", "save_camera", "save_scene"),
+    *("recipe", "save_recipe"),
 ]
 
 FILTERS: dict[Kind, list[str]] = {
     "scene": ["Splat scenes", name_patterns(), "All files", "*"],
+    "folder": [],
     "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
     "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
     "save_picture": ["PNG pictures", "*.png"],
@@ -187,11 +189,11 @@ class FileDialogs:
     def __init__(self, folder: Path | None = None):
         self.folder = folder
         """Where the next dialog starts."""
-        self._native: pfd.open_file | pfd.save_file | None = None
+        self._native: pfd.open_file | pfd.save_file | pfd.select_folder | None = None
         self._title = ""
         self._typed: str | None = None
         self._done: Callable[[list[Path]], object] | None = None
-        self._saving = False
+        self._saving = self._folder = False
         self._fresh = False
 
     @property
@@ -206,11 +208,14 @@ class FileDialogs:
         if self.open:
             return
         self._title, self._done, self._saving = title, done, kind.startswith("save")
+        self._folder = kind == "folder"
         proposal = str((self.folder or Path.cwd()) / name) if name else str(self.folder or Path.cwd())
         if any("\ud800" <= one <= "\udfff" for one in proposal):
             proposal = name  # no dialog takes names that are no text
         if not has_native_dialogs():
             self._typed, self._fresh = (proposal if self._saving else ""), True
+        elif kind == "folder":
+            self._native = pfd.select_folder(title, proposal)
         elif self._saving:
             self._native = pfd.save_file(title, proposal, FILTERS[kind])
         else:
@@ -240,7 +245,8 @@ class FileDialogs:
             if not self._fresh:
                 self._finish([])
             return
-        imgui.text_wrapped("Path of the file:" if self._saving else "Path of the file, or several between ;")
+        asked = "Path of the folder:" if self._folder else "Path of the file, or several between ;"
+        imgui.text_wrapped("Path of the file:" if self._saving else asked)
         if self._fresh:
             imgui.set_keyboard_focus_here()
             self._fresh = False

@@ -12,7 +12,17 @@ from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.panels import accuracy, camera, edit, effects, history, rendering, scene, statistics
+from splatview.viewer.panels import (
+    accuracy,
+    camera,
+    edit,
+    effects,
+    history,
+    rendering,
+    scene,
+    statistics,
+    timeline,
+)
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
 from splatview.viewer.state import AppState
@@ -133,8 +143,9 @@ def show_view(app: AppState) -> None:
     visible = imgui.begin(VIEW, None, flags)[0]
     imgui.pop_style_var()
     if visible:
-        viewport.show(app)
-        overlays.over_picture(app)
+        with timeline.below(app):
+            viewport.show(app)
+            overlays.over_picture(app)
     imgui.end()
 
 

@@ -15,6 +15,7 @@ from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.panels import widgets
+from splatview.viewer.sequence import USUAL_RATES, Sequences
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
 
@@ -26,6 +27,8 @@ def show(app: AppState) -> None:
     training = app.find(LiveTraining)
     for title, entries in MENUS.items():
         if title == "Training" and training is None:
+            continue
+        if title == "Sequence" and app.feature(Sequences).player is None:
             continue
         if imgui.begin_menu(title):
             show_entries(app, entries)
@@ -98,7 +101,7 @@ def panels(app: AppState) -> None:
 # fmt: off
 MENUS: dict[str, tuple[Entry, ...]] = {
     "File": (
-        "open", "add", recent_files, "merge", "reload", None,
+        "open", "open_folder", "add", recent_files, "merge", "reload", None,
         "export", "split", "save_recipe", "replay_recipe", None,
         "demo", None, "open_cameras", None, "screenshot", "screenshot_as", None, "quit",
     ),
@@ -120,6 +123,12 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         "copy_camera", "paste_camera",
     ),
     "Picture": tuple(f"mode_{mode}" for mode in MODES),
+    "Sequence": (
+        "play", "next_frame", "previous_frame", "first_frame", "last_frame", None,
+        "play_loop", "play_bounce", "play_once", None,
+        *(f"rate_{fps}" for fps in USUAL_RATES), None,
+        "merge_frames", "discard_frame_edits",
+    ),
     "Training": (
         pause_or_resume, "step_training", "stop_training", None,
         "export_training", "save_checkpoint", None, "evaluate_training", "show_training",

@@ -179,6 +179,11 @@ class Picture:
         return renderer is not None and renderer.busy
 
     @property
+    def is_current(self) -> bool:
+        """Whether a picture of the loaded scene has been shown, be it a coarse one."""
+        return self._async is None or self._by_gl or self._async.pictured is self._gaussians
+
+    @property
     def stats(self) -> FrameStats:
         renderer = self._gl if self._by_gl else self._async
         return renderer.stats() if renderer is not None else FrameStats()

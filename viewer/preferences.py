@@ -23,6 +23,7 @@ NavigationMode = Literal["orbit", "fly", "trackball"]
 BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
+PlayMode = Literal["loop", "bounce", "once"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -65,6 +66,12 @@ class Preferences:
     """How often the growing scene is shown."""
     edit_memory_gib: float = 0.0
     """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
+    frame_rate: float = 30.0
+    """Frames a second at which sequences play."""
+    play_mode: PlayMode = "loop"
+    """Behaviour at the last frame of a sequence: on from the first, back, or an end."""
+    sequence_memory_gib: float = 0.0
+    """Memory for the frames of a sequence; 0: a quarter of what is free when it is opened."""
     closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
@@ -77,6 +84,8 @@ RANGES = {
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
     "edit_memory_gib": (0.0, 1024.0),
+    "frame_rate": (0.1, 240.0),
+    "sequence_memory_gib": (0.0, 1024.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
@@ -86,6 +95,7 @@ CHOICES = {
     "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
+    "play_mode": get_args(PlayMode),
 }
 """Values of the fields that are one of a few words."""
 

@@ -315,7 +315,7 @@ class AppState:
 
     @property
     def scene_path(self) -> Path | None:
-        """The first file of the open scene: what bookmarks and pictures are put beside."""
+        """The first file of the open scene, of a sequence the frame that is shown: pictures go beside it."""
         return self.scene.paths[0] if self.scene.paths else None
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
+from PIL import ImageGrab
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
@@ -115,8 +117,12 @@ class Hand:
 
     def shoot(self, path: str | None) -> None:
         """The whole window into a file, where one is asked for."""
-        if path is not None and shutil.which("import"):
+        if path is None:
+            return
+        if shutil.which("import"):
             subprocess.run(["import", "-window", "root", path], check=False)
+        else:
+            ImageGrab.grab(xdisplay=os.environ["DISPLAY"]).save(path)
 
     @property
     def said(self) -> list[str]:

@@ -23,6 +23,7 @@ from splatview.viewer.editing.session import (
     EditSession,
     at_rest,
     can_edit,
+    session_for_edit,
     session_of,
     with_session,
 )
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 def check_at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes; says so where not."""
     if at_rest(app):
+        session_for_edit(app)  # a sequence that plays is paused
         return True
     app.tell(AT_REST if can_edit(app) else "Open a scene first")
     return False

@@ -311,7 +311,11 @@ class EditSession:
 
 
 class LiveScene(Protocol):
-    """A scene that changes while it is shown, such as one in training: it is edited by way of snapshots."""
+    """A scene that changes while it is shown, such as one in training or a sequence that plays: it is edited
+    by way of snapshots."""
+
+    at_rest: bool
+    """Whether every edit of a snapshot can be done and kept."""
 
     def is_shown(self, app: AppState) -> bool:
         """Whether the window shows a snapshot of it that can be edited."""
@@ -380,6 +384,15 @@ class Editing(Feature):
         self.session.journal = Journal(
             document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
         )
+
+    def leave(self) -> None:
+        """Closes the session for good, its edits with it: another frame is shown."""
+        session, self.session, self.examining = self.session, None, None
+        if session is not None:
+            if session.journal is not None:
+                session.journal.close(keep=False)
+                session.journal = None
+            session.close()
 
     def before_frame(self, app: AppState) -> None:
         """Ends jobs, and reports what they and the user's edits came to."""
@@ -521,8 +534,10 @@ def can_edit(app: AppState) -> bool:
 
 def at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes: every edit can be done and kept."""
-    session = session_of(app)
-    return session is not None and session.target.at_rest
+    editing = app.feature(Editing)
+    if editing.session is None:
+        return editing.live is not None and editing.live.at_rest and editing.live.is_shown(app)
+    return editing.session.target.at_rest
 
 
 def load_changed_scene(app: AppState, session: EditSession) -> None:
