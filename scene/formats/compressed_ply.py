@@ -15,28 +15,22 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
     LOGITS,
-    SLICE,
     SQRT_HALF,
+    arrays_of,
     check_room,
     empty_arrays,
-    opacity_levels,
-    smallest_three,
     storable_in_z_order,
 )
 from splatview.scene.formats.ply_body import PlyBody, Target
 from splatview.scene.formats.ply_header import header_text, scalar_types
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
-from splatview.scene.sh import SH_C0
 
 CHUNK = 256
 
 BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
 COLOUR_BOUNDS = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in "rgb")
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-
-BITS = ((21, 11), (11, 10), (0, 11))
-"""(shift, bits) of x, y and z of positions and of scales."""
 
 LARGEST_LOG_SCALE = 20.0
 """Log-scales are kept within ± this: -inf would spoil the bounds of a chunk."""
@@ -114,33 +108,22 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
         InputError: the system refuses.
         Cancelled: nobody waits for it any more.
     """
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.encoding import encode_compressed_ply
+
+    progress.check()
     order = storable_in_z_order(gaussians)
     n, per_channel = len(order), SH_COEFFICIENTS[gaussians.sh_degree] - 1
     chunks = -(-n // CHUNK)
-    bounds, words = np.empty((chunks, 18), "<f4"), np.empty((n, 4), "<u4")
+    bounds, words = np.empty((chunks, 18), np.float32), np.empty((n, 4), np.uint32)
     rest = np.empty((n, 3 * per_channel), np.uint8)
-    step = SLICE // CHUNK * CHUNK
-    for start in range(0, n, step):
-        at = order[start : start + step]
-        part, out = slice(start, start + len(at)), slice(start // CHUNK, -(-(start + len(at)) // CHUNK))
-        scales = np.clip(gaussians.log_scales[at], -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)
-        for first, values in ((0, gaussians.means[at].astype(np.float32)), (6, scales)):
-            share = _within_chunks(values, bounds[out], first)
-            words[part, first // 3] = sum(
-                np.rint(share[:, axis] * (2**bits - 1)).astype(np.uint32) << np.uint32(shift)
-                for axis, (shift, bits) in enumerate(BITS)
-            )
-        rgb = (0.5 + SH_C0 * gaussians.sh[at, 0]).astype(np.float32)
-        colour = np.rint(_within_chunks(rgb, bounds[out], 12) * 255).astype(np.uint32)
-        opacity = opacity_levels(gaussians.opacity_logits[at]).astype(np.uint32)
-        words[part, 3] = colour[:, 0] << 24 | colour[:, 1] << 16 | colour[:, 2] << 8 | opacity
-        largest, three = smallest_three(gaussians.quats[at])
-        three = np.rint((three + 1) * (1023 / 2)).astype(np.uint32)
-        words[part, 1] = largest.astype(np.uint32) << 30 | three[:, 0] << 20 | three[:, 1] << 10 | three[:, 2]
-        if per_channel:
-            levels = np.floor((gaussians.sh[at, 1:] / np.float32(SH_RANGE) + np.float32(0.5)) * 256)
-            rest[part] = np.clip(levels, 0, 255).transpose(0, 2, 1).reshape(len(at), -1)
-        progress.step((start + len(at)) / n)
+    over_splats(
+        encode_compressed_ply,
+        n,
+        *(order, arrays_of(gaussians), (LARGEST_LOG_SCALE, SH_RANGE), bounds, words, rest),
+        progress=progress.part(0.3, 0.9),
+        step=CHUNK,
+    )
     elements = [
         PlyElement("chunk", [PlyProperty(name, "f4") for name in (*BOUNDS, *COLOUR_BOUNDS)], chunks),
         PlyElement("vertex", [PlyProperty(name, "u4") for name in PACKED], n),
@@ -151,16 +134,6 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
         )
     with atomic_write(path) as file:
         file.write(header_text(elements, gaussians.comments, path))
-        for table in (bounds, words, rest):
+        for table in (bounds.astype("<f4", copy=False), words.astype("<u4", copy=False), rest):
+            progress.check()
             file.write(table.data)
-
-
-def _within_chunks(values: np.ndarray, bounds: np.ndarray, first: int) -> np.ndarray:
-    """Shares (N, 3) of the way from the lowest to the highest value of each chunk; those two go to `bounds`,
-    from column `first` on."""
-    starts = np.arange(0, len(values), CHUNK)
-    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
-    bounds[:, first : first + 3], bounds[:, first + 3 : first + 6] = low, high
-    each = np.arange(len(values)) // CHUNK
-    width = np.where(high > low, high - low, np.float32(1))
-    return (values - low[each]) / width[each]
