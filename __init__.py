@@ -7,8 +7,8 @@ numba nor torch.
 from __future__ import annotations
 
 TYPE_CHECKING = False
-"""What type checkers take for true; its module is not imported, as Ctrl-C is not taken care of until the command
-has begun."""
+"""What type checkers take for true; its module is not imported, as nothing takes care of Ctrl-C before the
+command has begun."""
 
 if TYPE_CHECKING:
     from typing import Any
