@@ -109,12 +109,13 @@ def save_streamed(
     leaves = _leaves(tree)
     chunks = _chunks(leaves, levels, chunk)
     splats = sum(sum(map(len, parts)) for _, parts in chunks.values())
+    whole = max(splats, 1)
     names, done = list(chunks), 0
     with atomic_folder(path, foreign_name) as folder:
         for name, (number, parts) in chunks.items():
             order = np.concatenate(parts)
             start, done = done, done + len(order)
-            piece = progress.part(0.2 + 0.8 * start / splats, 0.2 + 0.8 * done / splats)
+            piece = progress.part(0.2 + 0.8 * start / whole, 0.2 + 0.8 * done / whole)
             files = sog_files(levels[number].take(order), piece, SogKnobs(**knobs), ordered=True)
             _write(files, folder / name)
         meta = {
