@@ -40,6 +40,8 @@ class Conversion:
     """Largest difference of a colour channel, 0 to 1."""
     lost: tuple[str, ...]
     """What the file does not hold, a line each."""
+    views: int = VIEWS
+    """Number of pictures compared."""
     knobs: Mapping[str, Any] = field(default_factory=dict)
     """Knobs of the format that were chosen to reach a target."""
 
@@ -106,7 +108,7 @@ def measure(
         else:
             writer = Search(scene, path, known, Path(folder.name), judge, progress)
             trial = writer.trial(Choice(sh_degree=scene.sh_degree), progress=progress)
-        return Measured(folder, trial.file, _conversion(gaussians, path, known, trial))
+        return Measured(folder, trial.file, _conversion(gaussians, path, known, trial, len(views)))
     except BaseException:
         folder.cleanup()
         raise
@@ -157,7 +159,7 @@ def sample_views(gaussians: Gaussians) -> list[Camera]:
     return sample_cameras(gaussians, Document(gaussians).edits, VIEWS) if len(gaussians) else []
 
 
-def _conversion(gaussians: Gaussians, path: Path, known: Format, trial: Trial) -> Conversion:
+def _conversion(gaussians: Gaussians, path: Path, known: Format, trial: Trial, views: int) -> Conversion:
     lost = losses(gaussians, path)
     degree = trial.choice.sh_degree
     if known.sh and degree < gaussians.sh_degree:
@@ -172,5 +174,6 @@ def _conversion(gaussians: Gaussians, path: Path, known: Format, trial: Trial) -
         psnr=trial.psnr,
         max_error=trial.largest,
         lost=tuple(lost),
+        views=views,
         knobs=trial.choice.knobs,
     )

@@ -12,7 +12,17 @@ from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.panels import accuracy, camera, edit, effects, history, rendering, scene, statistics
+from splatview.viewer.panels import (
+    accuracy,
+    camera,
+    edit,
+    effects,
+    export,
+    history,
+    rendering,
+    scene,
+    statistics,
+)
 from splatview.viewer.panels import training as training_panels
 from splatview.viewer.platform import guarded
 from splatview.viewer.state import AppState
@@ -146,6 +156,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     dialogs.screenshot(app)
     menus.show_palette(app)
     history.show_restore(app)
+    export.show_dialog(app)
     files.show()
 
 
