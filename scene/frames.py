@@ -7,12 +7,14 @@ A frame is three letters, one for each axis: right or left, up or down, front or
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from splatview.scene.edits import quat_product
+from splatview.scene.errors import InputError
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.lod import quaternions
 from splatview.scene.sh import sh_rotation
@@ -40,6 +42,34 @@ def frame_matrix(frame: str, to: str = OURS) -> np.ndarray:
         return matrix
 
     return axes(to).T @ axes(frame)
+
+
+TURN_OVER = "x180"
+"""What takes RUB for RDF, and back: half a turn about x."""
+
+
+def turn_matrix(turns: str) -> np.ndarray:
+    """(3, 3) float64, exact: ``x180``, or several one after another, ``x90,z-90``; ``over`` is TURN_OVER.
+
+    Raises:
+        InputError: a turn is about no axis, or by no whole number of quarter turns.
+    """
+    matrix = np.eye(3)
+    for turn in turns.lower().split(","):
+        found = re.fullmatch(r"([xyz])([+-]?\d{1,4})", TURN_OVER if turn.strip() == "over" else turn.strip())
+        if found is None or int(found[2]) % 90:
+            raise InputError(
+                f"{turn!r} is no turn: give an axis and degrees in steps of 90, such as x180 or z-90, "
+                "several with commas between, or over (x180)"
+            )
+        # Right-handed, as seen against the axis; in the frame that scenes have in memory.
+        axis, quarters = "xyz".index(found[1]), int(found[2]) // 90 % 4
+        quarter = np.zeros((3, 3))
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        quarter[axis, axis] = quarter[second, first] = 1
+        quarter[first, second] = -1
+        matrix = np.linalg.matrix_power(quarter, quarters) @ matrix
+    return matrix
 
 
 def reframed(gaussians: Gaussians, frame: str, to: str = OURS) -> Gaussians:

@@ -25,6 +25,7 @@ from splatview.viewer.background import WindowBackground
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
+from splatview.viewer.editing.exporting import Exporting
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.session import Editing
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
@@ -42,6 +43,7 @@ FEATURES: tuple[type[Feature], ...] = (
     WindowBackground,
     Editing,
     Restoring,
+    Exporting,
     Accuracy,
     Effects,
     Sequences,

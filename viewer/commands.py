@@ -20,7 +20,7 @@ from splatview.viewer import background, camera, depth_of_field, sequence
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
 from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing import cleanup, files
+from splatview.viewer.editing import cleanup, exporting, files
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
 from splatview.viewer.navigation import AXIS_NAMES, level
@@ -229,7 +229,7 @@ COMMANDS: dict[str, Command] = {
         _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
             partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
         _file("quit", "Ctrl+Q", "Quit", quit_window),
-        _file("export", "Ctrl+E", "Export the edited scene", files.choose_export,
+        _file("export", "Ctrl+E", "Export the edited scene", exporting.open_dialog,
             "Export the edited scene...", lacks=_a_scene),
         _file("save_recipe", "Ctrl+S", "Save what was done as a recipe", files.choose_recipe_to_save,
             "Save recipe...", lacks=_a_scene_at_rest),

@@ -17,6 +17,7 @@ from splatview.viewer.panels import (
     camera,
     edit,
     effects,
+    export,
     history,
     rendering,
     scene,
@@ -157,6 +158,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     dialogs.screenshot(app)
     menus.show_palette(app)
     history.show_restore(app)
+    export.show_dialog(app)
     files.show()
 
 

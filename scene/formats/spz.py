@@ -263,7 +263,10 @@ def _decoded(
         frame = NUMBERED_FRAMES[number - 1]
         comments.append(f"splatview: the file says that its frame is {frame}")
     else:
-        comments.append(f"splatview: the file's frame was taken to be {frame}, the format's own")
+        comments.append(
+            f"splatview: the file's frame was taken to be {frame}, the format's own; a scene on its head is "
+            "turned over by Edit > Turn over, or splatview convert --turn over"
+        )
     if header.degree > 3:
         comments.append("splatview: the file's SH band 4 was left out")
     if header.flags & ANTIALIASED:
