@@ -190,8 +190,8 @@ def first_view(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 
 
 
 def likely_up(sample: Sample) -> np.ndarray:
-    """(3,) float64: the world axis that is up. -y as trainers have it, unless a floor speaks for +z or +y, the
-    other customs, and far louder than any for -y.
+    """(3,) float64: the world axis that is up. -y as trainers have it, unless a floor speaks for +z or +y,
+    the other customs, and far louder than any for -y.
 
     No other axis is taken: the wall that a first photo faces would be the floor of -z.
     """

@@ -28,6 +28,7 @@ from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.exporting import Exporting
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.session import Editing
+from splatview.viewer.first_views import FirstViews
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
 from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
@@ -39,6 +40,7 @@ from splatview.viewer.training.live import LiveTraining
 
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
+    FirstViews,
     DepthOfField,
     WindowBackground,
     Editing,

@@ -229,36 +229,58 @@ class CameraList:
     notes: list[str]
 
 
+@dataclass(frozen=True)
+class _ToRead:
+    """A file of cameras, and what to do with it; see `CameraLists.open`."""
+
+    path: Path
+    beside: bool = False
+    jump: bool = True
+
+
 class CameraLists(Feature):
     """Files of cameras on their way, one after another."""
 
     def __init__(self) -> None:
         self.reading: Reading[CameraList] | None = None
-        self._waiting: list[Path] = []
+        self._waiting: list[_ToRead] = []
+        self._asked = _ToRead(Path())
 
-    def open(self, path: Path) -> None:
-        self._waiting.append(path)
+    def open(self, path: Path, *, beside: bool = False, jump: bool = True) -> None:
+        """Reads `path` in the background. `beside`: it lies with the scene, and counts only if it is the
+        scene's. `jump`: goes to one of the cameras then."""
+        self._waiting.append(_ToRead(path, beside=beside, jump=jump))
 
     def before_frame(self, app: AppState) -> None:
         """Takes over a list that has been read, after the scene that was opened with it, and jumps to its
         first camera."""
         if self.reading is None and self._waiting:
-            path = self._waiting.pop(0)
+            self._asked = self._waiting.pop(0)
+            path = self._asked.path
             self.reading = Reading(path.name, partial(read_camera_list, path))
         reading = self.reading
         if reading is None or not reading.done or app.loading is not None:
             return
         self.reading, found = None, reading.result
         if reading.problem is not None:
-            app.complain(reading.problem)
+            (app.tell if self._asked.beside else app.complain)(reading.problem)
         if found is None:
             return
+        first = 0
+        if self._asked.beside:
+            centre = app.scene.centre
+            first = next((i for i, camera in enumerate(found.cameras) if sees(camera, centre)), -1)
+            if first < 0:
+                app.tell(f"{reading.name} beside the scene is not used: none of its cameras sees the scene")
+                return
         app.cameras, app.camera_index = found.cameras, -1
         for note in (*found.notes, f"{len(found.cameras):,} cameras"):
             app.tell(f"{reading.name}: {note}")
+        if not self._asked.jump:
+            return
         if found.up is not None:
             app.steer(replace(app.destination, up=found.up))
-        go_to_camera(app, 0)
+        go_to_camera(app, first)
 
     def busy(self, app: AppState) -> bool:
         return self.reading is not None or bool(self._waiting)
@@ -280,6 +302,15 @@ def read_camera_list(path: Path, progress: Progress) -> CameraList:
     notes: list[str] = []
     cameras = load_cameras(path, on_note=notes.append, progress=progress)
     return CameraList(cameras=cameras, up=common_up(cameras), notes=notes)
+
+
+def sees(camera: Camera, point: np.ndarray) -> bool:
+    """Whether `point` (3,), world, is in the camera's picture."""
+    t = camera.R_camera_world @ (point - camera.eye)
+    if not t[2] > 0:
+        return False
+    x, y = camera.image_points(t[None])[0]
+    return bool(0 <= x <= camera.width and 0 <= y <= camera.height)
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:

@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field, sequence
+from splatview.viewer import background, camera, depth_of_field, first_views, sequence
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
 from splatview.viewer.depth_of_field import DepthOfField
@@ -242,6 +242,9 @@ COMMANDS: dict[str, Command] = {
         _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
         _camera("frame_selection", "F", "Show what is selected, else the whole scene",
             camera.frame_selection),
+        _camera("home_view", "Shift+Home", "Home view: the scene's front, filling the picture",
+            first_views.go_home, "Front of the scene", words="first view reset view default start",
+            lacks=_needs(lambda app: app.is_open, "Open a scene first")),
         _camera("frame_all", "Home", "Show the whole scene", camera.frame_all),
         *(
             _camera(f"look_from_{name}", key, f"Look from {name}", partial(camera.look_along, name=name),

@@ -18,6 +18,7 @@ from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects
 from splatview.scene.errors import printable
+from splatview.scene.first_view import Front
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.sequence import SceneSequence
 from splatview.scene.framing import robust_bounds
@@ -70,6 +71,8 @@ class LoadedScene:
 
     seconds: float
     """How long loading took."""
+    front: Front | None = None
+    """The side that shows most; None of the demo, which has a view of its own, and where nothing is seen."""
     stamps: Mapping[Path, Stamp] = field(default_factory=dict)
     """Stamps of its files, just before they were read."""
     sequence: SceneSequence | None = None
@@ -154,6 +157,7 @@ def _load(
         radius=radius,
         settings=settings_for(gaussians),
         seconds=time.perf_counter() - began,
+        front=Front.of(gaussians) if paths else None,
         stamps=stamps,
     )
 

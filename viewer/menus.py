@@ -115,7 +115,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         "next_depth",
     ),
     "Camera": (
-        "frame_selection", "frame_all", axis_views, "level", None,
+        "home_view", "frame_selection", "frame_all", axis_views, "level", None,
         *(f"navigate_{mode}" for mode in NAVIGATION_MODES), None,
         up_axes, "toggle_orthographic", "toggle_lenses", "depth_of_field", "focus_by_click",
         "narrower", "wider", None,

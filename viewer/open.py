@@ -7,16 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from splatview.scene import InputError
-from splatview.scene.demo import demo_camera
 from splatview.scene.formats import is_camera_list
 from splatview.scene.formats.sequence import SceneSequence, resolve_all
-from splatview.scene.framing import frame_camera
 from splatview.viewer.camera import CameraLists
+from splatview.viewer.first_views import FirstViews
 from splatview.viewer.loading import Examination, LoadedScene, SequenceLoading, load_demo, load_files
-from splatview.viewer.navigation import view_from_camera
 from splatview.viewer.preferences import load_bookmarks, with_recent, without_missing
 from splatview.viewer.state import AppState
 
@@ -136,9 +132,9 @@ def adopt(app: AppState, scene: LoadedScene) -> None:
         app.settings = replace(
             scene.settings, background=app.preferences.background, blend=app.preferences.blend
         )
-        look_at_all_of(app, scene)
         app.bookmarks, app.bookmark_index, app.bookmarks_read = [], -1, frozenset()
         app.cameras, app.camera_index = [], -1
+        app.feature(FirstViews).look(app, scene)
         try:
             app.bookmarks = load_bookmarks(scene.bookmarked) if scene.bookmarked else []
             app.bookmarks_read = frozenset(bookmark.entry for bookmark in app.bookmarks)
@@ -166,25 +162,6 @@ def report_examination(app: AppState) -> None:
     for finding in app.examination.findings:
         if finding.count and finding.culled:
             app.tell(f"{finding.count:,} splats are left out: {finding.name}")
-
-
-def look_at_all_of(app: AppState, scene: LoadedScene) -> None:
-    """The first view of a scene, upright as it seems to be."""
-    width, height = app.picture_size
-    if scene.paths:
-        camera = frame_camera(scene.gaussians, width, height, fov_y=app.preferences.fov_y)
-    else:
-        camera = demo_camera(width, height)
-    distance = max(float((scene.centre - camera.eye) @ camera.forward), 1e-3 * scene.radius)
-    app.steer(view_from_camera(camera, distance=distance, up=nearest_axis(-camera.R_camera_world[1])))
-
-
-def nearest_axis(direction: np.ndarray) -> np.ndarray:
-    """The world axis (3,) float64, with its sign, that `direction` (3,) is nearest to."""
-    axis = np.zeros(3)
-    largest = np.argmax(np.abs(direction))
-    axis[largest] = np.sign(direction[largest])
-    return axis
 
 
 def choose_scene(app: AppState) -> None:

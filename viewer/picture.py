@@ -108,7 +108,7 @@ class Picture:
         """Brings the texture up to date with the loaded scene; costs nothing where nothing has changed."""
         request = replace(request, gaussians=None)
         if self._async is not None:
-            other = request.mode not in self._async.capabilities.modes
+            other = request.mode != "splats"
             self._by_gl = other and self._mode_compiled(request)
             self._mode_to_come = other and not self._by_gl
         if self._by_gl:

@@ -263,9 +263,12 @@ def save_bookmarks(scene: Path, bookmarks: list[Bookmark]) -> Path:
 
 
 def _as_json(bookmark: Bookmark) -> dict[str, Any]:
-    view = bookmark.view
+    return {"name": bookmark.name, **view_to_json(bookmark.view)}
+
+
+def view_to_json(view: View) -> dict[str, Any]:
+    """The numbers of a view, as files of bookmarks have them."""
     return {
-        "name": bookmark.name,
         "target": view.target.tolist(),
         "distance": view.distance,
         "rotation": view.R_camera_world.tolist(),
@@ -289,6 +292,13 @@ def _rays(lens: Lens) -> dict[str, Any]:
 
 def _bookmark(entry: dict[str, Any]) -> Bookmark:
     """Raises ValueError, KeyError or TypeError where `entry` is no bookmark."""
+    view = view_from_json(entry, "a bookmark")
+    return Bookmark(name=str(entry["name"]), entry=json.dumps(entry, sort_keys=True), view=view)
+
+
+def view_from_json(entry: dict[str, Any], where: str) -> View:
+    """The view of `view_to_json`'s numbers. Raises ValueError, KeyError or TypeError where they are none;
+    `where` names what they are of."""
     target, rotation = np.array(entry["target"], np.float64), np.array(entry["rotation"], np.float64)
     distance, fov_y, squeeze = (float(entry[name]) for name in ("distance", "fov_y", "squeeze"))
     x, y = entry["shift"]
@@ -305,20 +315,16 @@ def _bookmark(entry: dict[str, Any]) -> Bookmark:
         and np.linalg.det(rotation) > 0
     ):
         raise ValueError("a rotation is not one")
-    return Bookmark(
-        name=str(entry["name"]),
-        entry=json.dumps(entry, sort_keys=True),
-        view=View(
-            target=target,
-            distance=distance,
-            R_camera_world=orthonormal(rotation),
-            up=unit(np.array(entry["up"], np.float64).reshape(3)),
-            lens=Lens(
-                fov_y=fov_y,
-                shift=(float(x), float(y)),
-                squeeze=squeeze,
-                distortion=lens_of(entry, "a bookmark"),
-                orthographic=is_orthographic(entry, "a bookmark"),
-            ),
+    return View(
+        target=target,
+        distance=distance,
+        R_camera_world=orthonormal(rotation),
+        up=unit(np.array(entry["up"], np.float64).reshape(3)),
+        lens=Lens(
+            fov_y=fov_y,
+            shift=(float(x), float(y)),
+            squeeze=squeeze,
+            distortion=lens_of(entry, where),
+            orthographic=is_orthographic(entry, where),
         ),
     )

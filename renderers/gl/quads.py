@@ -16,6 +16,7 @@ from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_buffers import SceneBuffers, upload_plan, upload_steps
 from splatview.renderers.gl.sort import check_count
 from splatview.renderers.gl.uniforms import Uniform, view_uniforms
+from splatview.renderers.modes import MODES
 from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
@@ -125,6 +126,7 @@ class QuadsRenderer(GLRenderer):
             *(order, (settings.resort_frames, settings.resort_degrees) if keeps else None),
             *(settings.model, settings.sigma_cut, sh_degree),
             editing.footprints,
+            MODES[mode].normals,
         )
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
@@ -151,6 +153,7 @@ class QuadsRenderer(GLRenderer):
                     keys=keys,
                     kept=self._kept if keeps else None,
                     slopes=order == "per-pixel",
+                    normals=MODES[mode].normals,
                 )
             if order not in UNSORTED and not keeps:
                 with self._timers.stage("sort"):

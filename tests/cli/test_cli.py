@@ -23,8 +23,8 @@ from splatview.renderers import choices
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.background import Gradient, Panorama
 from splatview.scene.depth_of_field import Aperture, mean_picture
-from splatview.scene.formats import load_scene, save_camera, save_scene
 from splatview.scene.first_view import first_view
+from splatview.scene.formats import load_scene, save_camera, save_scene
 
 VIEW = ["--eye", "-0.5,-1,-3", "--target", "0,0.1,0", "--size", "48x32"]
 CAMERA = look_at((-0.5, -1, -3), (0, 0.1, 0), up=(0, -1, 0), width=48, height=32)

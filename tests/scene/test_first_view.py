@@ -35,7 +35,7 @@ def sheet(
 
 
 def panel(direction: int) -> Gaussians:
-    """An upright block of one colour on a floor, whose side towards `direction` (of x, z, -x, -z) is a chequered one."""
+    """A grey block on a floor, chequered on the side of `direction`: x, z, -x, -z."""
     body = sheet(4000, (0, 0, 0), (0.9, 1.4, 0.9), seed=1, rgb=(0.4, 0.4, 0.4))
     axis, sign = (0, 2)[direction % 2], (1, -1)[direction // 2]
     place, size = [0.0, 0.0, 0.0], [0.9, 1.4, 0.9]
