@@ -181,6 +181,7 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("Delete")
     hand.settle()
     app.post(drives.keys.COMMANDS["discard_frame_edits"].run)
+    hand.frames(3)
     at_rest(hand)
     found["discarded"] = seen(app) | {"deleted": session_of(app).document.counts.deleted}  # type: ignore
 
