@@ -111,7 +111,12 @@ class Window:
     """Ties the frame loop's callbacks to one `AppState`."""
 
     def __init__(
-        self, paths: Sequence[Path], *, renderer: str = "auto", training: LiveTraining | None = None
+        self,
+        paths: Sequence[Path],
+        *,
+        renderer: str = "auto",
+        training: LiveTraining | None = None,
+        merge: bool = False,
     ):
         preferences, complaint = load_preferences()
         self.app = window_state(preferences, training)
@@ -124,7 +129,7 @@ class Window:
         self._title = ""
         self._is_software = False
         self._ctx: moderngl.Context | None = None
-        self._paths = [Path(path) for path in paths]
+        self._paths, self._merge = [Path(path) for path in paths], merge
         self._renderer = renderer
         self._precompiler: ShaderPrecompiler | None = None
         self._saved: Preferences = preferences
@@ -160,7 +165,7 @@ class Window:
             self.training.start(self.app, on_change=glfw.post_empty_event)
             return
         if self._paths:
-            opening.open_paths(self.app, self._paths)
+            opening.open_paths(self.app, self._paths, merge=self._merge)
         else:
             opening.begin_demo(self.app)
         look_for_abandoned(self.app)
@@ -296,10 +301,12 @@ def run_window(
     size: tuple[int, int] = (1280, 800),
     renderer: str = "auto",
     training: LiveTraining | None = None,
+    merge: bool = False,
     drive: Callable[[AppState, Any], None] | None = None,
     rescue: Callable[[], None] = lambda: None,
 ) -> int:
-    """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
+    """Opens the window on the scenes `paths` (several are merged, also those numbered alike where `merge`
+    says so; none: the demo) until it is closed.
 
     With a `training` it shows that one instead, and begins it; ending it is left to the caller.
 
@@ -315,7 +322,7 @@ def run_window(
         InputError: no display can be opened, or no renderer works on it.
     """
     major, minor = best_gl_version()
-    window = Window(paths, renderer=renderer, training=training)
+    window = Window(paths, renderer=renderer, training=training, merge=merge)
     params = layout.runner_params(window.app, size)
     options = params.renderer_backend_options.open_gl_options
     options.major_version, options.minor_version = major, minor

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Generic, Literal, TypeVar
 
 from splatview.viewer.loading import Reading
@@ -197,12 +198,26 @@ class FrameCache(Generic[Frame]):
             return LEAST_FRAMES
         return int(min(max(self.budget / self._largest, LEAST_FRAMES), self._count))
 
-    def _needed(self, head: Playhead) -> list[int]:
-        """The frames to keep, those needed first in front: in playing those that follow, at rest those
-        around. As many as there is memory for."""
-        return _first(min(self.room, self._count), _coming(head) if head.playing else _around(head))
+    def _needed(self, head: Playhead) -> dict[int, int]:
+        """The frames to keep, as many as there is memory for, those needed first in front; with the tick that
+        they are needed in. At rest those around the playhead, in playing those that follow."""
+        coming = self._coming(head) if head.playing else ((index, head.tick) for index in _around(head))
+        return _first(min(self.room, self._count), coming)
 
-    def _evict(self, order: Sequence[int]) -> None:
+    def _coming(self, head: Playhead) -> Iterator[tuple[int, int]]:
+        """The frames that follow, and when. Those that could not be decoded by the time that they are due are
+        left out; where decoding is slower than the frame rate, every so-manieth comes first, evenly."""
+        late = self.seconds * head.fps
+        lead, stride = math.ceil(late), max(1, int(late / self._workers))
+        ticks = range(head.tick, head.tick + lead + 2 * self._count)
+        frames = [(frame_at(tick, self._count, head.mode), tick) for tick in ticks]
+        for index, tick in frames:
+            in_time = tick >= head.tick + lead and (tick - self._last_tick) % stride == 0
+            if in_time or index in self._frames or index in self._running:
+                yield index, tick
+        yield from frames[lead:]
+
+    def _evict(self, order: Mapping[int, int]) -> None:
         """Forgets the frames that are needed last, until the rest fits."""
         if self.used <= self.budget or len(self._frames) <= LEAST_FRAMES:
             return
@@ -212,49 +227,26 @@ class FrameCache(Generic[Frame]):
             self.used -= self._size(self._frames.pop(kept.pop()))
             self.version += 1
 
-    def _start(self, head: Playhead, order: Sequence[int]) -> None:
+    def _start(self, head: Playhead, order: Mapping[int, int]) -> None:
         # Where the user goes to a frame, those that are being decoded for later are not waited for.
         urgent = not head.playing and self.state(head.frame) == "absent"
         while len(self._running) < self._workers + urgent:
-            index = head.frame if urgent else self._next(head, order)
+            index = next((index for index in order if self.state(index) == "absent"), None)
             if index is None or not (urgent or self._fits(index, order)):
                 return
             self._running[index] = self._read(index)
+            self._last_tick = order[index]
             self.version += 1
             urgent = False
 
-    def _fits(self, index: int, order: Sequence[int]) -> bool:
+    def _fits(self, index: int, order: Mapping[int, int]) -> bool:
         """Whether there is memory for one more beside those under way, or frames needed later to forget."""
         coming = self.used + (len(self._running) + 1) * self._largest
         if coming <= self.budget or len(self._frames) + len(self._running) < LEAST_FRAMES:
             return True
-        sooner = set(order[: order.index(index)])
+        sooner = set(itertools.takewhile(lambda one: one != index, order))
         spare = sum(self._size(frame) for kept, frame in self._frames.items() if kept not in sooner)
         return coming - spare <= self.budget or len(sooner | self._running.keys()) < LEAST_FRAMES
-
-    def _next(self, head: Playhead, order: Sequence[int]) -> int | None:
-        """The frame to decode next. In playing one that can be decoded by the time that it is due; where
-        decoding is slower than the frame rate, every so-manieth, evenly."""
-        if not head.playing:
-            return next((index for index in order if self.state(index) == "absent"), None)
-        ticks = self.seconds * head.fps
-        lead, stride = math.ceil(ticks), max(1, math.ceil(ticks / self._workers))
-        first, end = head.tick + lead, head.tick + lead + 2 * self._count
-        begins = [first]
-        if stride > 1 and head.tick <= self._last_tick < end:
-            begins = [max(first, self._last_tick + stride), first]
-        among = set(order)
-        for begin in begins:
-            for tick in range(begin, end):
-                index = frame_at(tick, self._count, head.mode)
-                if index in among and self.state(index) == "absent":
-                    self._last_tick = tick
-                    return index
-        return None
-
-
-def _coming(head: Playhead) -> Iterator[int]:
-    return (head.after(ticks) for ticks in range(2 * head.count))
 
 
 def _around(head: Playhead) -> Iterator[int]:
@@ -263,11 +255,11 @@ def _around(head: Playhead) -> Iterator[int]:
         yield from (index for index in (head.frame + away, head.frame - away) if 0 <= index < head.count)
 
 
-def _first(most: int, indices: Iterator[int]) -> list[int]:
-    """The first `most` of `indices`, each once."""
-    found: dict[int, None] = {}
-    for index in indices:
-        found[index] = None
+def _first(most: int, frames: Iterator[tuple[int, int]]) -> dict[int, int]:
+    """The first `most` different frames of (frame, tick), each with its first tick."""
+    found: dict[int, int] = {}
+    for index, tick in frames:
+        found.setdefault(index, tick)
         if len(found) >= most:
             break
-    return list(found)
+    return found

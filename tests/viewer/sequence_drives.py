@@ -11,14 +11,14 @@ from typing import Any
 import drives
 from drives import Hand
 from hands_drives import shoot
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2
 
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.menus import matching
 from splatview.viewer.sequence import Player, Sequences
 from splatview.viewer.state import AppState
 
-STRIP = "//View/**/Timeline/"
+STRIP = "**/"
 
 
 def player_of(app: AppState) -> Player:
@@ -128,10 +128,16 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["on_damaged"] = seen(app)
     shoot(hand, "on_damaged")
 
-    ctx.item_input_value(f"{STRIP}##rate", 12.5) if hasattr(ctx, "item_input_value") else None
+    ctx.item_input_value(f"{STRIP}##rate", 12.5)
     hand.frames(3)
     found["rate"] = app.preferences.frame_rate
-    ctx.combo_click(f"{STRIP}##repeat/Bounce")
+    beside = ctx.item_info(f"{STRIP}##rate").rect_full  # the test engine knows combos by no name
+    ctx.mouse_teleport_to_pos(ImVec2(beside.max.x + 40, (beside.min.y + beside.max.y) / 2))
+    ctx.mouse_click(0)
+    hand.frames(3)
+    popup = ctx.window_info("//##Combo_00").rect_full
+    ctx.mouse_teleport_to_pos(ImVec2((popup.min.x + popup.max.x) / 2, (popup.min.y + popup.max.y) / 2))
+    ctx.mouse_click(0)
     hand.frames(3)
     found["mode_chosen"] = app.preferences.play_mode
     ctx.item_input_value(f"{STRIP}##frame", 9)
@@ -139,7 +145,16 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["typed"] = seen(app)
     found["palette"] = {
         word: [command.id for command in matching(word)][:3]
-        for word in ("play", "pause", "sequence", "timeline", "next frame", "previous frame", "frame rate", "loop")
+        for word in (
+            "play",
+            "pause",
+            "sequence",
+            "timeline",
+            "next frame",
+            "previous frame",
+            "frame rate",
+            "loop",
+        )
     }
     menu = "//##MainMenuBar/##MenuBar/Sequence"
     found["menu"] = ctx.item_exists(menu)
@@ -165,7 +180,8 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("Ctrl+A")
     hand.press("Delete")
     hand.settle()
-    app.post(lambda app: drives.keys.COMMANDS["discard_frame_edits"].run(app))
+    app.post(drives.keys.COMMANDS["discard_frame_edits"].run)
+    hand.frames(3)
     at_rest(hand)
     found["discarded"] = seen(app) | {"deleted": session_of(app).document.counts.deleted}  # type: ignore
 
@@ -213,7 +229,6 @@ def glance(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     }
     shoot(hand, options.get("shot", "glance"))
     hand.press("Space")
-    imgui.get_frame_count()
 
 
 if __name__ == "__main__":
