@@ -110,6 +110,20 @@ class History:
         """Whether the steps in force differ from those last saved, or loaded."""
         return (self.steps[self.position - 1] if self.position else None) is not self._saved
 
+    @property
+    def unsaved(self) -> bool:
+        """Whether a file written now would differ from the one last saved, or loaded: as `modified`, but for
+        steps that only select, hide or lock."""
+        if not self.modified:
+            return False
+        saved = 0
+        if self._saved is not None:
+            places = (place for place, step in enumerate(self.steps, 1) if step is self._saved)
+            if (saved := next(places, -1)) < 0:
+                return True  # undone, and replaced by another step
+        first, last = sorted((saved, self.position))
+        return any(step.operation.alters_file for step in self.steps[first:last])
+
 
 ROWS = 1 << 14
 """Splats that a fingerprint is made of, evenly spread: enough to tell scenes apart, in milliseconds."""

@@ -27,6 +27,7 @@ from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.exporting import Exporting
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
+from splatview.viewer.editing.saving import Saving
 from splatview.viewer.editing.session import Editing
 from splatview.viewer.first_views import FirstViews
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
@@ -49,6 +50,7 @@ FEATURES: tuple[type[Feature], ...] = (
     Accuracy,
     Effects,
     Sequences,
+    Saving,
 )
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
@@ -75,6 +77,16 @@ def install_drop_handler(app: AppState) -> None:
 
     # pyGLFW keeps the callback alive; its stub has the C signature, not the Python one.
     glfw.set_drop_callback(glfw_window_hello_imgui(), dropped)  # pyright: ignore[reportArgumentType]
+
+
+def install_close_handler(app: AppState) -> None:
+    """Asks about unsaved edits where the window's own cross, or the system, closes it."""
+
+    def closing(window: Any) -> None:
+        glfw.set_window_should_close(window, False)
+        app.post(commands.quit_window)
+
+    glfw.set_window_close_callback(glfw_window_hello_imgui(), closing)  # pyright: ignore[reportArgumentType]
 
 
 IDLE_FPS = 2.0
@@ -123,7 +135,7 @@ class Window:
         self.training = training
         self.app.prefer(background=preferences.background, blend=preferences.blend)
         self.app.prefer(fov_y=preferences.fov_y)
-        self.dialogs = FileDialogs()
+        self.dialogs = FileDialogs(recent=lambda: self.app.preferences.recent)
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._title = ""
@@ -160,6 +172,7 @@ class Window:
         self.app.feature(Sequences).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
+        install_close_handler(self.app)
         self.app.clipboard_read = imgui.get_clipboard_text
         if self.training is not None:
             self.training.start(self.app, on_change=glfw.post_empty_event)

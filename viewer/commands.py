@@ -18,9 +18,9 @@ from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
 from splatview.viewer import background, camera, depth_of_field, first_views, sequence
 from splatview.viewer import open as opening
-from splatview.viewer import save as saving
+from splatview.viewer import save as pictures
 from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing import cleanup, exporting, files
+from splatview.viewer.editing import cleanup, exporting, files, saving
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
 from splatview.viewer.navigation import AXIS_NAMES, level
@@ -76,6 +76,11 @@ def cancel(app: AppState) -> None:
 
 
 def quit_window(app: AppState) -> None:
+    """Closes the window, after asking where edits are in no file."""
+    app.leave(_end)
+
+
+def _end(app: AppState) -> None:
     app.quitting = True
 
 
@@ -173,10 +178,10 @@ def _command(
     return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **more)
 
 
-_file, _camera, _navigation, _picture, _edit, _select, _sequence, _training, _window = (
+_file, _recipe, _camera, _navigation, _picture, _edit, _select, _sequence, _training, _window = (
     partial(_command, group)
     for group in (
-        *("File", "Camera", "Navigation", "Picture", "Edit", "Select"),
+        *("File", "Recipe", "Camera", "Navigation", "Picture", "Edit", "Select"),
         *("Sequence", "Training", "Window"),
     )
 )
@@ -225,16 +230,20 @@ COMMANDS: dict[str, Command] = {
         _file("reload", "F5", "Read the scene's files again", opening.reload,
             lacks=_needs(lambda app: app.scene_path is not None, "Open a file first")),
         _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
-        _file("screenshot", "F12", "Save a picture beside the scene", saving.screenshot, "Save a picture"),
+        _file("screenshot", "F12", "Save a picture beside the scene", pictures.screenshot, "Save a picture"),
         _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
             partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
         _file("quit", "Ctrl+Q", "Quit", quit_window),
         _file("export", "Ctrl+E", "Export the edited scene", exporting.open_dialog,
             "Export the edited scene...", lacks=_a_scene),
-        _file("save_recipe", "Ctrl+S", "Save what was done as a recipe", files.choose_recipe_to_save,
-            "Save recipe...", lacks=_a_scene_at_rest),
-        _file("replay_recipe", "Ctrl+R", "Do the steps of a recipe", files.choose_recipe_to_replay,
-            "Replay recipe...", lacks=_a_scene_at_rest),
+        _file("save", "Ctrl+S", "Save the scene", saving.save, "Save", lacks=_a_scene,
+            words="store write keep overwrite file"),
+        _file("save_as", "Ctrl+Shift+S", "Save the scene under another name", saving.save_as, "Save as...",
+            lacks=_a_scene, words="store write rename copy file"),
+        _recipe("save_recipe", "Ctrl+Alt+S", "Save what was done as a recipe", files.choose_recipe_to_save,
+            "Save recipe...", lacks=_a_scene_at_rest, words="macro script steps batch"),
+        _recipe("replay_recipe", "Ctrl+R", "Apply a recipe: do its steps", files.choose_recipe_to_replay,
+            "Apply recipe...", lacks=_a_scene_at_rest, words="load replay macro script steps batch"),
         _file("merge", "Ctrl+M", "Merge another scene into this one, as a step of editing",
             files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,

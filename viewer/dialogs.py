@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +16,7 @@ from splatview.viewer import save as saving
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, MOUSE
 from splatview.viewer.panels import widgets
+from splatview.viewer.panels.file_browser import FileBrowser
 from splatview.viewer.state import AppState
 
 
@@ -74,7 +74,7 @@ def problem(app: AppState) -> None:
 HELP_COLUMNS = (
     ("Mouse", "Moving", "Navigation"),
     ("Camera", "File"),
-    ("Select", "Edit"),
+    ("Select", "Edit", "Recipe"),
     ("Picture", "Sequence", "Window", "Training"),
 )
 """Groups of commands, held keys and the mouse, column by column."""
@@ -159,15 +159,15 @@ def screenshot(app: AppState) -> None:
 
 
 Kind = Literal[
-    *("scene", "folder", "cameras", "picture", "save_picture", "save_camera", "save_scene"),
-    *("recipe", "save_recipe"),
-]
+    "scene", "cameras", "picture", "folder", "save_picture", "save_camera", "save_scene", "recipe",
+    "save_recipe",
+]  # fmt: skip
 
 FILTERS: dict[Kind, list[str]] = {
     "scene": ["Splat scenes", name_patterns(), "All files", "*"],
-    "folder": [],
     "cameras": ["Camera lists", "*.json *.bin *.txt", "All files", "*"],
     "picture": ["Pictures", "*.jpg *.jpeg *.png *.webp *.tif *.tiff *.bmp", "All files", "*"],
+    "folder": ["Folders", "*"],
     "save_picture": ["PNG pictures", "*.png"],
     "save_camera": ["Cameras", "*.json"],
     "save_scene": ["Splat scenes", name_patterns(written=True)],
@@ -186,86 +186,72 @@ def has_native_dialogs() -> bool:
 class FileDialogs:
     """At most one question for a path at a time; `show` is called every frame."""
 
-    def __init__(self, folder: Path | None = None):
+    def __init__(self, folder: Path | None = None, *, recent: Callable[[], Sequence[str]] = tuple):
+        """`recent`: paths that were opened, newest first."""
         self.folder = folder
         """Where the next dialog starts."""
+        self.browser: FileBrowser | None = None
+        """Browser of our own, where the system has none."""
+        self._recent = recent
         self._native: pfd.open_file | pfd.save_file | pfd.select_folder | None = None
-        self._title = ""
-        self._typed: str | None = None
         self._done: Callable[[list[Path]], object] | None = None
-        self._saving = self._folder = False
-        self._fresh = False
 
     @property
     def open(self) -> bool:
         return self._done is not None
 
     def ask(self, title: str, done: Callable[[list[Path]], object], *, kind: Kind, name: str = "") -> None:
-        """Asks for files; `done` gets at least one path, or is not called where the user changed his mind.
+        """Asks for files, or a folder; `done` gets at least one path, or is not called where the user changed
+        his mind.
 
         `name`: the file name a saving dialog proposes.
         """
         if self.open:
             return
-        self._title, self._done, self._saving = title, done, kind.startswith("save")
-        self._folder = kind == "folder"
-        proposal = str((self.folder or Path.cwd()) / name) if name else str(self.folder or Path.cwd())
+        self._done, saving = done, kind.startswith("save")
+        folder = self.folder if self.folder is not None and self.folder.is_dir() else Path.cwd()
+        proposal = str(folder / name) if name else str(folder)
         if any("\ud800" <= one <= "\udfff" for one in proposal):
             proposal = name  # no dialog takes names that are no text
         if not has_native_dialogs():
-            self._typed, self._fresh = (proposal if self._saving else ""), True
+            self.browser = FileBrowser(
+                title,
+                folder,
+                saving=saving,
+                folders=kind == "folder",
+                name=name,
+                filters=FILTERS[kind],
+                recent=self._recent() if kind == "scene" else (),
+            )
         elif kind == "folder":
             self._native = pfd.select_folder(title, proposal)
-        elif self._saving:
+        elif saving:
             self._native = pfd.save_file(title, proposal, FILTERS[kind])
         else:
             self._native = pfd.open_file(title, proposal, FILTERS[kind], pfd.opt.multiselect)
 
     def show(self) -> None:
-        """Polls the system's dialog or draws the plain one."""
+        """Polls the system's dialog or draws our own."""
         if self._native is not None and self._native.ready(0):
             answer = self._native.result()
             self._native = None
-            self._finish([answer] if isinstance(answer, str) else answer)
-        if self._typed is not None:
-            self._show_plain()
+            self._finish([Path(name) for name in ([answer] if isinstance(answer, str) else answer) if name])
+        if self.browser is not None:
+            self.browser.show()
+            if self.browser.answer is not None:
+                answer, browser, self.browser = self.browser.answer, self.browser, None
+                browser.close()
+                self._finish(answer)
 
     def close(self) -> None:
         """Takes a dialog that is still open away, for the program's end."""
         if self._native is not None:
             self._native.kill()
+        if self.browser is not None:
+            self.browser.close()
 
-    def _show_plain(self) -> None:
-        if self._fresh:
-            imgui.open_popup(self._title)
-        centre = imgui.get_main_viewport().get_center()
-        imgui.set_next_window_pos(centre, imgui.Cond_.appearing, (0.5, 0.5))
-        imgui.set_next_window_size((imgui.get_font_size() * 34, 0))
-        if not imgui.begin_popup_modal(self._title, None, imgui.WindowFlags_.no_saved_settings)[0]:
-            if not self._fresh:
-                self._finish([])
-            return
-        asked = "Path of the folder:" if self._folder else "Path of the file, or several between ;"
-        imgui.text_wrapped("Path of the file:" if self._saving else asked)
-        if self._fresh:
-            imgui.set_keyboard_focus_here()
-            self._fresh = False
-        imgui.set_next_item_width(-1)
-        entered, self._typed = imgui.input_text(
-            "##path", self._typed or "", imgui.InputTextFlags_.enter_returns_true
-        )
-        accepted = imgui.button("Save" if self._saving else "Open") or entered
-        imgui.same_line()
-        cancelled = imgui.button("Cancel") or imgui.is_key_pressed(imgui.Key.escape)
-        if accepted or cancelled:
-            imgui.close_current_popup()
-            names = [part.strip().strip("\"'") for part in self._typed.split(";")] if accepted else []
-            self._finish([name for name in names if name])
-        imgui.end_popup()
-
-    def _finish(self, names: list[str]) -> None:
-        done, self._done, self._typed = self._done, None, None
-        paths = [Path(os.path.expanduser(name)) for name in names if name]
+    def _finish(self, paths: list[Path]) -> None:
+        done, self._done = self._done, None
         if paths and done is not None:
             self.folder = paths[0].parent
             done(paths)

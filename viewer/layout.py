@@ -11,6 +11,7 @@ from splatview.scene.errors import printable
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer import dialogs, menus, overlays, viewport
 from splatview.viewer.dialogs import FileDialogs
+from splatview.viewer.editing.saving import has_unsaved_edits
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels import (
     accuracy,
@@ -20,6 +21,7 @@ from splatview.viewer.panels import (
     export,
     history,
     rendering,
+    save_questions,
     scene,
     statistics,
     timeline,
@@ -159,11 +161,19 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     menus.show_palette(app)
     history.show_restore(app)
     export.show_dialog(app)
+    save_questions.show(app)
     files.show()
 
 
+UNSAVED_MARK = "\N{BULLET}"
+"""Before the scene's name in the title while edits are in no file."""
+
+
 def title(app: AppState) -> str:
-    return f"{printable(app.scene.name)} - splatview" if app.is_open else "splatview"
+    if not app.is_open:
+        return "splatview"
+    mark = f"{UNSAVED_MARK} " if has_unsaved_edits(app) else ""
+    return f"{mark}{printable(app.scene.name)} - splatview"
 
 
 def hide_or_show_panels(app: AppState) -> None:

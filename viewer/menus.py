@@ -102,7 +102,7 @@ def panels(app: AppState) -> None:
 MENUS: dict[str, tuple[Entry, ...]] = {
     "File": (
         "open", "open_folder", "add", recent_files, "merge", "reload", None,
-        "export", "split", "save_recipe", "replay_recipe", None,
+        "save", "save_as", "export", "split", None,
         "demo", None, "open_cameras", None, "screenshot", "screenshot_as", None, "quit",
     ),
     "Edit": (
@@ -114,6 +114,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         *(f"tool_{tool}" for tool in ("rectangle", "brush", "lasso", "polygon", "flood", "colour")), None,
         "next_depth",
     ),
+    "Recipe": ("save_recipe", "replay_recipe"),
     "Camera": (
         "home_view", "frame_selection", "frame_all", axis_views, "level", None,
         *(f"navigate_{mode}" for mode in NAVIGATION_MODES), None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from splatview.scene import InputError
@@ -42,11 +43,17 @@ def open_paths(app: AppState, paths: Sequence[Path], *, merge: bool = False) -> 
 
 
 def begin(app: AppState, paths: Sequence[Path], *, add: bool = False) -> None:
-    """Starts to load; a load under way is cancelled, and the shown scene stays until the new one is here."""
+    """Starts to load; a load under way is cancelled, and the shown scene stays until the new one is here.
+    Where it has unsaved edits the user is asked first."""
+    if not add:
+        app.leave(partial(_begin, paths=paths))
+    else:
+        _begin(app, paths, added_to=app.scene if app.is_open else None)
+
+
+def _begin(app: AppState, paths: Sequence[Path], added_to: LoadedScene | None = None) -> None:
     cancel_loading(app, quiet=True)
-    app.loading = load_files(
-        [Path(path) for path in paths], added_to=app.scene if add and app.is_open else None
-    )
+    app.loading = load_files([Path(path) for path in paths], added_to=added_to)
 
 
 def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) -> None:
@@ -56,6 +63,10 @@ def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) ->
 
 
 def begin_demo(app: AppState) -> None:
+    app.leave(_begin_demo)
+
+
+def _begin_demo(app: AppState) -> None:
     cancel_loading(app, quiet=True)
     app.loading = load_demo()
 

@@ -77,6 +77,11 @@ class Feature:
     def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
         """Another scene is open, in the place of the one before."""
 
+    def asks_first(self, app: AppState, proceed: Callable[[AppState], object]) -> bool:
+        """Whether the user is asked something before the open scene is left for another one, or the window
+        closed; then `proceed` is posted once he agrees."""
+        return False
+
     def before_frame(self, app: AppState) -> None:
         """Takes over finished work and prepares the frame that follows."""
 
@@ -263,6 +268,11 @@ class AppState:
 
     def add(self, feature: Feature) -> None:
         self.features[type(feature)] = feature
+
+    def leave(self, proceed: Callable[[AppState], object]) -> None:
+        """Does `proceed(app)`, which leaves the open scene, now or when the user has agreed."""
+        if not any(feature.asks_first(self, proceed) for feature in self.features.values()):
+            proceed(self)
 
     def feature(self, kind: type[F]) -> F:
         """The feature of class `kind`, which must have been added."""

@@ -27,6 +27,8 @@ class Operation(ABC):
     """Name in a recipe."""
     summary: ClassVar[str]
     """One sentence for the user."""
+    alters_file: ClassVar[bool] = True
+    """Whether a file written after it differs; not by what is only selected, hidden or locked."""
 
     @abstractmethod
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:

@@ -59,6 +59,7 @@ class Prune(_ByDetector):
 @dataclass(frozen=True, kw_only=True)
 class SelectDetected(_ByDetector):
     op: ClassVar[str] = "select_detected"
+    alters_file: ClassVar[bool] = False
     summary: ClassVar[str] = "Select floaters, needles, giants, faint or unseen splats above a threshold"
 
     mode: Mode = "set"

@@ -41,30 +41,35 @@ class Delete(_SetFlag):
 
 class Hide(_SetFlag):
     op = "hide"
+    alters_file = False
     summary = "Hide the selected splats; they are still exported"
     flag = HIDDEN
 
 
 class Show(_ClearFlag):
     op = "show"
+    alters_file = False
     summary = "Show all hidden splats again"
     flag = HIDDEN
 
 
 class Lock(_SetFlag):
     op = "lock"
+    alters_file = False
     summary = "Lock the selected splats: visible, but not to be selected or changed"
     flag = LOCKED
 
 
 class Unlock(_ClearFlag):
     op = "unlock"
+    alters_file = False
     summary = "Unlock all locked splats"
     flag = LOCKED
 
 
 class Isolate(Operation):
     op = "isolate"
+    alters_file = False
     summary = "Hide all but the selected splats"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:

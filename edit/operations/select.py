@@ -37,6 +37,7 @@ class Select(Operation):
     selector."""
 
     op: ClassVar[str] = "select"
+    alters_file: ClassVar[bool] = False
     summary: ClassVar[str] = "Select splats by a shape, by colour, by a range of an attribute, ..."
 
     by: Any
@@ -91,6 +92,7 @@ def one_of(registry: dict[str, type], data: dict[str, Any], key: str) -> dict[st
 @dataclass(frozen=True, kw_only=True)
 class SelectAll(Operation):
     op: ClassVar[str] = "select_all"
+    alters_file: ClassVar[bool] = False
     summary: ClassVar[str] = "Select everything that is shown and not locked"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
@@ -100,6 +102,7 @@ class SelectAll(Operation):
 @dataclass(frozen=True, kw_only=True)
 class SelectNone(Operation):
     op: ClassVar[str] = "select_none"
+    alters_file: ClassVar[bool] = False
     summary: ClassVar[str] = "Select nothing"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
@@ -109,6 +112,7 @@ class SelectNone(Operation):
 @dataclass(frozen=True, kw_only=True)
 class SelectInverse(Operation):
     op: ClassVar[str] = "select_inverse"
+    alters_file: ClassVar[bool] = False
     summary: ClassVar[str] = "Swap what is selected with what is not"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
@@ -151,6 +155,7 @@ class _ByNearness(Operation):
 
 class Grow(_ByNearness):
     op = "grow"
+    alters_file = False
     summary = "Select also what is near the selection"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
@@ -159,6 +164,7 @@ class Grow(_ByNearness):
 
 class Shrink(_ByNearness):
     op = "shrink"
+    alters_file = False
     summary = "Deselect what is near to splats that are not selected"
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:

@@ -307,7 +307,7 @@ class EditSession:
         if self.job is not None:
             self.job.cancel()
         if self.journal is not None:
-            self.journal.close(keep=self.document.history.modified)
+            self.journal.close(keep=self.document.history.unsaved)
 
 
 class LiveScene(Protocol):
@@ -445,7 +445,7 @@ class Editing(Feature):
             session.job.cancel()
             session.job.join(LEAVING_SECONDS)
         offered = len(app.scene.paths) == 1
-        kept = offered and session.journal is not None and session.document.history.modified
+        kept = offered and session.journal is not None and session.document.history.unsaved
         session.close()
         return "the edits are in no file yet; the next start offers to restore them" if kept else None
 
