@@ -72,7 +72,14 @@ class Preferences:
     """Behaviour at the last frame of a sequence: on from the first, back, or an end."""
     sequence_memory_gib: float = 0.0
     """Memory for the frames of a sequence; 0: a quarter of what is free when it is opened."""
-    closed_panels: tuple[str, ...] = ()
+    page: str = "Scene"
+    """Page of the inspector that is open; "" for none."""
+    strip: str = ""
+    """Panel of the bottom strip that is open; "" for none."""
+    inspector_width: float = 20.0
+    """Font heights, without the rail."""
+    strip_height: float = 12.0
+    """Font heights."""
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 
@@ -86,6 +93,8 @@ RANGES = {
     "edit_memory_gib": (0.0, 1024.0),
     "frame_rate": (0.1, 240.0),
     "sequence_memory_gib": (0.0, 1024.0),
+    "inspector_width": (17.0, 60.0),
+    "strip_height": (6.0, 60.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
