@@ -216,7 +216,7 @@ def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
         lambda: training.shown is not None and training.shown.iteration == training.status.iteration,
         "the last snapshot",
     )
-    answer = training.thread.post(lambda session: session.trainer.splats.parameters.means.copy())
+    answer = training.thread.post(lambda session: session.trainer.splats.arrays.means.copy())
     assert training.shown is not None
     found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
 

@@ -26,8 +26,8 @@ from splatview.scene.formats import save_scene
 from splatview.scene.formats.sog_write import sog_files
 from splatview.scene.progress import NO_PROGRESS
 from splatview.trainer.checkpoint import FORMAT
+from splatview.trainer.counters import Counters
 from splatview.trainer.settings import TrainSettings, recorded
-from splatview.trainer.trainer import Counters
 from splatview.viewer.camera import camera_text
 from splatview.viewer.preferences import Preferences
 
