@@ -110,18 +110,23 @@ def in_slices(indices: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def storable_in_z_order(gaussians: Gaussians) -> np.ndarray:
-    """(M,) indices of the splats that are storable along a Z-curve of 2^21 steps a side: neighbours in space
-    stand near each other in the file, which codecs of pictures and of streams profit from."""
+    """(M,) indices of the splats that are storable, as `in_z_order` has them."""
+    good, low, high = _storable(gaussians)
+    return in_z_order(gaussians.means, np.flatnonzero(good), low, high)
+
+
+def in_z_order(means: np.ndarray, indices: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(M,) `indices` of means (N, 3) between `low` and `high`, sorted in place along a Z-curve of 2^21 steps a
+    side: neighbours in space stand near each other in the file, which codecs of pictures and of streams profit
+    from."""
     from splatview.scene.formats.kernels.compiling import over_splats
     from splatview.scene.formats.kernels.encoding import morton_keys, sort_by_keys
 
-    good, low, high = _storable(gaussians)
-    kept = np.flatnonzero(good)
     scale = (2**21 - 1) / np.where(high > low, high - low, 1)
-    keys = np.empty(len(kept), np.uint64)
-    over_splats(morton_keys, len(kept), np.ascontiguousarray(gaussians.means), kept, low, scale, keys)
-    sort_by_keys(keys, kept, np.empty_like(keys), np.empty_like(kept))
-    return kept
+    keys = np.empty(len(indices), np.uint64)
+    over_splats(morton_keys, len(indices), np.ascontiguousarray(means), indices, low, scale, keys)
+    sort_by_keys(keys, indices, np.empty_like(keys), np.empty_like(indices))
+    return indices
 
 
 def check_expansion(path: Path, promised: int, held: int) -> None:

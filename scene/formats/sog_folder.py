@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from splatview.scene.formats.folders import atomic_folder
-from splatview.scene.formats.packing import morton_order, storable, unit_quats
+from splatview.scene.formats.packing import in_z_order, storable, unit_quats
 from splatview.scene.formats.sog import LOD_META, META
 from splatview.scene.formats.sog_write import SogKnobs, sog_files
 from splatview.scene.gaussians import Gaussians
@@ -177,7 +177,9 @@ def _chunks(
                 name, filled, count = f"{number}_{count}", 0, count + 1
                 chunks[name] = number, []
             leaf.places[number] = len(chunks) - 1, filled
-            chunks[name][1].append(members[morton_order(level.means[members])])
+            places = level.means[members]
+            bounds = (edge(axis=0).astype(np.float64) for edge in (places.min, places.max))
+            chunks[name][1].append(in_z_order(level.means, members, *bounds))
             filled += len(members)
     return chunks
 
