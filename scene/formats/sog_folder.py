@@ -177,9 +177,11 @@ def _chunks(
                 name, filled, count = f"{number}_{count}", 0, count + 1
                 chunks[name] = number, []
             leaf.places[number] = len(chunks) - 1, filled
-            places = level.means[members]
-            bounds = (edge(axis=0).astype(np.float64) for edge in (places.min, places.max))
-            chunks[name][1].append(in_z_order(level.means, members, *bounds))
+            if len(members):
+                places = level.means[members]
+                bounds = (edge(axis=0).astype(np.float64) for edge in (places.min, places.max))
+                members = in_z_order(level.means, members, *bounds)
+            chunks[name][1].append(members)
             filled += len(members)
     return chunks
 
