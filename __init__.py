@@ -6,10 +6,13 @@ numba nor torch.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False
+"""What type checkers take for true; its module is not imported, as nothing takes care of Ctrl-C before the
+command has begun."""
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from splatview.edit.recipe import Recipe as Recipe
     from splatview.edit.recipe import load_recipe as load_recipe
     from splatview.renderers.conversion import Conversion as Conversion
@@ -55,6 +58,8 @@ MODULE_OF = {
 def __getattr__(name: str) -> Any:
     if name not in MODULE_OF:
         raise AttributeError(f"module 'splatview' has no attribute {name!r}")
+    from importlib import import_module
+
     value = globals()[name] = getattr(import_module(f"splatview.{MODULE_OF[name]}"), name)
     return value
 

@@ -18,9 +18,10 @@ from splatview.measure.knobs import KNOBS, Plan, apply_choices
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.background import Background, Colour, Gradient
 from splatview.scene.camera import orbited, stepped_back, through_lens, with_parallel_rays
+from splatview.scene.first_view import first_view
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.panorama import load_panorama
-from splatview.scene.framing import WORLD_UP, frame_camera, pivot, robust_bounds
+from splatview.scene.framing import WORLD_UP, pivot, robust_bounds
 
 DEFAULT_SIZE = (1280, 720)
 
@@ -352,9 +353,8 @@ def _pinhole_orbit(args: argparse.Namespace, gaussians: Gaussians) -> Orbit:
         up = args.up or WORLD_UP
         camera = look_at(args.eye, args.target, up=up, fov_y=fov, width=width, height=height)
         return Orbit(camera, np.array(args.target), np.array(up))
-    centre, _ = robust_bounds(gaussians.means)
-    camera = frame_camera(gaussians, width, height, fov_y=fov)
-    return Orbit(camera, centre, np.array(WORLD_UP))
+    view = first_view(gaussians, width, height, fov_y=fov)
+    return Orbit(view.camera, view.target, view.up)
 
 
 def orbit_of(camera: Camera, centre: np.ndarray) -> Orbit:

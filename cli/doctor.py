@@ -25,7 +25,7 @@ LIBRARIES = (
     ("plyfile", ""),
     ("pillow", ""),
     ("safetensors", ""),
-    ("torch", "only for training by several processes: pip install 'splatview[distributed]'"),
+    ("torch", "only for training: pip install 'splatview[train]'"),
     ("matplotlib", "for plots: pip install 'splatview[plot]'"),
 )
 """Name, and what an optional one is for."""

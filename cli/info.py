@@ -7,6 +7,7 @@ import json
 import math
 import threading
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
 from splatview.cli.main import make_console
+from splatview.cli.sequence import describe_sequence
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
@@ -24,6 +26,7 @@ from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects, view_effects
 from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
+from splatview.scene.formats.sequence import SceneSequence, resolve
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import check
 
@@ -143,7 +146,11 @@ def repairs_as_text(receipt: dict[str, Any]) -> list[str]:
 
 
 def run(arguments: list[str]) -> int:
-    parser = Parser("info", "Tells what SCENE holds, which effects it calls for and why, and its health.")
+    parser = Parser(
+        "info",
+        "Tells what SCENE holds, which effects it calls for and why, and its health.\n"
+        "Of a folder of scenes, or a glob in quotes, it tells what each frame holds.",
+    )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument(
         "--repairs",
@@ -156,7 +163,12 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     check_measure_options(args)
-    gaussians = load_scene(args.scene)
+    source = resolve(Path(args.scene))
+    if isinstance(source, SceneSequence):
+        if args.measure or args.repairs:
+            raise InputError("--measure and --repairs look at one scene; name one of the sequence's files")
+        return describe_sequence(source, as_json=args.json)
+    gaussians = load_scene(source)
     receipt = describe(gaussians)
     if args.measure:
         prices, receipt["measured"] = measured_prices(args, gaussians, scene_effects(gaussians))

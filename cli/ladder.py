@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich import box
@@ -57,6 +58,7 @@ from splatview.scene.formats import load_scene
 from splatview.scene.formats.cameras import camera_values
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.evaluate import evaluate
+from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import (
     TrainSettings,
     automatic_dropout,
@@ -64,9 +66,11 @@ from splatview.trainer.settings import (
     automatic_max_aspect,
     automatic_regularisation,
 )
-from splatview.trainer.splats import initial_parameters
-from splatview.trainer.trainer import Trainer
+from splatview.trainer.torch_import import require_torch
 from splatview.trainer.views import TrainView, TrainViews, train_views
+
+if TYPE_CHECKING:  # torch is imported where something is trained
+    from splatview.trainer.trainer import Trainer
 
 # ---- `splatview ladder --train CAPTURE`: the same question asked of training, at equal seconds.
 
@@ -87,6 +91,7 @@ def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int
     Raises:
         InputError: the capture is at fault, or has no held-out photos.
     """
+    require_torch()
     console = make_console()
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
@@ -150,7 +155,7 @@ def train_rung(
             seconds.append(stopped - begun - paused)
             scores.append(
                 evaluate(
-                    trainer.splats.parameters, held_out, trainer.render_settings, threads=trainer.threads
+                    trainer.splats.arrays, held_out, trainer.render_settings, threads=trainer.threads
                 ).psnr
             )
             paused += time.perf_counter() - stopped
@@ -184,6 +189,8 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     parameters = initial_parameters(
         capture.points, capture.point_colours, capture.scene_radius, limit=settings.max_splats, seed=seed
     )
+    from splatview.trainer.trainer import Trainer
+
     trainer = Trainer(views, parameters, capture.scene_radius, settings)
     trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:

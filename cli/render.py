@@ -31,6 +31,7 @@ from splatview.cli.arguments import (
     number,
     positive,
 )
+from splatview.cli.sequence import render_sequence
 from splatview.measure.knobs import Plan, path_to_view
 from splatview.renderers import MODES, FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
@@ -40,6 +41,7 @@ from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.io import atomic_write, target_of
+from splatview.scene.formats.sequence import SceneSequence, resolve
 
 # ---- Pictures to files: checked before the work, written whole or not at all.
 
@@ -97,7 +99,9 @@ def make_parser() -> Parser:
         "render",
         "Renders SCENE without a window.\n\n"
         "A .png is 8-bit RGB; a .npy is float32 (height, width, 4), RGB over the background and alpha.\n"
-        "What the scene calls for (antialiased opacity, discs, SH degree) is read from it; options override.",
+        "What the scene calls for (antialiased opacity, discs, SH degree) is read from it; options override."
+        "\n\nA folder of scenes, or a glob in quotes ('frames/*.ply'), is a sequence: a picture of each\n"
+        "frame by one camera. OUT is then a folder, or has a place for the number: frame_%%04d.png.",
     )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
@@ -136,7 +140,11 @@ def make_parser() -> Parser:
     group.add_argument("--stats", action="store_true", help="print times and counts as one JSON object")
     group.add_argument("--frames", type=count, default=1, metavar="N", help="render N frames, write the last")
     group.add_argument(
-        "--turn", type=number, default=0.0, metavar="DEG", help="turn the eye about the target before each"
+        "--turn",
+        type=number,
+        default=0.0,
+        metavar="DEG",
+        help="turn the eye about the target before each (of a sequence: before each after the first)",
     )
     return parser
 
@@ -146,9 +154,13 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     check_camera_options(args)
-    check_picture_options(args)
+    source = resolve(Path(args.scene))
+    is_sequence = isinstance(source, SceneSequence)
+    check_picture_options(args, is_sequence=is_sequence)
+    if is_sequence:
+        return render_sequence(args, source)
     behind = chosen_background(args.background, args.up)
-    gaussians = load_scene(args.scene)
+    gaussians = load_scene(source)
     orbit = chosen_orbit(args, gaussians)
     aperture = chosen_aperture(args, orbit.camera)
     renderer = make_headless(args.renderer, mode=args.mode)
@@ -163,14 +175,16 @@ def run(arguments: list[str]) -> int:
     return 0
 
 
-def check_picture_options(args: argparse.Namespace) -> None:
-    """Raises InputError for what cannot work, before anything is loaded."""
+def check_picture_options(args: argparse.Namespace, *, is_sequence: bool = False) -> None:
+    """Raises InputError for what cannot work, before anything is loaded. Where a sequence's pictures go is
+    left to `render_sequence`."""
     if args.output is None and not args.stats:
         raise InputError("nothing to do: give -o OUT.png or --stats (see splatview render --help)")
-    if args.output is not None:
+    if args.output is not None and not is_sequence:
         check_output(args.output)
     if args.alpha:
-        if args.output is None or args.output.suffix.lower() != ".png":
+        folder = is_sequence and args.output is not None and not args.output.suffix
+        if args.output is None or not (folder or args.output.suffix.lower() == ".png"):
             raise InputError("--alpha is for .png files; a .npy always has alpha")
         if args.background is not None:
             raise InputError("--alpha leaves the background out; drop --background or --alpha")

@@ -26,6 +26,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
 from splatview.scene.effects.effect import Effect
 from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.counters import PluginError
 from splatview.trainer.distributed import (
     Alone,
     Group,
@@ -38,7 +39,9 @@ from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.strategies import STRATEGIES
-from splatview.trainer.trainer import Trainer
+
+if TYPE_CHECKING:  # torch is imported while photos are read
+    from splatview.trainer.trainer import Trainer
 
 if TYPE_CHECKING:
     from splatview.viewer.training.live import LiveTraining
@@ -280,6 +283,13 @@ def make_parser() -> Parser:
         default=None,
         help="with --strategy classic: gradients by absolute value decide what is split",
     )
+    group.add_argument(
+        "--plugin",
+        type=Path,
+        metavar="LOSS.py",
+        help="a Python file whose function loss(step) is the loss of each step; with --resume, none goes on"
+        " without the one before",
+    )
     group.add_argument("--seed", type=index, metavar="S", help="of all that is random (default: 0)")
     group.add_argument("--threads", type=count, metavar="T", help="default: all cores")
     group = parser.add_argument_group("report")
@@ -375,7 +385,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         try:
             with stopping_between_steps(trainer.group):
                 completed = session.run()
-        except PeerLost as error:
+        except (PeerLost, PluginError) as error:
             raise InputError(f"{error}; {_as_far(outputs)}") from None
     if not completed:
         say(

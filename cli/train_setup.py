@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -19,27 +19,21 @@ from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
 from splatview.scene.effects.effect import Effect
-from splatview.scene.formats.io import take_lock
+from splatview.scene.formats.io import require_regular_file, take_lock
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
-from splatview.trainer.effects import capture_effects, model_for, with_exposure
+from splatview.trainer.effects import capture_effects, with_exposure
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import (
-    PAPER_ITERATIONS,
-    TrainSettings,
-    automatic_dropout,
-    automatic_limit,
-    automatic_max_aspect,
-    automatic_regularisation,
-    automatic_steps,
-)
-from splatview.trainer.splats import initial_parameters
+from splatview.trainer.settings import TrainSettings, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
-from splatview.trainer.trainer import Trainer
+from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views
-from splatview.trainer.warm_up import warm_up
+
+if TYPE_CHECKING:  # torch is imported while photos are read, see `_prepare`
+    from splatview.trainer.plugin import LossPlugin
+    from splatview.trainer.trainer import Trainer
 
 COMPILED_SECONDS = 10.0
 """Loading kernels from the cache takes about two seconds; when it takes this long, they were compiled."""
@@ -127,6 +121,9 @@ def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
 
 
 def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
+    torch_import = TorchImport()
+    if options.plugin is not None:
+        check_plugin(options.plugin)
     checkpoint = None if options.resume is None else load_checkpoint(options.resume)
     if checkpoint is not None:
         for name in OF_THE_CHECKPOINT:
@@ -138,6 +135,11 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
     # Checkpoints from before there was a choice have no word about it.
     lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
+    if checkpoint is not None and checkpoint.notes.get("plugin") and options.plugin is None:
+        raise InputError(
+            f"{options.resume}: was trained with a loss of its own; give it with --plugin"
+            f" {checkpoint.notes['plugin'].get('name')}, or go on without it by --plugin none"
+        )
     outputs = _outputs("demo" if options.demo else options.capture, options.output, options.metrics)
     if group.rank == 0:
         outputs.check()
@@ -155,8 +157,10 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     for warning in capture.warnings:
         say(console, warning, "yellow")
+    torch_import.wait()
+    loss = _loss(options, checkpoint, console)
     if checkpoint is None:
-        trainer = _new_trainer(capture, views, centre, seed, batch, options, group)
+        trainer = _new_trainer(capture, views, centre, seed, batch, options, group, loss)
         if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
                 console,
@@ -164,7 +168,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
                 " learn single photos by heart; --iterations asks for more",
             )
     else:
-        trainer = _resumed_trainer(views, centre, checkpoint, options, group)
+        trainer = _resumed_trainer(views, centre, checkpoint, options, group, loss)
         if trainer.done:
             # Perhaps it was killed before its scene was written.
             say(
@@ -177,7 +181,9 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     antialiased = (
         options.antialiased or (checkpoint.notes.get("antialiased") if checkpoint else None) or "auto"
     )
-    notes = {"downscale": downscale, "lens": lens, "antialiased": antialiased}
+    notes: dict[str, Any] = {"downscale": downscale, "lens": lens, "antialiased": antialiased}
+    if loss is not None:
+        notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
     effects = capture_effects(capture, trainer.settings, antialiased)
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
@@ -189,6 +195,8 @@ def ready_kernels(console: Console, *, lens: bool = False) -> float:
 
     `lens`: those for photos through a lens.
     """
+    from splatview.trainer.warm_up import warm_up
+
     begun = time.perf_counter()
     with console.status("Readying the kernels (once per installation: about a minute)"):
         warm_up(lens=lens)
@@ -255,38 +263,29 @@ def _new_trainer(
     batch: int,
     options: argparse.Namespace,
     group: Group,
+    loss: LossPlugin | None,
 ) -> Trainer:
-    iterations, minutes = options.iterations, options.minutes
-    if iterations is None:
-        iterations = automatic_steps(len(views)) or (PAPER_ITERATIONS if minutes is None else None)
+    from splatview.trainer.setup import settings_for, trainer_for
+
     strategy = options.strategy or TrainSettings.strategy
     if options.abs_grad and not hasattr(STRATEGIES[strategy][0], "absolute_gradient"):
         raise InputError("--abs-grad is of the classic strategy; add --strategy classic")
-    regularisation = automatic_regularisation(len(views))
-    settings = TrainSettings(
-        iterations=iterations,
-        minutes=minutes,
+    settings = settings_for(
+        capture,
+        views,
+        iterations=options.iterations,
+        minutes=options.minutes,
+        max_splats=options.max_splats,
+        antialiased=options.antialiased or "auto",
         seed=seed,
         batch=batch,
-        opacity_reg=regularisation,
-        scale_reg=regularisation,
-        dropout=automatic_dropout(len(views)),
-        max_aspect=automatic_max_aspect(len(views)),
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
         resolution=TrainSettings.resolution if options.coarse is None else options.coarse,
-        background=capture.background or (0.0, 0.0, 0.0),
-        model=model_for(capture, options.antialiased or "auto"),
-        max_splats=options.max_splats
-        or automatic_limit(views.pixel_count, minutes if options.iterations is None else None),
-    )
-    extent = capture.scene_radius
-    parameters = initial_parameters(
-        capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=seed
     )
     threads = _threads(options, group)
-    return Trainer(views, parameters, extent, settings, centre=centre, threads=threads, group=group)
+    return trainer_for(capture, views, settings, centre=centre, threads=threads, group=group, loss=loss)
 
 
 def _resumed_trainer(
@@ -295,13 +294,18 @@ def _resumed_trainer(
     checkpoint: Checkpoint,
     options: argparse.Namespace,
     group: Group,
+    loss: LossPlugin | None,
 ) -> Trainer:
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
-    parameters = checkpoint.splats.parameters
+    from splatview.trainer.trainer import Trainer
+
+    parameters = checkpoint.parameters
     extent, threads = checkpoint.extent, _threads(options, group)
-    trainer = Trainer(views, parameters, extent, settings, centre=centre, threads=threads, group=group)
+    trainer = Trainer(
+        views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
+    )
     restore(trainer, checkpoint)
     if trainer.done and settings is not checkpoint.settings:
         raise InputError(
@@ -309,6 +313,42 @@ def _resumed_trainer(
             " or more --minutes to train on"
         )
     return trainer
+
+
+NO_PLUGIN = Path("none")
+"""For --plugin: a resumed run goes on without the loss that it had."""
+
+
+def check_plugin(path: Path) -> None:
+    """What can be said of a plugin before torch is there: it is a file, and Python.
+
+    Raises:
+        InputError: it is not.
+    """
+    if path == NO_PLUGIN:
+        return
+    require_regular_file(path)
+    try:
+        compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+    except SyntaxError as error:
+        raise InputError(f"{path}:{error.lineno}: cannot be imported: SyntaxError: {error.msg}") from None
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as Python: {error}") from None
+
+
+def _loss(options: argparse.Namespace, checkpoint: Checkpoint | None, console: Console) -> LossPlugin | None:
+    if options.plugin is None or options.plugin == NO_PLUGIN:
+        return None
+    from splatview.trainer.plugin import load_plugin
+
+    loss = load_plugin(options.plugin)
+    before = checkpoint.notes.get("plugin") if checkpoint else None
+    if checkpoint is not None and (before or {}).get("sha256") != loss.digest:
+        was = "without one" if not before else "with another"
+        say(
+            console, f"{options.plugin}: the checkpoint was trained {was}; it goes on with this one", "yellow"
+        )
+    return loss
 
 
 def _threads(options: argparse.Namespace, group: Group) -> int | None:
@@ -322,7 +362,8 @@ def _check_equal(run: Run, group: Processes) -> None:
         {
             "options": digest(trainer.settings),
             "photos": digest(trainer.views.names(), *(view.pixels for view in trainer.views.all)),
-            "points to begin with": digest(trainer.extent, trainer.centre, *trainer.splats.parameters),
+            "points to begin with": digest(trainer.extent, trainer.centre, *trainer.splats.arrays),
+            "plugin": trainer.loss.digest if trainer.loss else "",
             "checkpoint": digest(trainer.counters.iteration),
         },
     )

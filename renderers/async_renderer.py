@@ -145,7 +145,7 @@ class AsyncRenderer(Renderer):
         self._resting = False
         self._drawing = False
         self._finished: FrameRequest | None = None  # drawn at full resolution
-        self._image: tuple[np.ndarray, str] | None = None  # not taken yet, and its note
+        self._image: tuple[np.ndarray, str, Gaussians] | None = None  # not taken yet, its note and its scene
         self._plan: MovingPlan | None = None  # the latest made
         self._stats = FrameStats()
         self._ended = False
@@ -156,6 +156,8 @@ class AsyncRenderer(Renderer):
         self._gaussians: Gaussians | None = None
         self.note = ""
         """How the picture taken last was reduced, or ""."""
+        self.pictured: Gaussians | None = None
+        """Scene of the picture taken last."""
         # The worker's alone:
         self._governor = Governor()
         self._followed: MovingPlan | None = None
@@ -207,7 +209,7 @@ class AsyncRenderer(Renderer):
             image, self._image = self._image, None
         if image is None:
             return None
-        self.note = image[1]
+        self.note, self.pictured = image[1:]
         return image[0]
 
     def wait(self, seconds: float) -> None:
@@ -355,7 +357,7 @@ class AsyncRenderer(Renderer):
         with self._change:
             if self._gaussians is gaussians:
                 self._change.notify_all()
-                self._image = image, "" if full or shortcut is None else shortcut.note
+                self._image = image, "" if full or shortcut is None else shortcut.note, gaussians
             count = self._stats.drawn + 1
             self._stats = replace(stats, splats=len(gaussians), projected=count, sorted=count, drawn=count)
             if full:

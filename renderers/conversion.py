@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Self
 
-import numpy as np
-
-from splatview import raster
 from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
-from splatview.scene import Gaussians, RenderSettings
-from splatview.scene.effects.overrides import settings_for
+from splatview.renderers.rate_distortion import Choice, Judge, Search, Target, Trial, search, with_degree
+from splatview.scene import Camera, Gaussians
 from splatview.scene.errors import bytes_in_words
-from splatview.scene.formats import format_of, load_scene, losses, save_scene
-from splatview.scene.formats.io import atomic_write
+from splatview.scene.formats import (
+    Format,
+    check_format,
+    format_of,
+    losses,
+    place_copy,
+    save_scene,
+    stored_bytes,
+)
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 VIEWS = 6
@@ -36,7 +40,11 @@ class Conversion:
     max_error: float
     """Largest difference of a colour channel, 0 to 1."""
     lost: tuple[str, ...]
-    """What the format cannot hold, a line each."""
+    """What the file does not hold, a line each."""
+    views: int = VIEWS
+    """Number of pictures compared."""
+    knobs: Mapping[str, Any] = field(default_factory=dict)
+    """Knobs of the format that were chosen to reach a target."""
 
     @property
     def in_words(self) -> str:
@@ -46,67 +54,128 @@ class Conversion:
             return f"{size}, every number as it was"
         return f"{size}, {self.psnr:.1f} dB, largest error {255 * self.max_error:.0f} of 255"
 
+    @property
+    def knobs_in_words(self) -> str:
+        """The knobs, such as ``position bits 14, sh bits 3/2/2``; "" where there are none."""
+
+        def plain(value: object) -> str:
+            return "/".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+        return ", ".join(f"{name.replace('_', ' ')} {plain(value)}" for name, value in self.knobs.items())
+
+
+class Measured:
+    """A file that is written and measured, and waits in a folder of its own for its place."""
+
+    def __init__(self, folder: tempfile.TemporaryDirectory[str], file: Path, found: Conversion) -> None:
+        self._folder, self._file = folder, file
+        self.found = found
+
+    def write(self, path: Path, progress: Progress = NO_PROGRESS) -> None:
+        """Copies it to `path`, of the same format, wholly or not at all. Raises InputError and Cancelled."""
+        place_copy(self._file, path, progress)
+
+    def close(self) -> None:
+        """Removes it."""
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def measure(
+    gaussians: Gaussians,
+    path: Path,
+    *,
+    sh_degree: int | None = None,
+    target: Target | None = None,
+    cameras: Sequence[Camera] | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> Measured:
+    """The scene in the format of `path`, written beside nothing and read back; see `convert`."""
+    check_format(path)
+    known = format_of(path)
+    assert known is not None
+    views = sample_views(gaussians) if cameras is None else cameras
+    folder = tempfile.TemporaryDirectory(prefix="splatview-", ignore_cleanup_errors=True)
+    try:
+        scene = gaussians if sh_degree is None else with_degree(gaussians, sh_degree)
+        judge = Judge(gaussians, [] if known.exact and scene is gaussians and target is None else views)
+        if target is not None:
+            trial = search(scene, path, known, target, judge, Path(folder.name), progress)
+        else:
+            writer = Search(scene, path, known, Path(folder.name), judge, progress)
+            trial = writer.trial(Choice(sh_degree=scene.sh_degree), progress=progress)
+        return Measured(folder, trial.file, _conversion(gaussians, path, known, trial, len(views)))
+    except BaseException:
+        folder.cleanup()
+        raise
+
 
 def convert(
     gaussians: Gaussians,
     path: str | os.PathLike[str],
     *,
+    sh_degree: int | None = None,
+    target: Target | None = None,
+    cameras: Sequence[Camera] | None = None,
     on_measured: Callable[[Conversion], object] = lambda found: None,
     progress: Progress = NO_PROGRESS,
 ) -> Conversion:
-    """Writes the scene as `path`; where the format rounds, after `on_measured` was told what will come back
-    from there: until then the file is in a folder of its own, and an older one stays.
+    """Writes the scene as `path`; where the file differs from it, after `on_measured` was told what will come
+    back from there: until then the file is in a folder of its own, and an older one stays.
+
+    `sh_degree`: the highest that is kept. `target`: what the file is to reach, see `rate_distortion`.
+    `cameras`: views to be measured on; None: from around the scene.
 
     Raises:
-        InputError: the format cannot hold the scene, or the system refuses.
+        InputError: the format cannot hold the scene or reach the target, or the system refuses.
         Cancelled: nobody waits for it any more.
     """
     path = Path(path)
     known = format_of(path)
-    lost = tuple(losses(gaussians, path))
-    if known is not None and known.exact:
+    whole = target is None and (sh_degree is None or sh_degree >= gaussians.sh_degree)
+    if known is not None and known.exact and whole:
         save_scene(gaussians, path, progress=progress)
         found = Conversion(
-            bytes=path.stat().st_size, splats=len(gaussians), psnr=math.inf, max_error=0.0, lost=lost
+            bytes=stored_bytes(path),
+            splats=len(gaussians),
+            psnr=math.inf,
+            max_error=0.0,
+            lost=tuple(losses(gaussians, path)),
         )
         on_measured(found)
         return found
-    with tempfile.TemporaryDirectory(prefix="splatview-") as folder:
-        file = Path(folder) / path.name
-        save_scene(gaussians, file, progress=progress.part(0.0, 0.5))
-        read = load_scene(file, progress=progress.part(0.5, 0.7))
-        error, largest = picture_errors(gaussians, read, progress=progress.part(0.7, 1.0))
-        found = Conversion(
-            bytes=file.stat().st_size,
-            splats=len(read),
-            psnr=math.inf if error == 0 else -10 * math.log10(error),
-            max_error=largest,
-            lost=lost,
-        )
-        on_measured(found)
-        with atomic_write(path) as target, open(file, "rb") as source:
-            shutil.copyfileobj(source, target, 1 << 20)
-    return found
+    options = {"sh_degree": sh_degree, "target": target, "cameras": cameras}
+    with measure(gaussians, path, **options, progress=progress) as measured:
+        on_measured(measured.found)
+        measured.write(path, Progress(cancelled=progress.cancelled))
+        return measured.found
 
 
-def picture_errors(
-    before: Gaussians, after: Gaussians, *, progress: Progress = NO_PROGRESS
-) -> tuple[float, float]:
-    """Mean squared and largest error of colours in [0, 1] over views from around the scene, each drawn as its
-    own tags say."""
-    if not len(before):
-        return 0.0, 0.0
-    cameras = sample_cameras(before, Document(before).edits, VIEWS)
-    settings: list[RenderSettings] = [settings_for(scene) for scene in (before, after)]
-    squares, largest = [], 0.0
-    for done, camera in enumerate(cameras):
-        progress.step(done / len(cameras))
-        ours, theirs = (
-            np.clip(raster.render(scene, camera, setting)[..., :3].astype(np.float64), 0, 1)
-            for scene, setting in zip((before, after), settings, strict=True)
-        )
-        difference = np.abs(ours - theirs)
-        squares.append(np.square(difference).mean())
-        largest = max(largest, float(difference.max()))
-    mean = float(np.mean(squares))
-    return (mean if math.isfinite(mean) else math.inf), largest
+def sample_views(gaussians: Gaussians) -> list[Camera]:
+    """Views from around a scene."""
+    return sample_cameras(gaussians, Document(gaussians).edits, VIEWS) if len(gaussians) else []
+
+
+def _conversion(gaussians: Gaussians, path: Path, known: Format, trial: Trial, views: int) -> Conversion:
+    lost = losses(gaussians, path)
+    degree = trial.choice.sh_degree
+    if known.sh and degree < gaussians.sh_degree:
+        kept = f"SH bands above degree {degree} are left out" if degree else "all SH bands are left out"
+        lost.insert(0, f"{kept} (the scene has {gaussians.sh_degree})")
+    if trial.choice.kept < 1:
+        share = 1 - trial.choice.kept
+        lost.insert(0, f"{share:.1%} of the splats are left out: those that add least to pictures")
+    return Conversion(
+        bytes=trial.bytes,
+        splats=trial.splats,
+        psnr=trial.psnr,
+        max_error=trial.largest,
+        lost=tuple(lost),
+        views=views,
+        knobs=trial.choice.knobs,
+    )

@@ -16,6 +16,7 @@ from splatview.scene import Camera, Gaussians, InputError, reference
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits, bake
 from splatview.scene.effects.overrides import settings_for
+from splatview.scene.normals import shaded_by_normals
 from splatview.scene.projection import project
 
 FOOTPRINT_BYTES = 8 * 16
@@ -33,6 +34,12 @@ def checked(renderer: Renderer, request: FrameRequest, loaded: Gaussians | None)
     return gaussians
 
 
+def with_normals(gaussians: Gaussians, request: FrameRequest) -> Gaussians:
+    """The scene with its edits, in the colours of its normals."""
+    shown = gaussians if request.edits is None else bake(gaussians, request.edits)
+    return shaded_by_normals(shown, request.view, request.settings.model.footprint)
+
+
 class CpuRenderer(Renderer):
     """The numba rasteriser. Any thread may use it: each has a picture and working memory of its own.
 
@@ -42,7 +49,10 @@ class CpuRenderer(Renderer):
 
     name = "cpu"
     capabilities = Capabilities(
-        backend="cpu", orders=("32-bit", "16-bit", "per-pixel"), modes=("splats",), precisions=("float32",)
+        backend="cpu",
+        orders=("32-bit", "16-bit", "per-pixel"),
+        modes=("splats", "normals"),
+        precisions=("float32",),
     )
 
     def __init__(self) -> None:
@@ -58,14 +68,16 @@ class CpuRenderer(Renderer):
         self._gaussians = gaussians  # drawn from where it is
 
     def draw(self, request: FrameRequest) -> None:
-        gaussians = checked(self, request, self._gaussians)
+        gaussians, edits = checked(self, request, self._gaussians), self.edits_of(request)
+        if request.mode == "normals":
+            gaussians, edits = with_normals(gaussians, request), None
         frame = raster.draw_frame(
             raster.parameters_of(gaussians),
             request.view,
             request.settings,
             self._workspace,
             depth_order=self._depth_order,
-            edits=self.edits_of(request),
+            edits=edits,
             nonzero=raster.nonzero_bands(gaussians),
             threads=self.threads,
         )
@@ -144,7 +156,7 @@ class ReferenceRenderer(Renderer):
     """The image model, slowly: in float64 the truth, in float32 what no renderer can be blamed for losing."""
 
     name = "reference"
-    capabilities = Capabilities(backend="reference", modes=("splats",))
+    capabilities = Capabilities(backend="reference", modes=("splats", "normals"))
 
     def __init__(self, dtype: type[np.floating] = np.float64) -> None:
         self._dtype = dtype
@@ -166,7 +178,10 @@ class ReferenceRenderer(Renderer):
         edits = request.edits
         if edits is not None and request.highlight is not None:
             edits = tinted(edits, request.highlight)
-        shown = gaussians if edits is None else bake(gaussians, edits)
+        if request.mode == "normals":
+            shown = with_normals(gaussians, request)
+        else:
+            shown = gaussians if edits is None else bake(gaussians, edits)
         self._image = reference.render(shown, request.view, request.settings, dtype=self._dtype)
         self._milliseconds = 1e3 * (time.perf_counter() - begun)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-VisualMode = Literal["splats", "points", "ellipsoids", "depth", "overdraw"]
+VisualMode = Literal["splats", "points", "ellipsoids", "depth", "overdraw", "normals"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +31,8 @@ class Mode:
     """Accumulates numbers in a float32 target, which the resolve pass maps to colours."""
     depths: bool = False
     """The numbers are depths, world units."""
+    normals: bool = False
+    """Splats have the colours of their normals from projection on, and are blended as ever."""
     tintable: bool = False
     """Shows the splats' colours, and so highlights."""
     stops_early: bool = False
@@ -90,6 +92,18 @@ MODES: Mapping[VisualMode, Mode] = MappingProxyType(
                 explanation="how many splats each pixel costs, to see where time goes",
                 flag="OVERDRAW",
                 sums=True,
+            ),
+            Mode(
+                name="normals",
+                label="Normals",
+                key="6",
+                tip="the way surfaces face: red right, green up, blue towards you",
+                explanation="the way surfaces face (each splat's shortest axis): red to the right, green up, "
+                "blue towards you",
+                flag="NORMALS",
+                normals=True,
+                stops_early=True,
+                backends=("quads", "tiles", "cpu", "reference"),
             ),
         )
     }

@@ -207,7 +207,7 @@ def test_every_dependency_is_imported() -> None:
     extras = project["optional-dependencies"]
     needed = {
         canonicalize_name(Requirement(line).name)
-        for line in (*project["dependencies"], *extras["distributed"], *extras["plot"])
+        for line in (*project["dependencies"], *extras["train"], *extras["plot"])
     }
     used = {one.target.split(".")[0] for name in modules() for one in imports_of(name) if not one.ours}
     distributions = packages_distributions()

@@ -37,7 +37,7 @@ def test_what_comes_along_is_listed_too():
     """Not named in pyproject.toml, but required by what is."""
     always = lines_of(TOOL["TITLES"][""])
     assert {"llvmlite", "glcontext", "Pygments"} <= set(always)
-    assert "torch" not in always and "sympy" in lines_of(TOOL["TITLES"]["distributed"])
+    assert "torch" not in always and "sympy" in lines_of(TOOL["TITLES"]["train"])
 
 
 def test_the_one_copyleft_licence_is_explained():

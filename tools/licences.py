@@ -22,7 +22,7 @@ MARKER = "The lines below are written by `python tools/licences.py`.\n"
 
 TITLES = {
     "": "Always installed",
-    "distributed": 'With the extra "distributed"',
+    "train": 'With the extra "train"',
     "plot": 'With the extra "plot"',
     "dev": 'With the extra "dev": for tests, not for use',
 }

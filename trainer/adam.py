@@ -1,172 +1,186 @@
-"""Adam (Kingma and Ba 2015) over the splats that a picture has seen, all attributes in one pass.
-
-A splat that no pixel saw has no gradient. Plain Adam moves it on by its average all the same, and reads
-and writes every number of every splat to do so; here such a splat rests until it is seen again, as in
-Kerbl's and Mallick's (Taming 3DGS, 2024) sparse variants. Bias is corrected by the number of steps.
-"""
+"""Adam as an optimiser of torch whose step is one kernel over the splats that a picture has seen."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+import torch
+from torch.optim import Optimizer
 
-from splatview.raster import Parameters
-from splatview.raster.compiling import inline, kernel, run
-from splatview.raster.simd import LANES, absolute, divide, fill, fma, keep_if_below, load, negate, sqrt, store
+from splatview.raster import Parameters, available_threads
+from splatview.raster.compiling import TASKS_PER_THREAD, run
+from splatview.trainer.adam_kernels import BETA1, BETA2, EPSILON, REST_DIVISOR, Rates, move
 from splatview.trainer.splats import Splats
 
-BETA1, BETA2 = 0.9, 0.999
-EPSILON = 1e-15
-"""Kerbl et al. 2023: gradients of single splats are far below Adam's usual 1e-8."""
 
-LARGEST = np.float32(1e18)
-"""A gradient above this, or NaN, counts as 0: its square would not fit, and one bad pixel ends no run."""
-
-
-class Rates(NamedTuple):
-    """Learning rates by attribute."""
-
-    means: float
-    quats: float
-    log_scales: float
-    opacity_logits: float
-    sh_constant: float
-    sh_others: float
+def _plain(method: Callable[..., Any]) -> Callable[..., Any]:
+    """torch's method without the decorator that imports torch's compiler when it is first called, which none
+    of this needs: 1.8 s of processor time at the start of each run."""
+    return getattr(method, "__wrapped__", method)
 
 
-class Regularisation(NamedTuple):
-    """Weights of losses on opacity and scale, means over all splats (Kheradmand et al. 2024, MCMC)."""
+class SelectiveAdam(Optimizer):
+    """Adam that moves only visible splats, all attributes in one pass; see `adam_kernels`.
 
-    opacity: float = 0.0
-    scale: float = 0.0
-    least_scale: float = 0.0
-    """World units; smaller scales are left alone: no photo tells them from 0, so that nothing else moves
-    them, and Adam would take them down at full speed for ever."""
+    There is one group for each attribute, with its "name" and "lr"; schedulers of torch work on them. Other
+    options of groups, like Adam's weight decay in torch, are gradients of losses that never become a graph:
+    "reg" of "opacity_logits" and of "log_scales" weighs the mean opacity and the mean scale (Kheradmand et
+    al. 2024, MCMC); scales below the "least" of "log_scales", world units, are left alone: no photo tells
+    them from 0, so that nothing else moves them, and Adam would take them down at full speed for ever. No
+    moved splat is left longer than "max_aspect" of "log_scales" times its middle axis: the longest is cut.
 
-
-NO_REGULARISATION = Regularisation()
-
-
-def adam_step(
-    splats: Splats,
-    gradients: Parameters,
-    visible: Sequence[np.ndarray],
-    rates: Rates,
-    step: int,
-    *,
-    regularisation: Regularisation = NO_REGULARISATION,
-    max_aspect: float = math.inf,
-    threads: int,
-) -> None:
-    """Moves the splats named by `visible`, arrays of distinct indices (int32) that may be worked on apart.
-
-    `step` counts from 1. `gradients` have the shapes of the parameters; rows not named are not read.
-    No moved splat is left longer than `max_aspect` times its middle axis: the longest is cut.
+    A gradient that is NaN or above 1e18 counts as 0, and so does that of a parameter without one.
     """
-    correction = np.sqrt(1 - BETA2**step)
-    factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
-    epsilon = np.float32(EPSILON * correction)
-    opacity_weight, scale_weight, least_scale = regularisation
-    count = max(len(splats), 1)
-    limits = np.array([opacity_weight / count, scale_weight / 3 / count, least_scale, math.log(max_aspect)])
-    run(
-        move,
-        [(indices,) for indices in visible if len(indices)],
-        (
-            *splats.parameters,
-            *splats.first,
-            *splats.second,
-            *gradients,
-            factors,
-            epsilon,
-            limits.astype(np.float32),
-        ),
-        threads,
-    )
 
+    def __init__(
+        self, splats: Splats, rates: Rates, *, max_aspect: float = math.inf, threads: int | None = None
+    ) -> None:
+        """`threads`: of the kernel; None: all cores. May be set at any time."""
+        self.threads = threads
+        more: dict[str, dict[str, float]] = {
+            "log_scales": {"reg": 0.0, "least": 0.0, "max_aspect": max_aspect},
+            "opacity_logits": {"reg": 0.0},
+            "sh": {"rest_divisor": REST_DIVISOR},
+        }
+        groups = [
+            {"name": name, "params": [parameter], "lr": getattr(rates, name), **more.get(name, {})}
+            for name, parameter in splats.named_parameters()
+        ]
+        super().__init__(groups, {})
+        zeros = [Parameters(*(np.zeros_like(array) for array in splats.arrays)) for _ in range(2)]
+        self.replace(splats, *zeros)
 
-@inline
-def moved(value, gradient, first, second, at, rate, epsilon):
-    """One number's step; `first` and `second` (flat) are updated at `at`."""
-    g = gradient if abs(gradient) <= LARGEST else np.float32(0)
-    m = np.float32(BETA1) * first[at] + np.float32(1 - BETA1) * g
-    v = np.float32(BETA2) * second[at] + np.float32(1 - BETA2) * g * g
-    first[at] = m
-    second[at] = v
-    return value - rate * m / (np.sqrt(v) + epsilon)
+    add_param_group = _plain(Optimizer.add_param_group)
+    zero_grad = _plain(Optimizer.zero_grad)
 
+    @property
+    def rates(self) -> Rates:
+        """Learning rates of the next step."""
+        return Rates(*(group["lr"] for group in self.param_groups))
 
-@inline
-def move_vector(values, gradients, first, second, at, rates, epsilon):
-    """`moved` for LANES numbers of flat arrays from `at` on."""
-    g = load(gradients, at)
-    g = keep_if_below(g, absolute(g), fill(g, LARGEST))
-    m = fma(fill(g, BETA1), load(first, at), fill(g, 1 - BETA1) * g)
-    v = fma(fill(g, BETA2), load(second, at), fill(g, 1 - BETA2) * g * g)
-    store(first, at, m)
-    store(second, at, v)
-    step = divide(rates * m, sqrt(v) + fill(g, epsilon))
-    store(values, at, load(values, at) + negate(step))
+    @rates.setter
+    def rates(self, rates: Rates) -> None:
+        for group, rate in zip(self.param_groups, rates, strict=True):
+            group["lr"] = rate
 
+    @property
+    def steps(self) -> int:
+        """Steps taken, by which bias is corrected."""
+        return int(self._states()[0]["step"])
 
-@kernel
-def move(
-    indices,
-    means,
-    quats,
-    log_scales,
-    opacity_logits,
-    sh,
-    means1,
-    quats1,
-    log_scales1,
-    opacity_logits1,
-    sh1,
-    means2,
-    quats2,
-    log_scales2,
-    opacity_logits2,
-    sh2,
-    d_means,
-    d_quats,
-    d_log_scales,
-    d_opacity_logits,
-    d_sh,
-    factors,
-    epsilon,
-    limits,
-):
-    """Adam over the splats at `indices`; factors (6,), limits (4,) and every parameter float32."""
-    one = np.float32(1)
-    numbers = sh.shape[1] * 3
-    whole = numbers // LANES * LANES
-    colour_rates = np.full(numbers, factors[5])
-    colour_rates[:3] = factors[4]
-    flat_sh, flat_d, flat1, flat2 = sh.reshape(-1), d_sh.reshape(-1), sh1.reshape(-1), sh2.reshape(-1)
-    for i in indices:
-        for k in range(3):
-            means[i, k] = moved(means[i, k], d_means[i, k], means1[i], means2[i], k, factors[0], epsilon)
-            scale = np.exp(log_scales[i, k])
-            d_scale = d_log_scales[i, k] + (limits[1] * scale if scale > limits[2] else np.float32(0))
-            log_scales[i, k] = moved(
-                log_scales[i, k], d_scale, log_scales1[i], log_scales2[i], k, factors[2], epsilon
-            )
-        a, b, c = log_scales[i, 0], log_scales[i, 1], log_scales[i, 2]
-        most = max(min(a, b), min(max(a, b), c)) + limits[3]
-        for k in range(3):
-            log_scales[i, k] = min(log_scales[i, k], most)
-        for k in range(4):
-            quats[i, k] = moved(quats[i, k], d_quats[i, k], quats1[i], quats2[i], k, factors[1], epsilon)
-        opacity = one / (one + np.exp(-opacity_logits[i]))
-        d_opacity = d_opacity_logits[i] + limits[0] * opacity * (one - opacity)
-        opacity_logits[i] = moved(
-            opacity_logits[i], d_opacity, opacity_logits1, opacity_logits2, i, factors[3], epsilon
+    @steps.setter
+    def steps(self, steps: int) -> None:
+        for state in self._states():
+            state["step"] = steps
+
+    @property
+    def first(self) -> Parameters:
+        """Running averages of the gradients, in the memory of the optimiser's state."""
+        return Parameters(*(state["exp_avg"].numpy() for state in self._states()))
+
+    @property
+    def second(self) -> Parameters:
+        """Running averages of the squared gradients, in the memory of the optimiser's state."""
+        return Parameters(*(state["exp_avg_sq"].numpy() for state in self._states()))
+
+    def set_options(self, name: str, **options: float) -> None:
+        """Sets options of an attribute's group."""
+        next(group for group in self.param_groups if group["name"] == name).update(options)
+
+    def replace(self, splats: Splats, first: Parameters, second: Parameters) -> None:
+        """Goes on with parameters that were replaced, and with these averages, which are shared."""
+        steps = self.steps if self.state else 0
+        self.state.clear()
+        for group, parameter, m, v in zip(self.param_groups, splats.parameters(), first, second, strict=True):
+            group["params"] = [parameter]
+            self.state[parameter] = {
+                "step": steps,
+                "exp_avg": torch.from_numpy(np.require(m, np.float32, ("C", "WRITEABLE"))),
+                "exp_avg_sq": torch.from_numpy(np.require(v, np.float32, ("C", "WRITEABLE"))),
+            }
+
+    @torch.no_grad()
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self,
+        visible: torch.Tensor | Sequence[np.ndarray] | None = None,
+        closure: Callable[[], torch.Tensor] | None = None,
+    ) -> torch.Tensor | None:
+        """Moves the splats that `visible` names: a mask (N,) bool, indices (V,) that are distinct, or the
+        `pieces` of a `Visibility`; None: all, those without a gradient by their averages.
+
+        Returns the value of `closure`, which is called first, where there is one.
+        """
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        parameters = [group["params"][0] for group in self.param_groups]
+        threads = self.threads or available_threads()
+        self.steps = step = self.steps + 1
+        correction = np.sqrt(1 - BETA2**step)
+        _, _, log_scales, opacity_logits, sh = self.param_groups
+        rates = (*self.rates, sh["lr"] / sh["rest_divisor"])
+        factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
+        count = max(len(parameters[0]), 1)
+        limits = np.array(
+            [
+                opacity_logits["reg"] / count,
+                log_scales["reg"] / 3 / count,
+                log_scales["least"],
+                math.log(log_scales["max_aspect"]),
+            ]
         )
-        at = i * numbers
-        for k in range(0, whole, LANES):
-            move_vector(flat_sh, flat_d, flat1, flat2, at + k, load(colour_rates, k), epsilon)
-        for k in range(at + whole, at + numbers):
-            flat_sh[k] = moved(flat_sh[k], flat_d[k], flat1, flat2, k, colour_rates[k - at], epsilon)
+        run(
+            move,
+            [(indices,) for indices in pieces_of(visible, len(parameters[0]), threads) if len(indices)],
+            (
+                *(parameter.detach().numpy() for parameter in parameters),
+                *self.first,
+                *self.second,
+                *(_gradient(parameter) for parameter in parameters),
+                factors,
+                np.float32(EPSILON * correction),
+                limits.astype(np.float32),
+            ),
+            threads,
+        )
+        # A picture that was drawn before cannot be differentiated by what the parameters are now.
+        torch.autograd.graph.increment_version(parameters)
+        return loss
+
+    def _states(self) -> list[dict[str, Any]]:
+        return [self.state[group["params"][0]] for group in self.param_groups]
+
+
+def pieces_of(
+    visible: torch.Tensor | Sequence[np.ndarray] | None, count: int, threads: int
+) -> Sequence[np.ndarray]:
+    """What `SelectiveAdam.step` is given of `count` splats, as arrays of indices (int32) to be shared out.
+
+    Raises:
+        ValueError: a tensor is neither a mask (N,) nor indices (V,) within it.
+    """
+    if visible is None:
+        indices = np.arange(count, dtype=np.int32)
+    elif isinstance(visible, torch.Tensor):
+        if visible.dtype == torch.bool:
+            if visible.shape != (count,):
+                raise ValueError(f"visible must have shape ({count},), got {tuple(visible.shape)}")
+            visible = visible.nonzero()[:, 0]
+        if visible.ndim != 1 or visible.is_floating_point():
+            raise ValueError(f"visible must be a mask or indices, got {visible.dtype} {tuple(visible.shape)}")
+        if len(visible) and not (visible.min() >= 0 and visible.max() < count):
+            raise ValueError(f"visible must name splats from 0 to {count - 1}")
+        indices = visible.numpy().astype(np.int32)
+    else:
+        return visible
+    return np.array_split(indices, threads * TASKS_PER_THREAD)
+
+
+def _gradient(parameter: torch.Tensor) -> np.ndarray:
+    if parameter.grad is None:
+        return np.zeros(tuple(parameter.shape), np.float32)
+    return parameter.grad.contiguous().numpy()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -15,14 +15,25 @@ from splatview.raster import Parameters
 from splatview.raster.parameters import check_parameters
 from splatview.scene import InputError
 from splatview.scene.formats.io import atomic_write, require_regular_file
+from splatview.trainer.counters import Counters
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
-from splatview.trainer.splats import Splats
-from splatview.trainer.trainer import Counters, Trainer
+
+if TYPE_CHECKING:
+    from splatview.trainer.trainer import Trainer
 
 FORMAT = "splatview checkpoint 1"
 
 GROUPS = ("parameters", "first", "second")
-"""The arrays of `Splats`, by the first part of their names in the file."""
+"""The splats and Adam's two averages, by the first part of their names in the file."""
+
+REFINED = ("refined_at", "refined_progress")
+"""What of a strategy's state is among the counters in the file."""
+
+ELSEWHERE = ("extent", "focal", *REFINED)
+"""What of a strategy's state is no array of its own in the file."""
+
+STATE_NAMES = {"gradient_sums": "pulled", "view_counts": "seen"}
+"""Names of a strategy's arrays in the file where they are others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +45,16 @@ class Checkpoint:
     extent: float
     centre: np.ndarray
     """(3,) float64: what the means are relative to, see `Trainer`."""
-    splats: Splats
-    control: dict[str, np.ndarray]
-    """Arrays of the density control, see its `state`."""
+    parameters: Parameters
+    first: Parameters
+    """Adam's running average of the gradient, in the shapes of `parameters`."""
+    second: Parameters
+    """Adam's running average of the squared gradient."""
+    ids: np.ndarray
+    """(N,) int64, see `Splats.ids`."""
+    next_id: int
+    state: dict[str, Any]
+    """State of the strategy, but for what the capture says."""
     exposure: dict[str, np.ndarray]
     """Arrays of the photos' exposures, see `Exposures.state`."""
     photos: list[list[Any]]
@@ -51,18 +69,20 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     Raises:
         InputError: the operating system refuses.
     """
-    splats = trainer.splats
+    splats, optimizer, state = trainer.splats, trainer.optimizer, trainer.state
     arrays = {
         f"{group}.{name}": np.ascontiguousarray(array)
-        for group, values in zip(GROUPS, (splats.parameters, splats.first, splats.second), strict=True)
+        for group, values in zip(GROUPS, (splats.arrays, optimizer.first, optimizer.second), strict=True)
         for name, array in values._asdict().items()
     }
     arrays["ids"] = splats.ids
-    arrays |= {f"control.{name}": array for name, array in trainer.control.state().items()}
+    for name, value in state.items():
+        if name not in ELSEWHERE:
+            arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     description = {
         "settings": recorded(trainer.settings),
-        "counters": asdict(trainer.counters),
+        "counters": asdict(trainer.counters) | {name: state[name] for name in REFINED},
         "extent": trainer.extent,
         "next_id": splats.next_id,
         "photos": trainer.views.names(),
@@ -107,14 +127,18 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
             f"the checkpoint was trained on other photos ({about} now);"
             " resume with the same capture and --downscale"
         )
-    trainer.splats = checkpoint.splats
+    splats, optimizer = trainer.splats, trainer.optimizer
+    splats.replace(checkpoint.parameters, checkpoint.ids)
+    splats.next_id = checkpoint.next_id
+    optimizer.replace(splats, checkpoint.first, checkpoint.second)
     shift = checkpoint.centre - trainer.centre
     if shift.any():  # written before captures far from the origin were trained about a centre
-        means = trainer.splats.parameters.means
+        means = splats.arrays.means
         means[:] = means + shift
-    trainer.counters = checkpoint.counters
-    trainer.extent = trainer.control.extent = checkpoint.extent
-    trainer.control.restore(checkpoint.control)
+    trainer.counters = replace(checkpoint.counters)
+    optimizer.steps = checkpoint.counters.iteration
+    trainer.extent = checkpoint.extent
+    trainer.state |= checkpoint.state | {"extent": checkpoint.extent}
     trainer.exposures.restore(checkpoint.exposure)
 
 
@@ -134,18 +158,33 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         if not all(array.dtype == np.float32 for array in group):
             raise ValueError("its arrays are not float32")
     ids, next_id = arrays["ids"], int(run["next_id"])
-    if ids.dtype != np.int64 or len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
+    if ids.dtype != np.int64 or ids.shape != groups[0].opacity_logits.shape:
+        raise ValueError("its splats are not numbered as they should be")
+    if len(np.unique(ids)) != len(ids) or not (ids < next_id).all():
         raise ValueError("its splats are not numbered as they should be")
     centre = np.array(run.get("centre", (0, 0, 0)), np.float64)
     if centre.shape != (3,) or not np.isfinite(centre).all():
         raise ValueError(f"its centre must be 3 finite numbers, not {centre}")
+    counters = dict(run["counters"])
+    state: dict[str, Any] = {"refined_at": int(counters.pop("refined_at", 0))}
+    state["refined_progress"] = float(counters.pop("refined_progress", 0.0))
+    ours = {theirs: name for name, theirs in STATE_NAMES.items()}
+    for name, array in _under("control.", arrays).items():
+        # A number is an array of one element; only arrays by splat have other names.
+        state[ours.get(name, name)] = array if name in ours else array.reshape(-1)[0].item()
+    if any(isinstance(value, np.ndarray) and value.shape != ids.shape for value in state.values()):
+        raise ValueError("its strategy's arrays are not as long as its splats")
     return Checkpoint(
         settings=from_recorded(run["settings"]),
-        counters=Counters(**run["counters"]),
+        counters=Counters(**counters),
         extent=float(run["extent"]),
         centre=centre,
-        splats=Splats(groups[0], groups[1], groups[2], ids, next_id),
-        control=_under("control.", arrays),
+        parameters=groups[0],
+        first=groups[1],
+        second=groups[2],
+        ids=ids,
+        next_id=next_id,
+        state=state,
         exposure=_under("exposure.", arrays),
         photos=[list(photo) for photo in run["photos"]],
         notes=dict(run["notes"]),

@@ -10,13 +10,12 @@ from __future__ import annotations
 import hashlib
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from splatview.raster import Parameters
 from splatview.raster.compiling import TASKS_PER_THREAD, available_threads
 from splatview.scene import InputError
 
@@ -80,7 +79,7 @@ class Processes:
             import torch.distributed
         except ImportError:
             raise InputError(
-                "several processes talk by torch, which is not installed: pip install torch"
+                "several processes talk by torch, which is not installed: pip install 'splatview[train]'"
             ) from None
         # Its own threads would wait in loops on the cores that the kernels work on.
         torch.set_num_threads(1)
@@ -195,33 +194,31 @@ def check_equal(group: Processes, parts: dict[str, str]) -> None:
 
 
 class BatchSum:
-    """Gradients of a batch's photos, added up over photos and then over processes."""
+    """Gradients of a batch's photos, added up over photos and then over processes: in one piece of memory, on
+    which autograd adds them up."""
 
-    def __init__(self, parameters: Parameters) -> None:
-        ends = np.cumsum([array.size for array in parameters])
+    def __init__(self, parameters: Iterable[Any]) -> None:
+        """`parameters`: torch's, whose gradients from now on are parts of this, 0 at first."""
+        import torch
+
+        parameters = list(parameters)
+        ends = np.cumsum([parameter.numel() for parameter in parameters])
         self._flat = np.zeros(ends[-1], np.float32)
-        pieces = np.split(self._flat, ends[:-1])
-        self._gradients = Parameters(
-            *(piece.reshape(array.shape) for piece, array in zip(pieces, parameters, strict=True))
-        )
-        self._visible = np.zeros(len(parameters.means), np.int32)
+        for parameter, piece in zip(parameters, np.split(self._flat, ends[:-1]), strict=True):
+            parameter.grad = torch.from_numpy(piece.reshape(parameter.shape))
+        self._visible = np.zeros(len(parameters[0]), np.int32)
         self._loss = np.zeros(1)
 
-    def add(self, gradients: Parameters, visible: Sequence[np.ndarray], loss: float) -> None:
-        """One photo's."""
-        for total, array in zip(self._gradients, gradients, strict=True):
-            total += array
+    def add(self, visible: Sequence[np.ndarray], loss: float) -> None:
+        """One photo's, besides the gradients."""
         for indices in visible:
             self._visible[indices] = 1
         self._loss += loss
 
-    def means(self, photos: int, group: Group, threads: int) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over `photos` of all processes, splats visible in any (int32), and the mean loss."""
+    def means(self, photos: int, group: Group, threads: int) -> tuple[list[np.ndarray], float]:
+        """Makes the gradients means over `photos` of all processes; splats visible in any (int32), and the
+        mean loss."""
         group.add_up([self._flat, self._visible, self._loss])
         self._flat *= np.float32(1 / photos)
         visible = np.flatnonzero(self._visible).astype(np.int32)
-        return (
-            self._gradients,
-            np.array_split(visible, threads * TASKS_PER_THREAD),
-            float(self._loss[0]) / photos,
-        )
+        return np.array_split(visible, threads * TASKS_PER_THREAD), float(self._loss[0]) / photos

@@ -24,7 +24,7 @@ import numpy as np
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
-from splatview.trainer.adam import BETA1, BETA2
+from splatview.trainer.adam_kernels import BETA1, BETA2
 from splatview.trainer.views import TrainView
 
 Mode = Literal["auto", "on", "off"]
@@ -117,24 +117,13 @@ class Exposures:
                 self.table[row, :, 0] = np.nan_to_num(log_gain(picture(view), view)[0])
             self.table -= self.table.mean(axis=0)
 
-    def applied(self, image: np.ndarray, view: TrainView, workspace: Workspace) -> np.ndarray:
-        """The picture (H, W, 4) as the photo's exposure shows it; lives in the workspace."""
-        gain, offset = self._of(view, image.dtype)
-        exposed = workspace.take("exposed", image.shape, image.dtype)
-        np.multiply(image, np.append(gain, image.dtype.type(1)), out=exposed)
-        exposed[..., :3] += offset
-        return exposed
+    def of(self, name: str) -> np.ndarray:
+        """(3, 2): log gain and offset of a photo's colours, see `functional.expose`."""
+        return self.table[self._rows[name]]
 
-    def differentiate(self, image: np.ndarray, d_exposed: np.ndarray, view: TrainView) -> None:
-        """Adds to `gradients`, and turns dL/d(exposed picture) into dL/d(picture), in place.
-
-        `image` and `d_exposed` are (H, W, 4), the first as it was before `applied`.
-        """
-        gain, _ = self._of(view, image.dtype)
-        row, d = self._rows[view.camera.name], d_exposed[..., :3]
-        self.gradients[row, :, 0] += gain * np.einsum("hwc,hwc->c", d, image[..., :3], dtype=np.float64)
-        self.gradients[row, :, 1] += d.sum(axis=(0, 1), dtype=np.float64)
-        d *= gain
+    def add_gradient(self, name: str, gradient: np.ndarray) -> None:
+        """Adds the gradient (3, 2) of a photo's row to `gradients`."""
+        self.gradients[self._rows[name]] += gradient
 
     def step(self, progress: float, batch: int) -> None:
         """One step of Adam for the photos that `gradients`, sums over a batch of so many, name."""
@@ -170,11 +159,6 @@ class Exposures:
             strict=True,
         ):
             ours[:] = state[name]
-
-    def _of(self, view: TrainView, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
-        """Gain (3,) and offset (3,)."""
-        log_gain, offset = self.table[self._rows[view.camera.name]].T
-        return np.exp(log_gain).astype(dtype), offset.astype(dtype)
 
 
 def log_gain(picture: np.ndarray, view: TrainView) -> np.ndarray:

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -26,11 +26,14 @@ from splatview.scene.formats import check_saving, save_scene
 from splatview.scene.formats.io import target_of
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
+from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
-from splatview.trainer.trainer import NothingSeen, StepReport, Trainer
 from splatview.trainer.views import TrainView
+
+if TYPE_CHECKING:
+    from splatview.trainer.trainer import Trainer
 
 CHECKPOINT_SECONDS = 60.0
 """A kill costs at most about so much of the work."""
@@ -203,6 +206,7 @@ class TrainingRun:
 
         Raises:
             PeerLost: another process of the run has ended; what there is has been saved.
+            PluginError: the user's loss failed; what there is has been saved.
             NothingSeen: no photo shows the scene, which is not saved.
             InputError: the scene could not be saved where it should; the message says where it is.
         """
@@ -212,7 +216,7 @@ class TrainingRun:
                 self.step()
         except KeyboardInterrupt:
             completed = False
-        except PeerLost:
+        except (PeerLost, PluginError):
             self.keep()
             raise
         except NothingSeen:  # such a scene is worth nothing
@@ -235,7 +239,11 @@ class TrainingRun:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures = self.trainer.exposures
         undecided = not exposures.is_decided
+        loss = self.trainer.loss
+        unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
+        if loss is not None and unknown and loss.replaces:
+            self.on_note(f"{loss.name}: takes the place of the photo loss (step.photo_loss was not read)")
         if undecided and exposures.is_decided:
             self.effects = with_exposure(self.effects, exposures)
             if exposures.evidence:
@@ -256,7 +264,7 @@ class TrainingRun:
         """Measures the scene as it is on the held-out photos, of which there must be some."""
         trainer, begun = self.trainer, time.perf_counter()
         self.evaluation = evaluate(
-            trainer.splats.parameters,
+            trainer.splats.arrays,
             self.held_out,
             trainer.render_settings,
             threads=trainer.threads,

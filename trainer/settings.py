@@ -14,7 +14,7 @@ from typing import Any, Literal
 from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.adam import Rates
+from splatview.trainer.adam_kernels import Rates
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -181,8 +181,7 @@ class TrainSettings(StrategySettings):
             quats=factor * self.quats_rate,
             log_scales=factor * self.log_scales_rate,
             opacity_logits=factor * self.opacity_logits_rate,
-            sh_constant=factor * self.sh_rate,
-            sh_others=factor * self.sh_rate / 20,
+            sh=factor * self.sh_rate,
         )
 
     def sh_degree_at(self, progress: float) -> int:

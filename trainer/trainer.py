@@ -1,7 +1,4 @@
-"""The training loop, one step at a time: draw a photo's view, compare, differentiate, move, refine.
-
-Everything is numpy and the rasteriser's own backward pass; torch has no part in it.
-"""
+"""The training loop, one step at a time: draw a photo's view, compare, differentiate, move, refine."""
 
 from __future__ import annotations
 
@@ -9,24 +6,27 @@ import contextlib
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import torch
 
-from splatview.raster import Parameters, Workspace, available_threads, draw_frame
+from splatview.raster import EARLY_STOP, Parameters, Workspace, available_threads
 from splatview.raster.frame import StageClock
-from splatview.raster.gradients import differentiate
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in
-from splatview.trainer.adam import adam_step
+from splatview.trainer.adam import SelectiveAdam
+from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.loss import photo_loss
+from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
+from splatview.trainer.initialisation import comments_for
+from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import Splats, comments_for, fresh
+from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
-from splatview.trainer.strategies.ops import dropout
+from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 
 KEPT = ("seed", "strategy", "background", "model", "exposure")
@@ -34,34 +34,6 @@ KEPT = ("seed", "strategy", "background", "model", "exposure")
 
 CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
-
-
-class NothingSeen(InputError):
-    """No photo shows any splat, so that nothing can be learnt."""
-
-
-class StepReport(NamedTuple):
-    """One step, as plots and progress bars want it."""
-
-    iteration: int
-    """Steps done, this one included."""
-    loss: float
-    gaussians: int
-    progress: float
-    """Share of the run that is over, 0 to 1."""
-
-
-@dataclass
-class Counters:
-    """Where a run stands."""
-
-    iteration: int = 0
-    seconds: float = 0.0
-    """Wall-clock time since the run began, pauses between resumed parts left out."""
-    refined_at: int = 0
-    """Step of the last refinement."""
-    refined_progress: float = 0.0
-    """Share of the run at the last refinement."""
 
 
 class Trainer:
@@ -80,6 +52,7 @@ class Trainer:
         centre: np.ndarray | None = None,
         threads: int | None = None,
         group: Group | None = None,
+        loss: LossPlugin | None = None,
     ) -> None:
         """`centre` (3,) float64: where the origin of views and parameters is in the world, see
         `Capture.centre`; snapshots, crops and regions are in the world.
@@ -92,18 +65,21 @@ class Trainer:
         self.extent = float(extent)
         self.threads = threads or available_threads()
         self.group: Group = group or Alone()
-        self.splats: Splats = fresh(parameters)
+        self.loss = loss
+        """Loss of the user's, which takes the place of the photo loss."""
+        self.splats = Splats(copied(parameters))
+        self.optimizer = SelectiveAdam(self.splats, settings.rates(0.0, self.extent))
         self.counters = Counters()
         self.clock = StageClock()
-        """Milliseconds by stage since the start: those of the rasteriser, loss, adam, density."""
+        """Milliseconds by stage since the start: those of the rasteriser, loss, autograd, adam, density."""
         _, strategy = STRATEGIES[settings.strategy]
-        self.control: Strategy = strategy(self._local(settings), self.extent)
-        self.control.begin(len(self.splats))
+        self.strategy: Strategy = strategy(self._local(settings))
+        self.state = self.strategy.initialize_state(self.splats, extent=self.extent, focal=views.focal)
+        """What the strategy notes."""
         self._unseen = 0.0
         """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
         edits and rules may take out of sight what there is."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
-        self._workspace = Workspace()
         self.picture_dtype: type[np.floating] = np.float32
         """dtype of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
@@ -130,7 +106,7 @@ class Trainer:
             if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
                 raise ValueError(f"{name} cannot be changed in a run")
         self.settings = replace(self.settings, **settings)
-        self.control.settings = self._local(self.settings)
+        self.strategy.settings = self._local(self.settings)
 
     def _local(self, settings: TrainSettings) -> TrainSettings:
         """The settings with their regions relative to the centre."""
@@ -156,7 +132,7 @@ class Trainer:
 
     def crop(self, crops: Sequence[Crop]) -> int:
         """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
-        return self._keep(cropped_in(self._about_centre(crops), self.splats.parameters.means))
+        return self._keep(cropped_in(self._about_centre(crops), self.splats.arrays.means))
 
     def add_cut(self, crops: Sequence[Crop]) -> int:
         """As `crop`, and from now on what comes to where they cut is soon taken out too.
@@ -178,8 +154,7 @@ class Trainer:
         if not kept.any():
             raise InputError("no splat would be left to train; choose fewer")
         if not kept.all():
-            self.splats = self.splats.take(kept)
-            self.control.keep(kept)
+            keep(self.splats, self.optimizer, self.state, kept)
         return int(len(kept) - kept.sum())
 
     def snapshot(self) -> Gaussians:
@@ -195,141 +170,143 @@ class Trainer:
         Raises:
             KeyboardInterrupt, PeerLost: see `Group.agreed`; the scene is as the last step left it.
             NothingSeen: all photos have been looked at, and the scene is in none of them.
+            PluginError: the user's loss failed; the scene is as the last step left it.
         """
         begun = time.perf_counter()
-        counters, settings = self.counters, self.settings
+        counters, settings, clock = self.counters, self.settings, self.clock
+        splats, optimizer = self.splats, self.optimizer
         counters.seconds = self.group.agreed(counters.seconds if seconds is None else seconds)
         progress = self.progress
-        self.splats = self.splats.with_sh_degree(max(settings.sh_degree_at(progress), self.splats.sh_degree))
-        splats = self.splats
-        if self.exposures.is_due(progress):
-            self.exposures.decide(
-                splats.parameters,
-                self.views.sized(settings.downscale_at(progress)),
-                self.render_settings,
-                self._workspace,
-                self.threads,
-            )
-        gradients, visible, loss = self._batch_gradients(progress)
-        self._unseen = math.nan if any(map(len, visible)) else self._unseen + settings.batch
-        # Of so many in a row each photo is one: orders of the photos differ from round to round.
-        if self._unseen >= 2 * len(self.views):
-            raise NothingSeen(
-                f"training has stopped, as none of its {len(self.views)} photos shows a splat; check that the"
-                f" points of the capture lie before its cameras, {settings.model.near:g} units away at least"
-            )
+        raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
+        self._decide_exposures(progress)
 
+        optimizer.zero_grad()  # first, for a step that failed may have left some
+        optimizer.threads, optimizer.rates = self.threads, settings.rates(progress, self.extent)
+        optimizer.set_options("log_scales", max_aspect=settings.max_aspect)
+        info, loss = self._backward(progress)
+        self._check_seen(info)
         counters.iteration += 1
-        rates = settings.rates(progress, self.extent)
-        with self.clock.stage("adam"):
-            moved = visible if settings.visible_only else _everything(len(splats), len(visible))
-            adam_step(
-                splats,
-                gradients,
-                moved,
-                rates,
-                counters.iteration,
-                regularisation=self.control.regularisation(progress, self.views.focal),
-                max_aspect=settings.max_aspect,
-                threads=self.threads,
-            )
+        with clock.stage("adam"):
+            optimizer.step(info.pieces if settings.visible_only else None)
         if self.exposures.is_on:
-            with self.clock.stage("exposure"):
+            with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
-        with self.clock.stage("density"):
-            self.control.after_step(splats, visible, rates.means, counters.iteration, self.threads)
-            if progress < settings.refine_until and self._refinement_is_due(progress):
-                rng = np.random.default_rng([settings.seed, counters.iteration, 1])
-                self.splats = self.control.refine(splats, progress, rng)
-                counters.refined_at, counters.refined_progress = counters.iteration, progress
-            if counters.iteration % CUT_STEPS == 0 or counters.refined_at == counters.iteration:
-                for crops in settings.cut:
-                    # A run is not ended by the last splats' moving out: they stay until others are inside.
-                    with contextlib.suppress(InputError):
-                        self.crop(crops)
+        with clock.stage("density"):
+            self.strategy.step_post_backward(
+                splats, optimizer, self.state, counters.iteration, info, progress=progress
+            )
+            self._cut()
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
-        return StepReport(counters.iteration, loss, len(self.splats), self.progress)
+        return StepReport(counters.iteration, loss, len(splats), self.progress)
 
-    def _batch_gradients(self, progress: float) -> tuple[Parameters, list[np.ndarray], float]:
-        """Mean gradients over the step's photos, the splats visible in them, and the mean loss."""
+    def _backward(self, progress: float) -> tuple[Visibility, float]:
+        """Leaves the mean gradients over the step's photos in the parameters; what the photos show, and the
+        mean loss."""
         settings, group = self.settings, self.group
         first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
-        mine = range(first + group.rank, first + settings.batch, group.size)
-        observing = progress < settings.refine_until
         if settings.batch == 1:
-            return self._render_and_backprop(self.views.at(first, downscale), observing, first)
-        totals = self.control.totals() if observing and group.size > 1 else []
-        before = [total.copy() for total in totals]
-        batch = BatchSum(self.splats.parameters)
-        for place in mine:
-            looked = self._render_and_backprop(self.views.at(place, downscale), observing, place)
-            with self.clock.stage("batch"):
-                batch.add(*looked)
+            return self._render_and_backprop(self.views.at(first, downscale), first)
+        sums = self.strategy.sums(self.state)
+        before = [total.copy() for total in sums]
+        batch = BatchSum(self.splats.parameters())
+        for place in range(first + group.rank, first + settings.batch, group.size):
+            info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
+            batch.add(info.pieces, loss)
         with self.clock.stage("batch"):
-            noted = [total - old for total, old in zip(totals, before, strict=True)]
-            for total, old in zip(totals, before, strict=True):
+            noted = [total - old for total, old in zip(sums, before, strict=True)]
+            for total, old in zip(sums, before, strict=True):
                 total[:] = old  # should another process be gone, this step has not happened
             group.add_up(noted)
             if self.exposures.is_on:
                 group.add_up([self.exposures.gradients])
-            result = batch.means(settings.batch, group, self.threads)
-            for total, new in zip(totals, noted, strict=True):
+            pieces, loss = batch.means(settings.batch, group, self.threads)
+            for total, new in zip(sums, noted, strict=True):
                 total += new
-        return result
+        return Visibility(pieces, len(self.splats)), loss
 
-    def _render_and_backprop(
-        self, view: TrainView, observing: bool, place: int = 0
-    ) -> tuple[Parameters, list[np.ndarray], float]:
-        """The gradients by one photo, the splats that reach into it, and its loss. `place`: how many photos
-        have been looked at before."""
-        parameters, share = self.splats.parameters, self.settings.dropout * self.progress
+    def _render_and_backprop(self, view: TrainView, place: int = 0) -> tuple[Visibility, float]:
+        """Adds the gradients by one photo to the parameters'; what the photo shows, and its loss. `place`:
+        how many photos have been looked at before."""
+        splats, settings, clock = SplatTensors(*self.splats.parameters()), self.settings, self.clock
+        progress, drawn_as = self.progress, self.render_settings
+        logits, share = splats.opacity_logits, settings.dropout * progress
         if share > 0:
-            with self.clock.stage("drop"):
-                rng = np.random.default_rng([self.settings.seed, place, 2])
-                parameters = dropout(parameters, share, rng)
-        frame = draw_frame(
-            parameters,
+            with clock.stage("drop"):
+                logits = dropout(logits, share, np.random.default_rng([settings.seed, place, 2]))
+        image, info = rasterize(
+            *splats._replace(opacity_logits=logits),
             view.camera,
-            self.render_settings,
-            self._workspace,
-            dtype=self.picture_dtype,
+            drawn_as,
+            early_stop=EARLY_STOP if drawn_as.early_stop is None else drawn_as.early_stop,
+            dtype=torch.float32 if self.picture_dtype is np.float32 else torch.float64,
             threads=self.threads,
         )
-        image, exposures = frame.image, self.exposures
-        with self.clock.stage("loss"):
-            if exposures.is_on:
-                image = exposures.applied(image, view, self._workspace)
-            compared = photo_loss(
-                image,
-                view.pixels,
-                self._workspace,
-                mask=view.mask,
-                ssim_weight=self.settings.ssim_weight,
-                threads=self.threads,
-            )
-            if exposures.is_on:
-                exposures.differentiate(frame.image, compared.d_image, view)
-        gradients = differentiate(parameters, frame, compared.d_image)
-        for name, milliseconds in (*frame.milliseconds.items(), *gradients.milliseconds.items()):
-            self.clock.milliseconds[name] = self.clock.milliseconds.get(name, 0.0) + milliseconds
-        visible = [frame.visible[start:stop] for start, stop in frame.runs]
-        if observing:
-            with self.clock.stage("density"):
-                self.control.observe(frame, gradients, visible)
-        found = gradients.parameters
-        if self.picture_dtype is not np.float32:
-            found = Parameters(*(array.astype(np.float32, copy=False) for array in found))
-        return found, visible, compared.loss
+        exposure = None
+        if self.exposures.is_on:
+            with clock.stage("exposure"):
+                exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
+                image = expose(image, exposure)
+        photo = torch.from_numpy(view.pixels)
+        mask = None if view.mask is None else torch.from_numpy(view.mask)
 
-    def _refinement_is_due(self, progress: float) -> bool:
-        settings, counters = self.settings, self.counters
-        return (
-            progress >= settings.refine_from
-            and progress - counters.refined_progress >= settings.refine_every
-            and counters.iteration - counters.refined_at >= settings.least_refine_steps
+        def usual_loss() -> torch.Tensor:
+            with clock.stage("loss"):
+                weight = settings.ssim_weight
+                return photo_loss(image, photo, mask=mask, ssim_weight=weight, threads=self.threads)
+
+        number = self.counters.iteration + 1
+        self.strategy.step_pre_backward(
+            self.splats, self.optimizer, self.state, number, info, progress=progress
         )
+        if self.loss is None:
+            loss = usual_loss()
+            loss.backward()
+        else:
+            with clock.stage("plugin"):
+                loss = self.loss(
+                    LossStep(
+                        image=image,
+                        photo=photo,
+                        mask=mask,
+                        camera=view.camera,
+                        splats=splats,
+                        iteration=number,
+                        progress=progress,
+                        settings=drawn_as,
+                        photo_loss=usual_loss,
+                        threads=self.threads,
+                        check=self.loss.hooks(number),
+                    )
+                )
+            self.loss.backward(loss, number)
+        if exposure is not None and exposure.grad is not None:
+            self.exposures.add_gradient(view.camera.name, exposure.grad.numpy())
+        for name, milliseconds in info.milliseconds.items():
+            clock.milliseconds[name] = clock.milliseconds.get(name, 0.0) + milliseconds
+        return info, loss.item()
 
+    def _decide_exposures(self, progress: float) -> None:
+        if self.exposures.is_due(progress):
+            views = self.views.sized(self.settings.downscale_at(progress))
+            self.exposures.decide(self.splats.arrays, views, self.render_settings, Workspace(), self.threads)
 
-def _everything(count: int, pieces: int) -> list[np.ndarray]:
-    return np.array_split(np.arange(count, dtype=np.int32), max(pieces, 1))
+    def _check_seen(self, info: Visibility) -> None:
+        """Raises NothingSeen where a round of photos has shown nothing."""
+        self._unseen = math.nan if len(info) else self._unseen + self.settings.batch
+        # Of so many in a row each photo is one: orders of the photos differ from round to round.
+        if self._unseen >= 2 * len(self.views):
+            raise NothingSeen(
+                f"training has stopped, as none of its {len(self.views)} photos shows a splat; check that the"
+                f" points of the capture lie before its cameras, {self.settings.model.near:g} units away at"
+                " least"
+            )
+
+    def _cut(self) -> None:
+        """Takes out what has come to where the recipe cuts, now and then."""
+        iteration = self.counters.iteration
+        if iteration % CUT_STEPS == 0 or self.state["refined_at"] == iteration:
+            for crops in self.settings.cut:
+                # A run is not ended by the last splats' moving out: they stay until others are inside.
+                with contextlib.suppress(InputError):
+                    self.crop(crops)

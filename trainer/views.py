@@ -58,7 +58,10 @@ def train_views(photos: Sequence[Photo]) -> list[TrainView]:
     views = []
     for photo in photos:
         pixels = photo.pixels()
-        views.append(TrainView(photo.camera, pixels.image, pixels.mask))
+        # Tensors share this memory, and torch knows none that is read-only.
+        image = np.require(pixels.image, requirements="W")
+        mask = None if pixels.mask is None else np.require(pixels.mask, requirements="W")
+        views.append(TrainView(photo.camera, image, mask))
     return views
 
 

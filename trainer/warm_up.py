@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from splatview.scene import Lens, look_at
+from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import initial_parameters
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews

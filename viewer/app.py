@@ -25,9 +25,11 @@ from splatview.viewer.background import WindowBackground
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.dialogs import FileDialogs
+from splatview.viewer.editing.exporting import Exporting
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.saving import Saving
 from splatview.viewer.editing.session import Editing
+from splatview.viewer.first_views import FirstViews
 from splatview.viewer.panels.settings import Appearance
 from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
@@ -36,6 +38,7 @@ from splatview.viewer.platform import best_gl_version, closing_on_signals, guard
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
+from splatview.viewer.sequence import Sequences
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import SceneThumbnails
 from splatview.viewer.training import start
@@ -44,12 +47,15 @@ from splatview.viewer.training.start import Starter, TrainingStart
 
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
+    FirstViews,
     DepthOfField,
     WindowBackground,
     Editing,
     Restoring,
+    Exporting,
     Accuracy,
     Effects,
+    Sequences,
     Saving,
     SceneThumbnails,
     TrainingStart,
@@ -132,6 +138,7 @@ class Window:
         *,
         renderer: str = "auto",
         training: LiveTraining | None = None,
+        merge: bool = False,
         starter: Starter | None = None,
     ):
         preferences, complaint = load_preferences()
@@ -140,13 +147,17 @@ class Window:
         self.app.prefer(background=preferences.background, blend=preferences.blend)
         self.app.prefer(fov_y=preferences.fov_y)
         self.dialogs = FileDialogs(recent=lambda: self.app.preferences.recent)
+        if training is None:
+            self.app.page, self.app.strip = preferences.page, preferences.strip
+        else:
+            self.app.page, self.app.strip = "Train", "Curves"
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._appearance = Appearance()
         self._title = ""
         self._is_software = False
         self._ctx: moderngl.Context | None = None
-        self._paths = [Path(path) for path in paths]
+        self._paths, self._merge = [Path(path) for path in paths], merge
         self._renderer = renderer
         self._precompiler: ShaderPrecompiler | None = None
         self._saved: Preferences = preferences
@@ -180,6 +191,7 @@ class Window:
         self.app.gpu_name = info.renderer
         self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
         self.app.feature(TrainingStart).wake = glfw.post_empty_event
+        self.app.feature(Sequences).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         install_close_handler(self.app)
@@ -188,7 +200,7 @@ class Window:
             self.training.start(self.app, on_change=glfw.post_empty_event)
             return
         if self._paths:
-            opening.open_paths(self.app, self._paths)
+            opening.open_paths(self.app, self._paths, merge=self._merge)
         else:
             opening.begin_demo(self.app)
             if self.app.preferences.start_screen:
@@ -246,13 +258,13 @@ class Window:
         if (title := layout.title(app)) != self._title:
             self._title = title
             glfw.set_window_title(glfw_window_hello_imgui(), title)
-        layout.hide_or_show_panels(app)
         flying = commands.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
         if self._is_software:
             params.fps_idling.fps_max = MAX_FPS if turning else SOFTWARE_FPS
-        params.fps_idling.enable_idling = not (app.transition or flying or turning)
+        playing = app.feature(Sequences).playing
+        params.fps_idling.enable_idling = not (app.transition or flying or turning or playing)
         idle = IDLE_FPS if self.training is None else self.training.idle_fps(app)
         params.fps_idling.fps_idle = WAITING_FPS if app.waiting or self.dialogs.open else idle
         params.fps_idling.time_active_after_last_event = 0.0 if unattended else ACTIVE_SECONDS
@@ -276,8 +288,9 @@ class Window:
         return app.now() - self._touched > ATTENDED_SECONDS
 
     def frame(self) -> None:
-        """Drawn over the docks: dialogs, and the keys that work everywhere."""
+        """All that is drawn, dialogs last, and the keys that work everywhere."""
         commands.post_pressed(self.app)
+        layout.show(self.app)
         layout.show_floating(self.app, self.dialogs)
         if self._ctx is not None:
             # ImGui draws next, into whatever is bound.
@@ -288,7 +301,6 @@ class Window:
         app = self.app
         app.attempt(opening.cancel_loading, app, quiet=True)
         # What is to be kept comes first: what is released may fail, and nobody would miss it.
-        app.attempt(lambda: app.prefer(closed_panels=layout.closed_panels(app)))
         self.keep()
         app.attempt(self.dialogs.close)
         for feature in app.features.values():
@@ -326,11 +338,13 @@ def run_window(
     size: tuple[int, int] = (1280, 800),
     renderer: str = "auto",
     training: LiveTraining | None = None,
+    merge: bool = False,
     starter: Starter | None = None,
     drive: Callable[[AppState, Any], None] | None = None,
     rescue: Callable[[], None] = lambda: None,
 ) -> int:
-    """Opens the window on the scenes `paths` (several are merged; none: the demo) until it is closed.
+    """Opens the window on the scenes `paths` (several are merged, also those numbered alike where `merge`
+    says so; none: the demo) until it is closed.
 
     With a `training` it shows that one instead, and begins it; ending it is left to the caller.
 
@@ -347,7 +361,7 @@ def run_window(
         InputError: no display can be opened, or no renderer works on it.
     """
     major, minor = best_gl_version()
-    window = Window(paths, renderer=renderer, training=training, starter=starter)
+    window = Window(paths, renderer=renderer, training=training, merge=merge, starter=starter)
     params = layout.runner_params(window.app, size)
     options = params.renderer_backend_options.open_gl_options
     options.major_version, options.minor_version = major, minor
@@ -362,7 +376,7 @@ def run_window(
     callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
     callbacks.pre_new_frame = partial(window.app.attempt, window.before_frame)
-    callbacks.post_render_dockable_windows = guarded(window.app, window.frame)
+    callbacks.show_gui = guarded(window.app, window.frame)
     callbacks.before_exit = window.stop
     run = _Driven(params, window.app, drive) if drive else None
     implot.create_context()

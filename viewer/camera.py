@@ -17,6 +17,7 @@ from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
 from splatview.scene.errors import one_line
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.cameras import camera_values, is_orthographic, lens_of
+from splatview.scene.formats.colmap import is_colmap
 from splatview.scene.framing import SAMPLE, bulk
 from splatview.scene.progress import Progress
 from splatview.viewer.loading import Reading
@@ -231,36 +232,58 @@ class CameraList:
     notes: list[str]
 
 
+@dataclass(frozen=True)
+class _ToRead:
+    """A file of cameras, and what to do with it; see `CameraLists.open`."""
+
+    path: Path
+    beside: bool = False
+    jump: bool = True
+
+
 class CameraLists(Feature):
     """Files of cameras on their way, one after another."""
 
     def __init__(self) -> None:
         self.reading: Reading[CameraList] | None = None
-        self._waiting: list[Path] = []
+        self._waiting: list[_ToRead] = []
+        self._asked = _ToRead(Path())
 
-    def open(self, path: Path) -> None:
-        self._waiting.append(path)
+    def open(self, path: Path, *, beside: bool = False, jump: bool = True) -> None:
+        """Reads `path` in the background. `beside`: it lies with the scene, and counts only if it is the
+        scene's. `jump`: goes to one of the cameras then."""
+        self._waiting.append(_ToRead(path, beside=beside, jump=jump))
 
     def before_frame(self, app: AppState) -> None:
         """Takes over a list that has been read, after the scene that was opened with it, and jumps to its
         first camera."""
         if self.reading is None and self._waiting:
-            path = self._waiting.pop(0)
+            self._asked = self._waiting.pop(0)
+            path = self._asked.path
             self.reading = Reading(path.name, partial(read_camera_list, path))
         reading = self.reading
         if reading is None or not reading.done or app.loading is not None:
             return
         self.reading, found = None, reading.result
         if reading.problem is not None:
-            app.complain(reading.problem)
+            (app.tell if self._asked.beside else app.complain)(reading.problem)
         if found is None:
             return
+        first = 0
+        if self._asked.beside:
+            centre = app.scene.centre
+            first = next((i for i, camera in enumerate(found.cameras) if sees(camera, centre)), -1)
+            if first < 0:
+                app.tell(f"{reading.name} beside the scene is not used: none of its cameras sees the scene")
+                return
         app.cameras, app.camera_index = found.cameras, -1
         for note in (*found.notes, f"{len(found.cameras):,} cameras"):
             app.tell(f"{reading.name}: {note}")
+        if not self._asked.jump:
+            return
         if found.up is not None:
             app.steer(replace(app.destination, up=found.up))
-        go_to_camera(app, 0)
+        go_to_camera(app, first)
 
     def busy(self, app: AppState) -> bool:
         return self.reading is not None or bool(self._waiting)
@@ -280,11 +303,20 @@ class CameraLists(Feature):
 
 def read_camera_list(path: Path, progress: Progress) -> CameraList:
     notes: list[str] = []
-    if path.is_dir() and find_transforms(path):
+    if path.is_dir() and (find_transforms(path) or not is_colmap(path)):
         cameras = [entry.camera for entry in read_poses(path, progress)[1].entries]
     else:
         cameras = load_cameras(path, on_note=notes.append, progress=progress)
     return CameraList(cameras=cameras, up=common_up(cameras), notes=notes)
+
+
+def sees(camera: Camera, point: np.ndarray) -> bool:
+    """Whether `point` (3,), world, is in the camera's picture."""
+    t = camera.R_camera_world @ (point - camera.eye)
+    if not t[2] > 0:
+        return False
+    x, y = camera.image_points(t[None])[0]
+    return bool(0 <= x <= camera.width and 0 <= y <= camera.height)
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
@@ -331,18 +363,18 @@ def go_to_bookmark(app: AppState, index: int) -> None:
 
 def keep_bookmarks(app: AppState) -> None:
     """Saves them, and says where."""
-    if app.scene_path is None:
+    if app.scene.bookmarked is None:
         app.tell("Bookmarks of the demo are not saved: it has no file to put them beside")
         return
     try:
         # What another window on the scene has added since stays, and a file that is damaged is not lost.
         app.bookmarks += [
             bookmark
-            for bookmark in load_bookmarks(app.scene_path)
+            for bookmark in load_bookmarks(app.scene.bookmarked)
             if bookmark.entry not in app.bookmarks_read
         ]
-        path = save_bookmarks(app.scene_path, app.bookmarks)
-        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene_path))
+        path = save_bookmarks(app.scene.bookmarked, app.bookmarks)
+        app.bookmarks_read = frozenset(bookmark.entry for bookmark in load_bookmarks(app.scene.bookmarked))
     except InputError as error:
         app.complain(f"The bookmarks cannot be saved: {error}")
         return

@@ -16,16 +16,19 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field
+from splatview.viewer import background, camera, depth_of_field, first_views, sequence
 from splatview.viewer import open as opening
 from splatview.viewer import save as pictures
+from splatview.viewer.command import Command, needs
 from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing import cleanup, files, saving
+from splatview.viewer.editing import cleanup, exporting, files, saving
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
+from splatview.viewer.entries import ENTRIES, reset_panels, toggle_panels
 from splatview.viewer.key_presets import Preset, use
 from splatview.viewer.navigation import AXIS_NAMES, level
-from splatview.viewer.preferences import NavigationMode
+from splatview.viewer.preferences import NavigationMode, PlayMode
+from splatview.viewer.sequence import Sequences
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 from splatview.viewer.training import start
@@ -60,14 +63,6 @@ def set_dialog(app: AppState, name: str) -> None:
     app.dialog = name
 
 
-def toggle_panels(app: AppState) -> None:
-    app.panels_hidden = not app.panels_hidden
-
-
-def reset_panels(app: AppState) -> None:
-    app.panels_hidden, app.open_panels, app.panels_reset = False, None, True
-
-
 def cancel(app: AppState) -> None:
     """Ends whatever is open or under way, one thing at a time."""
     if app.problem:
@@ -89,33 +84,6 @@ def _end(app: AppState) -> None:
     app.quitting = True
 
 
-@dataclass(frozen=True, kw_only=True)
-class Command:
-    """One thing that the user can ask for by name."""
-
-    id: str
-    title: str
-    """Description for the palette, tooltips and the help page."""
-    group: str
-    """Heading on the help page."""
-    run: Callable[[AppState], object]
-    keys: tuple[str, ...] = ()
-    """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
-    menu: str = ""
-    """Title in a menu, where `title` would be too long."""
-    words: str = ""
-    """Further words that the palette finds it by."""
-    lacks: Callable[[AppState], str] = lambda app: ""
-    """What must be there first, as a sentence; "" where it can be done. Menus and buttons are grey without it
-    and say so; keys and the palette run the command all the same, which then says why it does nothing."""
-    checked: Callable[[AppState], bool] = lambda app: False
-    """Whether menus show it as chosen."""
-
-
-def _needs(check: Callable[[AppState], bool], otherwise: str) -> Callable[[AppState], str]:
-    return lambda app: "" if check(app) else otherwise
-
-
 def _has(part: Literal["counts", "history"], name: str, otherwise: str) -> Callable[[AppState], str]:
     """Whether the document has any `name` in a part of it."""
 
@@ -123,27 +91,59 @@ def _has(part: Literal["counts", "history"], name: str, otherwise: str) -> Calla
         session = session_of(app)
         return session is not None and bool(getattr(getattr(session.document, part), name))
 
-    return _needs(check, otherwise)
+    return needs(check, otherwise)
 
 
-_a_scene = _needs(can_edit, "Open a scene first")
-_a_scene_at_rest = _needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
+_a_scene = needs(can_edit, "Open a scene first")
+_a_scene_at_rest = needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
 _a_selection = _has("counts", "selected", editing.SELECT_FIRST)
-_cameras = _needs(lambda app: bool(app.cameras), "Load cameras first")
+_cameras = needs(lambda app: bool(app.cameras), "Load cameras first")
 
 
-def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
+def _in_sequence(app: AppState) -> bool:
+    return app.feature(Sequences).player is not None
+
+
+def _not_in_sequence(app: AppState) -> bool:
+    return not _in_sequence(app)
+
+
+_a_sequence = needs(_in_sequence, "Open a folder of scenes first")
+
+
+DETECTOR_WORDS = {
+    "clusters": ("floaters", "isolated clusters"),
+    "sparse": ("density", "density outliers"),
+    "needles": ("spikes", "long splats"),
+    "giants": ("large splats", "big splats"),
+    "faint": ("low opacity", "transparent splats"),
+    "unseen": ("invisible", "occluded"),
+    "broken": ("nan", "undrawable"),
+    "duplicates": ("doubles",),
+}
+"""What else people call what a detector finds."""
+
+
+def _tool(
+    group: str,
+    name: editing.ToolName,
+    keys: str,
+    title: str,
+    *words: str,
+    lacks: Callable[[AppState], str] = _a_scene,
+) -> Command:
     def in_hand(app: AppState) -> bool:
         session = session_of(app)
-        return session is not None and session.tool == name
+        return session.tool == name if session is not None else name == "none"
 
     return Command(
         id=f"tool_{name}",
         title=title,
         group=group,
-        run=partial(editing.take_tool, tool=name),
+        run=editing.put_tool_back if name == "none" else partial(editing.take_tool, tool=name),
         keys=tuple(keys.split()),
-        lacks=_a_scene,
+        words=words,
+        lacks=lacks,
         checked=in_hand,
     )
 
@@ -170,10 +170,32 @@ def _command(
     return Command(id=id, title=title, group=group, run=run, keys=tuple(keys.split()), menu=menu, **more)
 
 
-_file, _recipe, _camera, _navigation, _picture, _edit, _select, _training, _window = (
+_file, _recipe, _camera, _navigation, _picture, _edit, _select, _sequence, _training, _window = (
     partial(_command, group)
-    for group in ("File", "Recipe", "Camera", "Navigation", "Picture", "Edit", "Select", "Training", "Window")
+    for group in (
+        *("File", "Recipe", "Camera", "Navigation", "Picture", "Edit", "Select"),
+        *("Sequence", "Training", "Window"),
+    )
 )
+
+
+def _of_sequence(
+    id: str, keys: str, title: str, run: Callable[[AppState], object], menu: str = "", **more: Any
+) -> Command:
+    """A command for which a sequence must be open."""
+    words = f"{more.pop('words', '')} sequence timeline playback animation 4D".strip()
+    return _sequence(id, keys, title, run, menu, words=words, lacks=_a_sequence, when=_in_sequence, **more)
+
+
+def _play_mode(mode: PlayMode, title: str) -> Command:
+    return _of_sequence(
+        f"play_{mode}",
+        "",
+        title,
+        partial(sequence.set_mode, mode=mode),
+        mode.capitalize(),
+        checked=lambda app: app.preferences.play_mode == mode,
+    )
 
 
 def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
@@ -192,38 +214,49 @@ def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
 COMMANDS: dict[str, Command] = {
     command.id: command
     for command in (
-        _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open..."),
-        _file("add", "Ctrl+Shift+O", "Add another scene to this one", files.choose_addition,
-            "Add to the scene...", lacks=_needs(lambda app: app.is_open, "Open a scene first")),
+        _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open...",
+            words=("open", "load")),
+        _file("open_folder", "", "Open a folder of scenes as a sequence", opening.choose_folder,
+            "Open a folder...", words=("sequence", "frames", "timeline", "play", "4d", "animation",
+            "directory")),
+        _file("add", "Ctrl+Shift+O", "Import: add another scene to this one", files.choose_addition,
+            "Import...", words=("append",), lacks=needs(lambda app: app.is_open, "Open a scene first")),
         _file("reload", "F5", "Read the scene's files again", opening.reload,
-            lacks=_needs(lambda app: app.scene_path is not None, "Open a file first")),
+            lacks=needs(lambda app: app.scene_path is not None, "Open a file first")),
         _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
-        _file("screenshot", "F12", "Save a picture beside the scene", pictures.screenshot, "Save a picture"),
+        _file("screenshot", "F12", "Save a picture beside the scene", pictures.screenshot, "Save a picture",
+            words=("screenshot", "snapshot", "png")),
         _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
             partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
         _file("quit", "Ctrl+Q", "Quit", quit_window),
-        _file("export", "Ctrl+E", "Export the edited scene", files.choose_export,
-            "Export the edited scene...", lacks=_a_scene),
+        _file("export", "Ctrl+E", "Export the edited scene", exporting.open_dialog,
+            "Export the edited scene...", words=("export", "write", "convert"), lacks=_a_scene),
         _file("save", "Ctrl+S", "Save the scene", saving.save, "Save", lacks=_a_scene,
-            words="store write keep overwrite file"),
+            words=("save", "store", "keep", "overwrite")),
         _file("save_as", "Ctrl+Shift+S", "Save the scene under another name", saving.save_as, "Save as...",
-            lacks=_a_scene, words="store write rename copy file"),
+            lacks=_a_scene, words=("save as", "rename", "copy")),
         _recipe("save_recipe", "Ctrl+Alt+S", "Save what was done as a recipe", files.choose_recipe_to_save,
-            "Save recipe...", lacks=_a_scene_at_rest, words="macro script steps batch"),
+            "Save recipe...", lacks=_a_scene_at_rest, words=("macro", "script", "batch")),
         _recipe("replay_recipe", "Ctrl+R", "Apply a recipe: do its steps", files.choose_recipe_to_replay,
-            "Apply recipe...", lacks=_a_scene_at_rest, words="load replay macro script steps batch"),
+            "Apply recipe...", lacks=_a_scene_at_rest, words=("load recipe", "replay")),
         _file("merge", "Ctrl+M", "Merge another scene into this one, as a step of editing",
             files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
             "Selection to its own file...", lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
         _file("start_screen", "", "Start screen: open, train, recent scenes, demo",
-            partial(toggle_dialog, name="start"), "Start screen", words="recent welcome home begin"),
+            partial(toggle_dialog, name="start"), "Start screen",
+            words=("recent", "recent files", "welcome")),
         _file("train_photos", "", "Train on photos: a folder with their cameras", start.choose_photos,
-            "Train on photos...", words="training capture colmap nerfstudio reconstruct new",
+            "Train on photos...", words=("train on photos", "new training", "capture"),
             lacks=lambda app: app.feature(start.TrainingStart).lacks),
-        _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
+        _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene",
+            words=("demo", "example", "sample")),
         _camera("frame_selection", "F", "Show what is selected, else the whole scene",
             camera.frame_selection),
+        _camera("home_view", "Shift+Home", "Home view: the scene's front, filling the picture",
+            first_views.go_home, "Front of the scene",
+            words=("front", "first view", "reset view", "default view"),
+            lacks=needs(lambda app: app.is_open, "Open a scene first")),
         _camera("frame_all", "Home", "Show the whole scene", camera.frame_all),
         *(
             _camera(f"look_from_{name}", key, f"Look from {name}", partial(camera.look_along, name=name),
@@ -231,7 +264,8 @@ COMMANDS: dict[str, Command] = {
             for name, key in zip(AXIS_NAMES, AXIS_KEYS, strict=True)
         ),
         _camera("level", "L", "Make the horizon level", camera.make_level),
-        _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next"),
+        _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next",
+            words=("up", "up axis", "upside down")),
         _camera("up_from_view", "Shift+U", "Take what is up in the picture as the up axis",
             camera.up_from_view,
             "What is up in the picture"),
@@ -240,13 +274,13 @@ COMMANDS: dict[str, Command] = {
             checked=lambda app: app.destination.lens.orthographic),
         _camera("toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without",
             camera.toggle_lenses, "Camera lenses",
-            lacks=_needs(lambda app: any(camera.lens is not None for camera in app.cameras),
+            lacks=needs(lambda app: any(camera.lens is not None for camera in app.cameras),
                 "Load cameras with lenses first"),
             checked=lambda app: app.through_lenses),
         _camera("depth_of_field", "Shift+B", "Depth of field on or off", depth_of_field.switch,
-            "Depth of field", checked=lambda app: app.feature(DepthOfField).on),
+            "Depth of field", words=("dof",), checked=lambda app: app.feature(DepthOfField).on),
         _camera("focus_by_click", "Shift+C", "Depth of field: click what shall be sharp",
-            depth_of_field.focus_by_click, "Focus by click"),
+            depth_of_field.focus_by_click, "Focus by click", words=("focus", "sharp")),
         _camera("narrower", "]", "Narrower field of view", partial(camera.change_fov,
             factor=1 / camera.FOV_STEP)),
         _camera("wider", "[", "Wider field of view", partial(camera.change_fov, factor=camera.FOV_STEP)),
@@ -257,7 +291,7 @@ COMMANDS: dict[str, Command] = {
         _camera("add_bookmark", "B", "Bookmark this view", camera.add_bookmark),
         _camera("next_bookmark", "N", "Next bookmark",
             lambda app: camera.go_to_bookmark(app, app.bookmark_index + 1),
-            lacks=_needs(lambda app: bool(app.bookmarks), "Bookmark a view first")),
+            lacks=needs(lambda app: bool(app.bookmarks), "Bookmark a view first")),
         _camera("copy_camera", "Ctrl+C", "Copy the camera as JSON", camera.copy_camera),
         _camera("paste_camera", "Ctrl+V", "Go to the camera on the clipboard", camera.paste_camera),
         _navigation_mode("orbit", "F2", "turn about a point, horizon level"),
@@ -271,20 +305,21 @@ COMMANDS: dict[str, Command] = {
         ),
         _picture("open_background", "", "Background: open an equirectangular picture",
             background.ask_for_picture),
-        _edit("duplicate", "Ctrl+D", "Make a copy of the selected splats",
-            editing.operation_on_selection("duplicate"),
+        _edit("duplicate", "Ctrl+D", "Duplicate the selected splats",
+            editing.operation_on_selection("duplicate"), "Duplicate", words=("copy splats", "clone"),
             lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
         _edit("undo", "Ctrl+Z", "Undo", editing.undo, lacks=_has("history", "can_undo", "Nothing to undo")),
         _edit("redo", "Ctrl+Shift+Z Ctrl+Y", "Redo", editing.redo,
             lacks=_has("history", "can_redo", "Nothing to redo")),
         _edit("delete", "Delete Backspace", "Delete the selected splats",
-            editing.operation_on_selection("delete"), lacks=_a_selection),
-        _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"),
-            lacks=_a_selection),
+            editing.operation_on_selection("delete"), "Delete",
+            words=("remove", "erase"), lacks=_a_selection),
+        _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"), "Hide",
+            words=("hide",), lacks=_a_selection),
         _edit("show", "Shift+J", "Show all hidden splats again", editing.operation("show"),
             lacks=_has("counts", "hidden", "Nothing is hidden")),
-        _edit("isolate", "Shift+I", "Hide all but the selected splats",
-            editing.operation_on_selection("isolate"), lacks=_a_selection),
+        _edit("isolate", "Shift+I", "Isolate: hide all but the selected splats",
+            editing.operation_on_selection("isolate"), "Isolate", words=("solo",), lacks=_a_selection),
         _edit("lock", "K", "Lock the selected splats: seen, but not to be changed",
             editing.operation_on_selection("lock"), lacks=_a_selection),
         _edit("unlock", "Shift+K", "Unlock all locked splats", editing.operation("unlock"),
@@ -294,19 +329,32 @@ COMMANDS: dict[str, Command] = {
             lacks=_has("counts", "selected", "Nothing is selected")),
         _select("select_inverse", "Ctrl+I", "Invert the selection", editing.operation("select_inverse"),
             lacks=_a_scene),
-        _tool("Select", "rectangle", "R", "Rectangle: select what is inside"),
-        _tool("Select", "brush", "C", "Brush: paint a selection"),
-        _tool("Select", "lasso", "O", "Lasso: draw around what to select"),
+        _tool("Select", "none", "Shift+0", "Navigate: put the tool back", "cursor", "no tool"),
+        _tool("Select", "rectangle", "R", "Rectangle: select what is inside", "box select", "marquee"),
+        _tool("Select", "brush", "C", "Brush: paint a selection", "paint"),
+        _tool("Select", "lasso", "O", "Lasso: draw around what to select", "freehand"),
         _tool("Select", "polygon", "P", "Polygon: click corners around what to select"),
-        _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour"),
-        _tool("Select", "colour", "I", "Eyedropper: select everything of one colour"),
+        _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour",
+            "wand", "flood fill"),
+        _tool("Select", "colour", "I", "Eyedropper: select everything of one colour", "pipette",
+            "colour picker"),
+        _tool("Edit", "move", "Shift+1", "Move: drag arrows on the picture", "gizmo", "translate", "handles",
+            "position", lacks=_a_scene_at_rest),
+        _tool("Edit", "rotate", "Shift+2", "Rotate: drag rings on the picture", "rotate", "turn",
+            "rotation", lacks=_a_scene_at_rest),
+        _tool("Edit", "scale", "Shift+3", "Scale: drag handles on the picture", "scale", "resize",
+            lacks=_a_scene_at_rest),
+        _tool("Edit", "crop_box", "Shift+4", "Crop box: show only what is inside a box", "crop", "box",
+            "clip"),
+        _tool("Edit", "crop_sphere", "Shift+5", "Crop sphere: show only what is inside a sphere", "sphere"),
         _select("next_depth", "T", "Screen tools: through everything, or the front surface only",
             editing.next_depth, "Only the front surface", lacks=_a_scene, checked=_selects_front),
         _select("larger_brush", "Shift+]", "Larger brush",
             partial(editing.scale_brush, factor=editing.BRUSH_STEP)),
         _select("smaller_brush", "Shift+[", "Smaller brush",
             partial(editing.scale_brush, factor=1 / editing.BRUSH_STEP)),
-        _tool("Edit", "measure", "M", "Measure the distance between two points"),
+        _tool("Edit", "measure", "M", "Measure the distance between two points", "measure",
+            "ruler", "distance", "tape measure"),
         _select("grow", "", "Grow the selection by its neighbours",
             partial(editing.grow_or_shrink, operation=Grow(neighbours=editing.NEIGHBOURS)),
             lacks=_a_selection),
@@ -320,14 +368,39 @@ COMMANDS: dict[str, Command] = {
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
-            _edit(f"find_{name}", "", f"Clean up: find {detector.label.lower()}",
-                partial(cleanup.find, detector=name), words=detector.what, lacks=_a_scene)
+            _edit(f"find_{name}", "", f"Find {detector.label.lower()}", partial(cleanup.find, detector=name),
+                tip=detector.what, words=DETECTOR_WORDS.get(name, ()), lacks=_a_scene)
             for name, detector in DETECTORS.items()
         ),
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",
             partial(toggle_dialog, name="palette")),
-        _training("pause_training", "Space", "Pause or resume training", training.pause_or_resume, "Pause"),
-        _training("step_training", "Period", "Train one step, then pause", training.step_once, "One step"),
+        _of_sequence("play", "Space", "Play or pause the sequence", sequence.play_or_pause, "Play",
+            checked=lambda app: app.feature(Sequences).playing),
+        _of_sequence("next_frame", "Period", "Next frame of the sequence", partial(sequence.step, by=1),
+            "Next frame", words=("step", "forward")),
+        _of_sequence("previous_frame", "Comma", "Previous frame of the sequence",
+            partial(sequence.step, by=-1), "Previous frame", words=("step", "back")),
+        _of_sequence("first_frame", "Shift+Comma", "First frame of the sequence",
+            partial(sequence.go_to_end, last=False), "First frame", words=("start", "begin")),
+        _of_sequence("last_frame", "Shift+Period", "Last frame of the sequence",
+            partial(sequence.go_to_end, last=True), "Last frame", words=("end",)),
+        _play_mode("loop", "Loop: play the sequence again from its first frame"),
+        _play_mode("bounce", "Bounce: play the sequence forwards and backwards"),
+        _play_mode("once", "Once: stop at the last frame of the sequence"),
+        *(
+            _of_sequence(f"rate_{fps}", "", f"Frame rate: {fps} frames a second",
+                partial(sequence.set_rate, fps=fps), f"{fps} frames a second", words=("fps", "speed"),
+                checked=lambda app, fps=fps: app.preferences.frame_rate == fps)
+            for fps in sequence.USUAL_RATES
+        ),
+        _of_sequence("merge_frames", "", "Merge all frames of the sequence into one scene",
+            sequence.merge_frames, "Merge all frames into one scene"),
+        _of_sequence("discard_frame_edits", "", "Discard the edits of this frame", sequence.discard_edits,
+            "Discard this frame's edits", words=("revert",)),
+        _training("pause_training", "Space", "Pause or resume training", training.pause_or_resume, "Pause",
+            when=_not_in_sequence),
+        _training("step_training", "Period", "Train one step, then pause", training.step_once, "One step",
+            when=_not_in_sequence),
         _training("stop_training", "", "Pause training, and save scene and checkpoint",
             training.stop_and_save, "Stop and save"),
         _training("export_training", "", "Export the scene in training", training.export, "Export .ply..."),
@@ -335,20 +408,25 @@ COMMANDS: dict[str, Command] = {
             "Save a checkpoint"),
         _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
         _training("show_training", "", "Show the scene in training", training.show_training,
-            lacks=_needs(_shows_something_else, "It is what is shown")),
-        _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
+            lacks=needs(_shows_something_else, "It is what is shown")),
+        *ENTRIES,
+        _window("toggle_panels", "H", "Only the picture, or the panels again", toggle_panels,
+            "Only the picture", words=("hide panels", "clean view"),
             checked=lambda app: app.panels_hidden),
-        _window("reset_panels", "", "Put the panels back", reset_panels),
+        _window("reset_panels", "", "Reset layout: inspector and strip as in a new window", reset_panels,
+            "Reset layout", words=("reset", "layout", "panels")),
         _window("settings", "Ctrl+Comma", "Settings", partial(toggle_dialog, name="settings"), "Settings...",
-            words="preferences options configuration"),
+            words=("settings", "preferences", "options")),
         _window("theme", "", "Theme: dark, light or high contrast", partial(set_dialog, name="settings"),
-            words="colours appearance dark light contrast look"),
-        _window("font", "", "Font size", partial(set_dialog, name="settings"), words="text scale dpi larger"),
+            words=("theme", "dark mode", "light mode")),
+        _window("font", "", "Font size", partial(set_dialog, name="settings"),
+            words=("font", "text size")),
         _window("keys", "", "Keys and mouse as in SuperSplat, Blender or Unreal",
             partial(set_dialog, name="settings"),
-            words="presets shortcuts hotkeys bindings touchpad gestures supersplat blender unreal"),
-        _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
-            "Keys and mouse"),
+            words=("key presets", "supersplat", "blender", "unreal", "touchpad", "gestures")),
+        _window("toggle_help", "F1", "Keys and mouse: show or hide this page",
+            partial(toggle_dialog, name="help"), "Keys and mouse",
+            words=("help", "keys", "shortcuts", "hotkeys")),
         _window("cancel", "Escape", "Cancel loading, close what is open", cancel),
     )
 }
@@ -448,7 +526,7 @@ def post_pressed(app: AppState) -> None:
     pressed = [
         command
         for command in ((COMMANDS["cancel"],) if asked else COMMANDS.values())
-        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys)
+        if any(imgui.is_key_chord_pressed(chord(key)) for key in command.keys) and command.when(app)
     ]
     if pressed and not asked and imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         imgui.internal.close_popups_except_modals()

@@ -77,7 +77,7 @@ HELP_COLUMNS = (
     ("Mouse", "Moving", "Navigation"),
     ("Camera", "File"),
     ("Select", "Edit", "Recipe"),
-    ("Picture", "Window", "Training"),
+    ("Picture", "Sequence", "Window", "Training"),
 )
 """Groups of commands, held keys and the mouse, column by column."""
 

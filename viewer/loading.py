@@ -5,19 +5,22 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
 from splatview.renderers.demo_cache import cached_demo
+from splatview.renderers.gl.scene_buffers import upload_plan
 from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects
 from splatview.scene.errors import printable
+from splatview.scene.first_view import Front
 from splatview.scene.formats import load_scene
+from splatview.scene.formats.sequence import SceneSequence
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import Finding, check
 from splatview.scene.progress import Cancelled, Progress
@@ -68,8 +71,20 @@ class LoadedScene:
 
     seconds: float
     """How long loading took."""
+    front: Front | None = None
+    """The side that shows most; None of the demo, which has a view of its own, and where nothing is seen."""
     stamps: Mapping[Path, Stamp] = field(default_factory=dict)
     """Stamps of its files, just before they were read."""
+    sequence: SceneSequence | None = None
+    """Sequence of which it is a frame."""
+    frame: int = 0
+    """Number of that frame, from 0."""
+
+    @property
+    def bookmarked(self) -> Path | None:
+        """The file that its bookmarks are beside: of a sequence the first frame's."""
+        paths = self.paths if self.sequence is None else self.sequence.paths
+        return paths[0] if paths else None
 
 
 EMPTY_SCENE = LoadedScene(
@@ -81,12 +96,19 @@ EMPTY_SCENE = LoadedScene(
 class Reading(Task[Result]):
     """Files under way: `read(progress)` in a thread."""
 
-    def __init__(self, name: str, read: Callable[[Progress], Result], *, stage: str = "Reading"):
+    def __init__(
+        self,
+        name: str,
+        read: Callable[[Progress], Result],
+        *,
+        stage: str = "Reading",
+        on_done: Callable[[], object] = lambda: None,
+    ):
         self.name = name
         self.stage = stage
         self.began = time.monotonic()
         progress = Progress(report=self._advance, cancelled=lambda: self.cancelled)
-        super().__init__(lambda _: read(progress), name="splatview-load")
+        super().__init__(lambda _: read(progress), name="splatview-load", on_done=on_done)
 
     @property
     def problem(self) -> str | None:
@@ -116,21 +138,28 @@ class Loading(Reading[LoadedScene]):
         super().__init__(name, self._load, stage=stage)
 
     def _load(self, progress: Progress) -> LoadedScene:
-        began = time.perf_counter()
-        stamps = stamps_of(self._paths)
-        gaussians = self._read(progress=progress)
-        progress.check()
-        centre, radius = robust_bounds(gaussians.means)
-        return LoadedScene(
-            gaussians=gaussians,
-            paths=self._paths,
-            name=self.name,
-            centre=centre,
-            radius=radius,
-            settings=settings_for(gaussians),
-            seconds=time.perf_counter() - began,
-            stamps=stamps,
-        )
+        return _load(self.name, self._paths, self._read, progress)
+
+
+def _load(
+    name: str, paths: tuple[Path, ...], read: Callable[..., Gaussians], progress: Progress
+) -> LoadedScene:
+    began = time.perf_counter()
+    stamps = stamps_of(paths)
+    gaussians = read(progress=progress)
+    progress.check()
+    centre, radius = robust_bounds(gaussians.means)
+    return LoadedScene(
+        gaussians=gaussians,
+        paths=paths,
+        name=name,
+        centre=centre,
+        radius=radius,
+        settings=settings_for(gaussians),
+        seconds=time.perf_counter() - began,
+        front=Front.of(gaussians) if paths else None,
+        stamps=stamps,
+    )
 
 
 class Examination(Task[None]):
@@ -168,6 +197,41 @@ def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) ->
     if added_to and not added_to.paths:
         name = f"{added_to.name} and {name}"
     return Loading(printable(name), all_paths, read)
+
+
+class SequenceLoading(Loading):
+    """A sequence under way: the first of its frames, from `start` on, that can be read."""
+
+    def __init__(self, sequence: SceneSequence, start: int = 0):
+        self.problems: dict[int, str] = {}
+        """Why a frame before that cannot be read, by its number."""
+        self._sequence, self._start = sequence, start
+        super().__init__(sequence.name, (), load_scene)
+
+    def _load(self, progress: Progress) -> LoadedScene:
+        count = len(self._sequence)
+        for away in range(count):
+            index = (self._start + away) % count
+            try:
+                return load_frame(self._sequence, index, progress)
+            except InputError as error:
+                self.problems[index] = str(error)
+        first = next(iter(self.problems.values()))
+        raise InputError(f"{self.name}: none of its {count:,} frames can be read; the first: {first}")
+
+
+def load_frame(sequence: SceneSequence, index: int, progress: Progress) -> LoadedScene:
+    """A frame, and ready what the window's thread would have to compute of it.
+
+    Raises:
+        InputError: it cannot be read.
+        Cancelled: nobody waits for it any more.
+    """
+    path = sequence.paths[index]
+    scene = _load(sequence.name, (path,), partial(load_scene, path), progress)
+    scene = replace(scene, sequence=sequence, frame=index)
+    _ = scene.extent, upload_plan(scene.gaussians)
+    return scene
 
 
 def load_demo() -> Loading:

@@ -8,15 +8,12 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from splatview.scene import InputError
-from splatview.scene.demo import demo_camera
 from splatview.scene.formats import is_camera_list
-from splatview.scene.framing import frame_camera
+from splatview.scene.formats.sequence import SceneSequence, resolve_all
 from splatview.viewer.camera import CameraLists
-from splatview.viewer.loading import Examination, LoadedScene, load_demo, load_files
-from splatview.viewer.navigation import view_from_camera
+from splatview.viewer.first_views import FirstViews
+from splatview.viewer.loading import Examination, LoadedScene, SequenceLoading, load_demo, load_files
 from splatview.viewer.preferences import load_bookmarks, with_recent, without_missing
 from splatview.viewer.state import AppState
 
@@ -24,10 +21,19 @@ UPLOAD_SECONDS = 0.012
 """Seconds of each frame for uploading; the rest keeps the window alive."""
 
 
-def open_paths(app: AppState, paths: Sequence[Path]) -> None:
-    """Opens what was dropped or chosen: scenes (several are merged), camera lists, a COLMAP folder."""
+def open_paths(app: AppState, paths: Sequence[Path], *, merge: bool = False) -> None:
+    """Opens what was dropped or chosen: scenes (several are merged), a sequence, camera lists, a COLMAP
+    folder. `merge`: scenes that are numbered alike, too, become one."""
+    try:
+        found = resolve_all(paths, merge=merge)
+    except InputError as error:
+        app.complain(str(error))
+        return
+    if isinstance(found, SceneSequence):
+        begin_sequence(app, found)
+        return
     scenes = []
-    for path in paths:
+    for path in found:
         if is_camera_list(path):
             app.feature(CameraLists).open(path)
         else:
@@ -50,6 +56,12 @@ def _begin(app: AppState, paths: Sequence[Path], added_to: LoadedScene | None = 
     app.loading = load_files([Path(path) for path in paths], added_to=added_to)
 
 
+def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) -> None:
+    """Starts to load the first frame from `start` on that can be read; the others follow once it is shown."""
+    cancel_loading(app, quiet=True)
+    app.loading = SequenceLoading(sequence, start)
+
+
 def begin_demo(app: AppState) -> None:
     app.leave(_begin_demo)
 
@@ -61,7 +73,12 @@ def _begin_demo(app: AppState) -> None:
 
 def reload(app: AppState) -> None:
     """Reads the open files again, as training writes them say; the view stays."""
-    if app.scene.paths:
+    if app.scene.sequence is not None:
+        try:
+            begin_sequence(app, app.scene.sequence.again(), start=app.scene.frame)
+        except InputError as error:
+            app.complain(str(error))
+    elif app.scene.paths:
         begin(app, app.scene.paths)
 
 
@@ -115,7 +132,7 @@ def upload_for(app: AppState, seconds: float) -> bool:
 
 def adopt(app: AppState, scene: LoadedScene) -> None:
     """Makes `scene`, which the picture holds already, the open one."""
-    same_place = app.is_open and scene.paths[:1] == app.scene.paths[:1]
+    same_place = app.is_open and scene.bookmarked == app.scene.bookmarked
     app.scene = scene
     for feature in app.features.values():
         feature.on_scene_opened(app, scene)
@@ -126,17 +143,21 @@ def adopt(app: AppState, scene: LoadedScene) -> None:
         app.settings = replace(
             scene.settings, background=app.preferences.background, blend=app.preferences.blend
         )
-        look_at_all_of(app, scene)
         app.bookmarks, app.bookmark_index, app.bookmarks_read = [], -1, frozenset()
         app.cameras, app.camera_index = [], -1
+        app.feature(FirstViews).look(app, scene)
         try:
-            app.bookmarks = load_bookmarks(scene.paths[0]) if scene.paths else []
+            app.bookmarks = load_bookmarks(scene.bookmarked) if scene.bookmarked else []
             app.bookmarks_read = frozenset(bookmark.entry for bookmark in app.bookmarks)
         except InputError as error:
             app.complain(str(error))
-    for path in reversed(scene.paths):
+    folder = scene.sequence.folder if scene.sequence else None
+    for path in reversed(scene.paths if folder is None else (folder,)):
         app.preferences = with_recent(app.preferences, path)
-    app.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
+    if scene.sequence is None:
+        app.tell(f"{scene.name}: {len(scene.gaussians):,} splats in {scene.seconds:.2f} s")
+    else:
+        app.tell(f"{scene.name}: {scene.sequence.in_words}")
     for note in scene.gaussians.notes:
         app.tell(f"{scene.name}: {note}")
     app.examination, app.examined = Examination(scene.gaussians), False
@@ -154,24 +175,11 @@ def report_examination(app: AppState) -> None:
             app.tell(f"{finding.count:,} splats are left out: {finding.name}")
 
 
-def look_at_all_of(app: AppState, scene: LoadedScene) -> None:
-    """The first view of a scene, upright as it seems to be."""
-    width, height = app.picture_size
-    if scene.paths:
-        camera = frame_camera(scene.gaussians, width, height, fov_y=app.preferences.fov_y)
-    else:
-        camera = demo_camera(width, height)
-    distance = max(float((scene.centre - camera.eye) @ camera.forward), 1e-3 * scene.radius)
-    app.steer(view_from_camera(camera, distance=distance, up=nearest_axis(-camera.R_camera_world[1])))
-
-
-def nearest_axis(direction: np.ndarray) -> np.ndarray:
-    """The world axis (3,) float64, with its sign, that `direction` (3,) is nearest to."""
-    axis = np.zeros(3)
-    largest = np.argmax(np.abs(direction))
-    axis[largest] = np.sign(direction[largest])
-    return axis
-
-
 def choose_scene(app: AppState) -> None:
     app.choose_files("Open a scene", lambda paths: app.post(open_paths, paths), kind="scene")
+
+
+def choose_folder(app: AppState) -> None:
+    app.choose_files(
+        "Open a folder of scenes as a sequence", lambda paths: app.post(open_paths, paths), kind="folder"
+    )

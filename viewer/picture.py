@@ -108,7 +108,7 @@ class Picture:
         """Brings the texture up to date with the loaded scene; costs nothing where nothing has changed."""
         request = replace(request, gaussians=None)
         if self._async is not None:
-            other = request.mode not in self._async.capabilities.modes
+            other = request.mode != "splats"
             self._by_gl = other and self._mode_compiled(request)
             self._mode_to_come = other and not self._by_gl
         if self._by_gl:
@@ -177,6 +177,11 @@ class Picture:
             return True
         renderer = self._gl if self._by_gl else self._async
         return renderer is not None and renderer.busy
+
+    @property
+    def is_current(self) -> bool:
+        """Whether a picture of the loaded scene has been shown, be it a coarse one."""
+        return self._async is None or self._by_gl or self._async.pictured is self._gaussians
 
     @property
     def stats(self) -> FrameStats:

@@ -24,6 +24,7 @@ NavigationMode = Literal["orbit", "fly", "trackball"]
 BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
+PlayMode = Literal["loop", "bounce", "once"]
 Theme = Literal["dark", "light", "contrast"]
 
 FILE_NAME = "preferences.json"
@@ -67,6 +68,20 @@ class Preferences:
     """How often the growing scene is shown."""
     edit_memory_gib: float = 0.0
     """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
+    frame_rate: float = 30.0
+    """Frames a second at which sequences play."""
+    play_mode: PlayMode = "loop"
+    """Behaviour at the last frame of a sequence: on from the first, back, or an end."""
+    sequence_memory_gib: float = 0.0
+    """Memory for the frames of a sequence; 0: a quarter of what is free when it is opened."""
+    page: str = "Scene"
+    """Page of the inspector that is open; "" for none."""
+    strip: str = ""
+    """Panel of the bottom strip that is open; "" for none."""
+    inspector_width: float = 20.0
+    """Font heights, without the rail."""
+    strip_height: float = 12.0
+    """Font heights."""
     theme: Theme = "dark"
     font_size: float = 16.0
     """Height of the font on a screen of 96 dpi, px."""
@@ -78,7 +93,6 @@ class Preferences:
     """Whether two fingers turn the view, instead of going nearer and farther."""
     start_screen: bool = True
     """Whether a window without a scene begins with the start screen."""
-    closed_panels: tuple[str, ...] = ()
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 
@@ -91,6 +105,10 @@ RANGES = {
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
     "edit_memory_gib": (0.0, 1024.0),
+    "frame_rate": (0.1, 240.0),
+    "sequence_memory_gib": (0.0, 1024.0),
+    "inspector_width": (17.0, 60.0),
+    "strip_height": (6.0, 60.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
@@ -100,6 +118,7 @@ CHOICES = {
     "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
+    "play_mode": get_args(PlayMode),
     "theme": get_args(Theme),
     "keys": PRESETS,
     "mouse": PRESETS,
@@ -270,9 +289,12 @@ def save_bookmarks(scene: Path, bookmarks: list[Bookmark]) -> Path:
 
 
 def _as_json(bookmark: Bookmark) -> dict[str, Any]:
-    view = bookmark.view
+    return {"name": bookmark.name, **view_to_json(bookmark.view)}
+
+
+def view_to_json(view: View) -> dict[str, Any]:
+    """The numbers of a view, as files of bookmarks have them."""
     return {
-        "name": bookmark.name,
         "target": view.target.tolist(),
         "distance": view.distance,
         "rotation": view.R_camera_world.tolist(),
@@ -296,6 +318,13 @@ def _rays(lens: Lens) -> dict[str, Any]:
 
 def _bookmark(entry: dict[str, Any]) -> Bookmark:
     """Raises ValueError, KeyError or TypeError where `entry` is no bookmark."""
+    view = view_from_json(entry, "a bookmark")
+    return Bookmark(name=str(entry["name"]), entry=json.dumps(entry, sort_keys=True), view=view)
+
+
+def view_from_json(entry: dict[str, Any], where: str) -> View:
+    """The view of `view_to_json`'s numbers. Raises ValueError, KeyError or TypeError where they are none;
+    `where` names what they are of."""
     target, rotation = np.array(entry["target"], np.float64), np.array(entry["rotation"], np.float64)
     distance, fov_y, squeeze = (float(entry[name]) for name in ("distance", "fov_y", "squeeze"))
     x, y = entry["shift"]
@@ -312,20 +341,16 @@ def _bookmark(entry: dict[str, Any]) -> Bookmark:
         and np.linalg.det(rotation) > 0
     ):
         raise ValueError("a rotation is not one")
-    return Bookmark(
-        name=str(entry["name"]),
-        entry=json.dumps(entry, sort_keys=True),
-        view=View(
-            target=target,
-            distance=distance,
-            R_camera_world=orthonormal(rotation),
-            up=unit(np.array(entry["up"], np.float64).reshape(3)),
-            lens=Lens(
-                fov_y=fov_y,
-                shift=(float(x), float(y)),
-                squeeze=squeeze,
-                distortion=lens_of(entry, "a bookmark"),
-                orthographic=is_orthographic(entry, "a bookmark"),
-            ),
+    return View(
+        target=target,
+        distance=distance,
+        R_camera_world=orthonormal(rotation),
+        up=unit(np.array(entry["up"], np.float64).reshape(3)),
+        lens=Lens(
+            fov_y=fov_y,
+            shift=(float(x), float(y)),
+            squeeze=squeeze,
+            distortion=lens_of(entry, where),
+            orthographic=is_orthographic(entry, where),
         ),
     )

@@ -287,14 +287,17 @@ class Projector:
         keys: DepthKeys = DepthKeys(),
         kept: KeptOrder | None = None,
         slopes: bool = False,
+        normals: bool = False,
     ) -> None:
         """Fills records and keys of all splats, then keys and order of the visible ones, by index; or their
-        order alone, which is final, by `kept`. With `slopes` also how depth goes with the pixel."""
+        order alone, which is final, by `kept`. With `slopes` also how depth goes with the pixel; with
+        `normals` in their colours."""
         flags = {
             "GROUP_SIZE": GROUP_SIZE,
             "SH_DEGREE": min(sh_degree, scene.sh_degree),
             **scene.flags(),
             "ANTIALIASED": antialiased,
+            "NORMALS": normals,
             **ray_flags(uniforms),
             **edits.now.flags(),
         }

@@ -13,9 +13,10 @@ from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import DepthKeys, KeptOrder, Projector, short_keys
 from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
 from splatview.renderers.gl.resolve import depth_range
-from splatview.renderers.gl.scene_buffers import SceneBuffers, upload_steps
+from splatview.renderers.gl.scene_buffers import SceneBuffers, upload_plan, upload_steps
 from splatview.renderers.gl.sort import check_count
 from splatview.renderers.gl.uniforms import Uniform, view_uniforms
+from splatview.renderers.modes import MODES
 from splatview.renderers.request import Capabilities, FrameRequest
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.attribute_formats import Attributes
@@ -92,7 +93,7 @@ class QuadsRenderer(GLRenderer):
     def _use(self, scene: SceneBuffers, source: Gaussians) -> None:
         try:
             # The old scene stays as it is until there is room for the new one.
-            box = finite_box(source.means)
+            box = upload_plan(source).box
             self._projector.resize(scene.splats)
         except BaseException:
             scene.release()
@@ -125,6 +126,7 @@ class QuadsRenderer(GLRenderer):
             *(order, (settings.resort_frames, settings.resort_degrees) if keeps else None),
             *(settings.model, settings.sigma_cut, sh_degree),
             editing.footprints,
+            MODES[mode].normals,
         )
         early_stop = self._early_stop if settings.early_stop is None else settings.early_stop
         drawn_key = (projected_key, mode, settings.blend, early_stop, editing.tints_of(mode))
@@ -151,6 +153,7 @@ class QuadsRenderer(GLRenderer):
                     keys=keys,
                     kept=self._kept if keeps else None,
                     slopes=order == "per-pixel",
+                    normals=MODES[mode].normals,
                 )
             if order not in UNSORTED and not keeps:
                 with self._timers.stage("sort"):
@@ -245,12 +248,3 @@ class QuadsRenderer(GLRenderer):
         self._projector.release()
         self._kept.release()
         self._blend_pass.release()
-
-
-def finite_box(means: np.ndarray) -> np.ndarray:
-    """(2, 3) float64: least and greatest finite coordinates of means (N, 3); a point where there are none."""
-    with np.errstate(invalid="ignore"):
-        finite = means[np.isfinite(means).all(axis=1)]
-    if not len(finite):
-        return np.zeros((2, 3))
-    return np.stack([finite.min(axis=0), finite.max(axis=0)]).astype(np.float64)

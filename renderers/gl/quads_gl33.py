@@ -99,8 +99,10 @@ class ProjectionPass:
         sh_degree: int,
         antialiased: bool,
         depth: bool = False,
+        normals: bool = False,
     ) -> None:
-        """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours."""
+        """Projects all splats for `use`; `depth`: with their depths, world units, in place of colours;
+        `normals`: in the colours of those."""
         if self._framebuffer is None:
             raise RuntimeError("resize() comes before run()")
         framebuffer = self._framebuffer
@@ -109,6 +111,7 @@ class ProjectionPass:
             "ANTIALIASED": antialiased,
             **ray_flags(uniforms),
             "DEPTH": depth,
+            "NORMALS": normals,
             **scene.flags(),
             **edits.now.flags(),
         }
@@ -354,8 +357,11 @@ class QuadsGL33Renderer(GLRenderer):
             return
         request, editing, line = self._wanted
         camera, settings, mode = request.view, request.settings, request.mode
-        view, depths = view_key(camera), MODES[mode].depths
-        projected = (view, settings.model, settings.sigma_cut, settings.sh_degree, depths, editing.footprints)
+        view, depths, normals = view_key(camera), MODES[mode].depths, MODES[mode].normals
+        projected = (
+            *(view, settings.model, settings.sigma_cut, settings.sh_degree),
+            *(depths, normals, editing.footprints),
+        )
         drawn = (view, settings, mode, editing.footprints, editing.tints_of(mode))
         if order is self._order and drawn == self._drawn:
             return
@@ -370,6 +376,7 @@ class QuadsGL33Renderer(GLRenderer):
                     sh_degree=degree_of(settings),
                     antialiased=settings.model.antialiased,
                     depth=depths,
+                    normals=normals,
                 )
             self._projected = projected
             self._counters["projected"] += 1

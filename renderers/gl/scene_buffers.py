@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import partial
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -241,6 +242,42 @@ class SceneBuffers:
                 buffer.release()
 
 
+def finite_box(means: np.ndarray) -> np.ndarray:
+    """(2, 3) float64: least and greatest finite coordinates of means (N, 3); a point where there are none."""
+    with np.errstate(invalid="ignore"):
+        finite = means[np.isfinite(means).all(axis=1)]
+    if not len(finite):
+        return np.zeros((2, 3))
+    return np.stack([finite.min(axis=0), finite.max(axis=0)]).astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UploadPlan:
+    """What must be known of a scene before it is uploaded, and needs no OpenGL to be found out."""
+
+    harmonics: StoredHarmonics
+    """Those that can be seen."""
+    placement: Placement
+    box: np.ndarray
+    """Of `finite_box`."""
+
+
+_plans: WeakKeyDictionary[Gaussians, UploadPlan] = WeakKeyDictionary()
+
+
+def upload_plan(gaussians: Gaussians) -> UploadPlan:
+    """The plan of a scene, found once, as its arrays never change. A thread that calls it first spares the
+    one of the OpenGL context half of the upload's time on the processor."""
+    known = _plans.get(gaussians)
+    if known is None:
+        known = _plans[gaussians] = UploadPlan(
+            harmonics=stored_harmonics(gaussians, every_band=False),
+            placement=placement_of(gaussians.means, gaussians.log_scales),
+            box=finite_box(gaussians.means),
+        )
+    return known
+
+
 def storage_limit(ctx: moderngl.Context) -> int:
     """Bytes one storage buffer may have on this driver (128 MiB on Mesa)."""
     return int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
@@ -263,8 +300,10 @@ def upload_steps(
         InputError: there is not enough graphics memory.
     """
     n = len(gaussians)
-    harmonics = stored_harmonics(gaussians, every_band=every_band)
-    placement = placement_of(gaussians.means, gaussians.log_scales)
+    found = upload_plan(gaussians)
+    harmonics, placement = found.harmonics, found.placement
+    if every_band:
+        harmonics = stored_harmonics(gaussians, every_band=True)
     words = words_by_degree(attributes)
     row = 16 if attributes == "float32" else 8
     place = 0 if harmonics.own_degrees is None else 4

@@ -13,8 +13,8 @@ from splatview.renderers.gl.scene_buffers import (
     DEGREE_BITS,
     Placement,
     StoredHarmonics,
-    placement_of,
     stored_harmonics,
+    upload_plan,
 )
 from splatview.scene import Gaussians, InputError
 from splatview.scene.gaussians import SH_COEFFICIENTS
@@ -155,7 +155,9 @@ def upload_steps(
     Raises:
         InputError: the scene does not fit into the driver's textures or memory.
     """
-    scene = _allocate(ctx, gaussians, stored_harmonics(gaussians, every_band=every_band))
+    plan = upload_plan(gaussians)
+    harmonics = stored_harmonics(gaussians, every_band=True) if every_band else plan.harmonics
+    scene = _allocate(ctx, gaussians, harmonics)
     coefficients = 0
     done = False
     try:
@@ -178,7 +180,7 @@ def _allocate(ctx: moderngl.Context, gaussians: Gaussians, harmonics: StoredHarm
     layers, own = SH_COEFFICIENTS[harmonics.sh_degree], harmonics.own_degrees
     if own is not None:
         layers = -(-int(np.array(SH_COEFFICIENTS)[own].sum()) // (TEXTURE_WIDTH * rows))
-    placement = placement_of(gaussians.means, gaussians.log_scales)
+    placement = upload_plan(gaussians).placement
     try:
         scene = SceneTextures(
             splats=n,

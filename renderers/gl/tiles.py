@@ -248,7 +248,7 @@ the limits: a splat walked takes up to 1.6, a tile written takes one."""
 
 
 class TilesBlendPass(BlendPass):
-    """By tiles for the splats; every other mode is drawn as quads."""
+    """By tiles for splats and normals; every other mode is drawn as quads."""
 
     def __init__(self, ctx: moderngl.Context, variants: Variants, tuning: TileTuning | None = None) -> None:
         super().__init__(ctx, variants)
@@ -282,7 +282,7 @@ class TilesBlendPass(BlendPass):
         """
         if by_pixel and disc_flags(uniforms)["DISCS"]:
             raise InputError("--order per-pixel of flat splats is not for --renderer tiles: cpu can do it")
-        if mode != "splats" or stochastic or weights is not None:
+        if mode not in ("splats", "normals") or stochastic or weights is not None:
             given = (mode, target, scene, projector, uniforms, edits)
             super().draw(*given, early_stop=early_stop, stochastic=stochastic, weights=weights)
             return
@@ -294,7 +294,7 @@ class TilesBlendPass(BlendPass):
         def blend(
             rest: bool, *splats: moderngl.Buffer, most_walked: int, longest: int, **more: Uniform
         ) -> None:
-            program = self._ready(rest, projector, target, edits, {**values, **more}, by_pixel)
+            program = self._ready(mode, rest, projector, target, edits, {**values, **more}, by_pixel)
             bind(*splats, *records(projector))
             if by_pixel:
                 projector.slope_buffer().bind_to_storage_buffer(8)
@@ -337,6 +337,7 @@ class TilesBlendPass(BlendPass):
 
     def _ready(
         self,
+        mode: VisualMode,
         rest: bool,
         projector: Projector,
         target: ColourTarget,
@@ -353,7 +354,7 @@ class TilesBlendPass(BlendPass):
             "BATCH": tuning.batch,
             "ROUNDS": tuning.pairs.most_rounds,
             **disc_flags(values),
-            **edits.now.flags(projects=False, shows="splats"),
+            **edits.now.flags(projects=False, shows=mode),
         }
         name = "blend"
         if by_pixel:
@@ -371,7 +372,7 @@ class TilesBlendPass(BlendPass):
 
 
 class TilesRenderer(QuadsRenderer):
-    """Renderer for OpenGL 4.3 that blends by tiles; other modes than splats are drawn as quads.
+    """Renderer for OpenGL 4.3 that blends by tiles; other modes than splats and normals are drawn as quads.
 
     Raises:
         InputError: the context is older than GL 4.3.
@@ -395,6 +396,6 @@ class TilesRenderer(QuadsRenderer):
         self._tiles.start_anew()
 
     def draw(self, request: FrameRequest) -> None:
-        if request.mode == "splats":
+        if request.mode in ("splats", "normals"):
             self._tiles.pairs.check((request.view.width, request.view.height))
         super().draw(replace(request, settings=replace(request.settings, blend="float32")))

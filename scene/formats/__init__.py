@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +20,14 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
 from splatview.scene.formats.colmap import find_model, is_colmap
 from splatview.scene.formats.compressed_ply import save_compressed
+from splatview.scene.formats.folders import atomic_folder, folder_target
 from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
-from splatview.scene.formats.io import open_regular, target_of
+from splatview.scene.formats.io import atomic_write, open_regular, target_of
 from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
 from splatview.scene.formats.packing import storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.formats.sog import LOD_META, META, is_sog_folder, is_zip, read_sog, read_sog_folder
+from splatview.scene.formats.sog_folder import foreign_name, save_sog_folder, save_streamed
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_spz, read_spz, save_spz
@@ -37,13 +41,20 @@ class Format:
     """A format of scene files."""
 
     suffix: str
-    """Lower case, with its dot."""
+    """Lower case, with its dot; of a `folder`, a slash and the name of the file that it is opened by."""
+    folder: bool = False
+    """Whether it is all files of a folder."""
     sniff: Callable[[bytes], bool] | None = None
     """Whether a file with these first SNIFFED bytes is one; None: they do not tell, and the suffix does."""
     read: Callable[[io.BufferedReader, Path, Progress, float], Gaussians]
     """Reader of a file from its start into so many bytes of memory at most; the path is for messages."""
-    write: Callable[[Gaussians, Path, Progress], None] | None = None
-    """Writer of a whole file, atomically. None: not written."""
+    write: Callable[..., None] | None = None
+    """Writer of a whole file, atomically: (gaussians, path, progress), and the knobs by name. None: not
+    written."""
+    knobs: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    """Keywords of `write` that make a file smaller and worse: their values, the finest last."""
+    sh_knobs: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    """The same of the SH above the constant band; one at most."""
     sh: bool = True
     """Whether it holds bands above the constant one, as all that follows are things that it may hold."""
     comments: bool = False
@@ -58,6 +69,21 @@ class Format:
     discs: bool = False
     """The tag that splats are planar."""
 
+    @property
+    def all_knobs(self) -> dict[str, tuple[Any, ...]]:
+        return {**self.knobs, **self.sh_knobs}
+
+
+def _read_folder(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
+    return read_sog_folder(path, progress, room)
+
+
+SOG_KNOBS = {
+    "position_bits": (9, 11, 12, 13, 14, 16),
+    "rotation_bits": (4, 5, 6, 7, 8),
+    "codes": (16, 32, 64, 256),
+}
+SOG_SH_KNOBS = {"palette": (256, 1024, 4096, 16384, 65536)}
 
 FORMATS = {
     "ply": Format(
@@ -81,9 +107,46 @@ FORMATS = {
         discs=True,
     ),
     "splat": Format(suffix=".splat", read=read_splat, write=save_splat, sh=False),
-    "spz": Format(suffix=".spz", sniff=is_spz, read=read_spz, write=save_spz, antialiased=True),
+    "spz": Format(
+        suffix=".spz",
+        sniff=is_spz,
+        read=read_spz,
+        write=save_spz,
+        antialiased=True,
+        knobs={"position_bits": (12, 14, 16, 18, 20, 24)},
+        sh_knobs={"sh_bits": ((3, 2, 2), (4, 3, 3), (5, 4, 4), (6, 5, 5), (8, 8, 8))},
+    ),
     "ksplat": Format(suffix=".ksplat", sniff=is_ksplat, read=read_ksplat),
-    "sog": Format(suffix=".sog", sniff=is_zip, read=read_sog, write=save_sog, antialiased=True, discs=True),
+    "sog": Format(
+        suffix=".sog",
+        sniff=is_zip,
+        read=read_sog,
+        write=save_sog,
+        antialiased=True,
+        discs=True,
+        knobs=SOG_KNOBS,
+        sh_knobs=SOG_SH_KNOBS,
+    ),
+    "sog folder": Format(
+        suffix=f"/{META}",
+        folder=True,
+        read=_read_folder,
+        write=save_sog_folder,
+        antialiased=True,
+        discs=True,
+        knobs=SOG_KNOBS,
+        sh_knobs=SOG_SH_KNOBS,
+    ),
+    "streamed": Format(
+        suffix=f"/{LOD_META}",
+        folder=True,
+        read=_read_folder,
+        write=save_streamed,
+        antialiased=True,
+        discs=True,
+        knobs=SOG_KNOBS,
+        sh_knobs=SOG_SH_KNOBS,
+    ),
     "glb": Format(suffix=".glb", sniff=is_glb, read=read_glb, write=save_glb, exact=True),
     "gltf": Format(suffix=".gltf", read=read_gltf),
 }
@@ -147,7 +210,7 @@ def _reader(
     reader = next(told, None) or next(named, None)
     if reader is not None:
         return reader
-    suffixes = [known.suffix for known in FORMATS.values() if known.suffix.count(".") == 1]
+    suffixes = [known.suffix for known in FORMATS.values() if known.suffix.rfind(".") == 0]
     if start.startswith(PICTURES):
         raise InputError(f"{path}: is a picture, not a scene; scenes are {', '.join(suffixes)}")
     if suffix in suffixes:
@@ -157,34 +220,48 @@ def _reader(
 
 def name_patterns(*, written: bool = False) -> str:
     """File name patterns of all formats, or of those that are `written`, as file dialogs want them."""
-    suffixes = [f"*{known.suffix}" for known in FORMATS.values() if known.write or not written]
-    return " ".join(suffixes if written else [*suffixes, META, LOD_META])
+    suffixes = [
+        known.suffix.removeprefix("/") if known.folder else f"*{known.suffix}"
+        for known in FORMATS.values()
+        if known.write or not written
+    ]
+    return " ".join(suffixes)
 
 
 def save_scene(
-    gaussians: Gaussians, path: str | os.PathLike[str], *, progress: Progress = NO_PROGRESS
+    gaussians: Gaussians,
+    path: str | os.PathLike[str],
+    *,
+    progress: Progress = NO_PROGRESS,
+    knobs: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes a scene in the format of the suffix, wholly or not at all: an older file stays until then.
+    `knobs`: some of the format's, by name.
 
     Raises:
         InputError: the suffix names no format that can be written, or the system refuses.
     """
     path = Path(path)
-    check_format(path)(gaussians, path, progress)
+    check_format(path)(gaussians, path, progress, **(knobs or {}))
 
 
-def check_format(path: Path) -> Callable[[Gaussians, Path, Progress], None]:
+def check_format(path: Path) -> Callable[..., None]:
     """The writer of the format that the suffix names. Raises InputError if that can be none."""
     known = format_of(path)
     if known is None or known.write is None:
-        suffixes = " or ".join(known.suffix for known in FORMATS.values() if known.write)
+        suffixes = " or ".join(
+            f"FOLDER{known.suffix}" if known.folder else known.suffix
+            for known in FORMATS.values()
+            if known.write
+        )
         raise InputError(f"{path}: scenes are saved as {suffixes}; give it that suffix")
     return known.write
 
 
 def format_of(path: Path) -> Format | None:
     """The format that the name of `path` ends with."""
-    named = [known for known in FORMATS.values() if path.name.lower().endswith(known.suffix)]
+    name = f"/{path.name.lower()}"
+    named = [known for known in FORMATS.values() if name.endswith(known.suffix)]
     return max(named, key=lambda known: len(known.suffix), default=None)
 
 
@@ -221,7 +298,49 @@ def losses(gaussians: Gaussians, path: Path) -> list[str]:
 def check_saving(path: Path) -> None:
     """Raises InputError where `save_scene` could not write `path`, so that nobody works on it in vain."""
     check_format(path)
-    target_of(path)
+    known = format_of(path)
+    if known is not None and known.folder:
+        folder_target(path, foreign_name)
+    else:
+        target_of(path)
+
+
+def named_output(text: str) -> Path:
+    """The file that a user means by `text`: a folder's name (one that exists, that ends in a slash, or that
+    has no suffix) stands for a folder of .sog."""
+    path = Path(text)
+    is_folder = text.endswith(("/", os.sep)) or os.path.isdir(path) or not path.suffix
+    return path / META if is_folder else path
+
+
+def stored_bytes(path: Path) -> int:
+    """Size of a scene that was written as `path`."""
+    known = format_of(path)
+    if known is None or not known.folder:
+        return path.stat().st_size
+    return sum(
+        os.stat(os.path.join(at, file)).st_size for at, _, files in os.walk(path.parent) for file in files
+    )
+
+
+def place_copy(source: Path, path: Path, progress: Progress = NO_PROGRESS) -> None:
+    """Copies a written scene to `path`, wholly or not at all. Raises InputError and Cancelled."""
+    known = format_of(path)
+    if known is not None and known.folder:
+        with atomic_folder(path, foreign_name) as folder:
+            shutil.copytree(source.parent, folder, dirs_exist_ok=True)
+            progress.check()
+        return
+    with atomic_write(path) as target, open(source, "rb") as file:
+        while part := file.read(1 << 22):
+            progress.check()
+            target.write(part)
+
+
+def trial_path(folder: Path, path: Path) -> Path:
+    """The file in an empty `folder` that is written to try `path`."""
+    known = format_of(path)
+    return folder / "scene" / path.name if known is not None and known.folder else folder / path.name
 
 
 def load_cameras(

@@ -6,6 +6,7 @@ import io
 import json
 import math
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,23 +24,44 @@ LARGEST_PALETTE = 1 << 16
 """Entries of the SH palette that labels of 16 bits can name; fewer make a smaller file."""
 
 
-def save_sog(gaussians: Gaussians, path: Path, progress: Progress, *, palette: int | None = None) -> None:
-    """Writes a zip. `palette`: entries at most; None: as many as there can be.
+@dataclass(frozen=True, kw_only=True)
+class SogKnobs:
+    """What makes a file smaller at the price of quality; the defaults are as fine as the format gets."""
+
+    palette: int = LARGEST_PALETTE
+    """Entries of the SH palette at most."""
+    position_bits: int = 16
+    """Bits of the positions that are kept, 1 to 16: the others are 0, which compresses to nothing."""
+    rotation_bits: int = 8
+    """The same of the quaternions' components, 1 to 8."""
+    codes: int = 256
+    """Entries in use of the codebooks of scales and colours, 2 to 256."""
+
+
+FINEST = SogKnobs()
+
+
+def save_sog(gaussians: Gaussians, path: Path, progress: Progress, **knobs: int) -> None:
+    """Writes a zip; `knobs` are those of `SogKnobs`.
 
     Raises:
         InputError: the system refuses.
         Cancelled: nobody waits for it any more.
     """
-    files = sog_files(gaussians, progress, palette=palette)
+    files = sog_files(gaussians, progress, SogKnobs(**knobs))
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, content in files.items():
             # A date of its own, so that equal scenes give equal files.
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content)
 
 
-def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None = None) -> dict[str, bytes]:
-    """Contents by name of file, meta.json last. Splats that no renderer draws are left out."""
-    gaussians = gaussians.take(storable_in_z_order(gaussians))
+def sog_files(
+    gaussians: Gaussians, progress: Progress, knobs: SogKnobs = FINEST, *, ordered: bool = False
+) -> dict[str, bytes]:
+    """Contents by name of file, meta.json last. Splats that no renderer draws are left out; `ordered`: there
+    are none, and the others stay in their order."""
+    if not ordered:
+        gaussians = gaussians.take(storable_in_z_order(gaussians))
     n = len(gaussians)
     width = max(4, math.ceil(math.sqrt(n) / 4) * 4)
     height = max(4, math.ceil(n / width / 4) * 4)
@@ -58,7 +80,10 @@ def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None =
     low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
     if not n:
         low, high = np.zeros(3), np.zeros(3)
-    whole = np.rint((means - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
+    spare = 16 - knobs.position_bits
+    steps = 2**knobs.position_bits - 1
+    whole = np.rint((means - low) / np.where(high > low, high - low, 1) * steps).astype(np.uint16) << spare
+    high = low + (high - low) * (65535 / (steps << spare))
     meta: dict[str, object] = {"version": 2, "asset": {"generator": "splatview"}, "count": n}
     if is_flat(gaussians):
         meta["model"] = "2dgs"
@@ -73,19 +98,21 @@ def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None =
         ],
     }
     progress.step(0.1)
-    book, indices = levels(gaussians.log_scales, weights[:, None])
-    meta["scales"] = {"codebook": book.tolist(), "files": [add("scales", indices)]}
+    book, indices = levels(gaussians.log_scales, weights[:, None], knobs.codes)
+    meta["scales"] = {"codebook": _whole(book), "files": [add("scales", indices)]}
     progress.step(0.2)
     largest, rest = smallest_three(gaussians.quats)
-    packed = np.column_stack([np.rint((rest + 1) * 127.5), 252 + largest]).astype(np.uint8)
+    step = 1 << (8 - knobs.rotation_bits)
+    rest = np.minimum(np.rint((rest + 1) * (127.5 / step)) * step, 256 - step)
+    packed = np.column_stack([np.minimum(rest, 255), 252 + largest]).astype(np.uint8)
     meta["quats"] = {"files": [add("quats", packed)]}
     progress.step(0.3)
-    book, indices = levels(gaussians.sh[:, 0], weights[:, None])
+    book, indices = levels(gaussians.sh[:, 0], weights[:, None], knobs.codes)
     opacities = opacity_levels(gaussians.opacity_logits).astype(np.uint8)
-    meta["sh0"] = {"codebook": book.tolist(), "files": [add("sh0", np.column_stack([indices, opacities]))]}
+    meta["sh0"] = {"codebook": _whole(book), "files": [add("sh0", np.column_stack([indices, opacities]))]}
     progress.step(0.4)
     if gaussians.sh_degree and n:
-        entries = min(palette or LARGEST_PALETTE, LARGEST_PALETTE)
+        entries = min(knobs.palette, LARGEST_PALETTE)
         centroids, labels = vectors(
             gaussians.sh[:, 1:].reshape(n, -1), weights, entries, progress=progress.part(0.4, 0.9)
         )
@@ -107,6 +134,11 @@ def sog_files(gaussians: Gaussians, progress: Progress, *, palette: int | None =
     files[META] = json.dumps(meta, separators=(",", ":")).encode()
     progress.step(1.0)
     return files
+
+
+def _whole(book: np.ndarray) -> list[float]:
+    """All 256 entries of a codebook of fewer."""
+    return np.pad(book, (0, 256 - len(book)), mode="edge").tolist()
 
 
 def importance(gaussians: Gaussians) -> np.ndarray:

@@ -13,6 +13,7 @@ uniform bool u_flags_tints;
 uniform bool u_flags_points;
 uniform bool u_flags_depth;
 uniform bool u_flags_overdraw;
+uniform bool u_flags_normals;
 uniform bool u_flags_stochastic;
 uniform bool u_flags_weighted;
 uniform bool u_flags_gradient;
@@ -31,6 +32,7 @@ uniform bool u_flags_behind;
 #define POINTS u_flags_points
 #define DEPTH u_flags_depth
 #define OVERDRAW u_flags_overdraw
+#define NORMALS u_flags_normals
 #define STOCHASTIC u_flags_stochastic
 #define WEIGHTED u_flags_weighted
 #define GRADIENT u_flags_gradient

@@ -1,7 +1,8 @@
 // One invocation per splat: footprint, colour and depth key. A culled splat gets the key CULLED and no record.
-// Flags: GROUP_SIZE, WIDE, SH_DEGREE, ANTIALIASED, and those of attributes, harmonics and edits.
+// Flags: GROUP_SIZE, WIDE, SH_DEGREE, ANTIALIASED, NORMALS (in place of colours), and those of attributes, harmonics and edits.
 #include "quads/culled.glsl"
 #include "common/edits.glsl"
+#include "common/normal.glsl"
 #include "common/groups.glsl"
 #include "common/sh.glsl"
 #include "common/records.glsl"
@@ -44,6 +45,7 @@ void main() {
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) return;
     vec3 colour = graded(splat, sh_colour(local, harmonics_direction(splat, f.direction)));
     if (!is_finite(colour)) return;  // guard: finite colours
+    if (NORMALS) colour = normal_colour(s);
     WRITE_RECORD(shapes, splat, vec4(f.mean, f.conic.xy));
     WRITE_RECORD(bounds, splat, vec4(f.conic.z, f.minor_axis, f.major_axis));
     // guard: colours at least 0 := WRITE_RECORD(colours, splat, vec4(colour, f.opacity));

@@ -1,9 +1,10 @@
 // One fragment per splat: footprint and colour, into textures that the draw fetches from. A culled splat
 // is discarded: its texels stay 0, and the query of samples passed counts the others.
-// Flags: TEXTURE_WIDTH, SH_DEGREE, OWN_DEGREES (see u_sh), ANTIALIASED, DEPTH (the depth in place of the
+// Flags: TEXTURE_WIDTH, SH_DEGREE, OWN_DEGREES (see u_sh), ANTIALIASED, DEPTH and NORMALS (in place of the
 // colour), and those of edits.
 #include "common/texels.glsl"
 #include "common/edits.glsl"
+#include "common/normal.glsl"
 #include "common/sh.glsl"
 
 uniform sampler2D u_positions;  // xyz relative to the scene's centre, opacity
@@ -54,6 +55,7 @@ void main() {
     if (!edit(splat, s) || !project(s.offset, s.quat, s.scale, s.opacity, f)) discard;
     vec3 rgb = graded(splat, sh_colour(splat, harmonics_direction(splat, f.direction)));
     if (!is_finite(rgb)) discard;
+    if (NORMALS) rgb = normal_colour(s);
     if (DEPTH) rgb = vec3(f.depth);
     shape = vec4(f.mean, f.conic.xy);
     bounds = vec4(f.conic.z, f.minor_axis, f.major_axis);

@@ -23,8 +23,8 @@ from splatview.renderers import choices
 from splatview.scene import Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.background import Gradient, Panorama
 from splatview.scene.depth_of_field import Aperture, mean_picture
+from splatview.scene.first_view import first_view
 from splatview.scene.formats import load_scene, save_camera, save_scene
-from splatview.scene.framing import frame_camera
 
 VIEW = ["--eye", "-0.5,-1,-3", "--target", "0,0.1,0", "--size", "48x32"]
 CAMERA = look_at((-0.5, -1, -3), (0, 0.1, 0), up=(0, -1, 0), width=48, height=32)
@@ -180,7 +180,7 @@ def test_camera_files(rendered, gaussians, tmp_path):
 
 def test_without_a_camera_the_scene_is_framed(rendered, gaussians):
     image = rendered("--size", "48x32", "--renderer", "reference")
-    assert close(image, reference.render(gaussians, frame_camera(gaussians, 48, 32)), 1e-6)
+    assert close(image, reference.render(gaussians, first_view(gaussians, 48, 32).camera), 1e-6)
     assert image[..., 3].max() > 0.5
 
 

@@ -66,8 +66,8 @@ def test_what_is_missing_is_named_and_what_falls_back():
     assert "missing    do this" in doctor.as_text(findings(unused_gpu="do this"))
 
 
-def test_training_needs_no_torch():
+def test_only_training_needs_torch():
     (line,) = (line for line in doctor.as_text(findings()).splitlines() if line.startswith("torch"))
-    assert "missing; only for training by several processes" in line
+    assert "missing; only for training" in line
     (line,) = (line for line in doctor.as_text(findings()).splitlines() if line.startswith("safetensors"))
     assert "MISSING: pip install safetensors" in line

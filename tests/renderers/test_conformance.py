@@ -38,6 +38,7 @@ from splatview.scene import (
     reference,
 )
 from splatview.scene.background import Background, Gradient, Panorama
+from splatview.scene.camera import with_parallel_rays
 from splatview.scene.edits import (
     DELETED,
     HIDDEN,
@@ -998,7 +999,7 @@ def test_highlights_are_those_of_quads(backend, make_backend, random_gaussians: 
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 OVER_BLUE = replace(EXACT, background=(0.0, 0.0, 1.0))
-MODES: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw")
+MODES: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw", "normals")
 
 
 @on(*GL)
@@ -1123,7 +1124,8 @@ def test_overdraw_counts_splats_on_a_logarithmic_scale(backend):
 def test_modes_look_as_with_quads(backend, make_backend, random_gaussians: Make, mode):
     scene, camera = random_gaussians(500), camera_at(0.4, -0.3, -2.2, width=97, height=61)
     truth = make_backend("quads").draw(scene, camera, EXACT, mode)
-    most = 0 if backend.name == "tiles" else 2e-3  # what draws is the same
+    # What draws is the same, but of normals, which have an order of their own in a tile.
+    most = 0 if backend.name == "tiles" and mode != "normals" else 2e-3
     assert largest_error(backend.draw(scene, camera, EXACT, mode), truth) <= most
 
 
@@ -1148,6 +1150,34 @@ def test_every_mode_shows_edits(backend, random_gaussians: Make, mode):
     baked = backend.draw(bake(scene, edits), camera, EXACT, mode)
     assert psnr(edited, baked) >= 45
     assert psnr(edited, backend.draw(scene, camera, EXACT, mode)) < 30
+
+
+@on(*FAST, "reference")
+def test_normals_of_one_splat(backend):
+    """A thin plate, seen from before: blue where it faces the eye, red where it faces to the right."""
+    right = STRAIGHT.R_camera_world[0, 0] * math.sin(0.8)
+    for about_y, expected in ((0.0, (0.5, 0.5, 1.0)), (-0.8, (0.5 + 0.5 * right, 0.5, None))):
+        scene = splats([(0, 0, 0)], [RED], scales=(1, 1, 0.02), logit=9.0)
+        turn = np.float32([math.cos(about_y / 2), 0, math.sin(about_y / 2), 0])
+        scene = replace(scene, quats=turn[None])
+        image = backend.draw(scene, STRAIGHT, BLACK, "normals")
+        for channel, value in zip(image[24, 32, :3] / image[24, 32, 3], expected, strict=True):
+            assert value is None or channel == pytest.approx(value, abs=0.02)
+
+
+@on(*FAST)
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("parallel", [False, True])
+def test_normals_are_those_of_the_reference(backend, make_backend, random_gaussians: Make, flat, parallel):
+    scene = flat_splats(40) if flat else random_gaussians(400)
+    camera = FLAT_CAMERA if flat else camera_at(0.4, -0.3, -2.2, width=97, height=61)
+    if parallel:
+        camera = with_parallel_rays(camera, 3.0)
+    settings = FLAT if flat else EXACT
+    truth = make_backend("reference").draw(scene, camera, settings, "normals")
+    image = backend.draw(scene, camera, settings, "normals")
+    assert truth[..., :3].std() > 0.05
+    assert psnr(image, truth) >= 50
 
 
 @on(*GL)

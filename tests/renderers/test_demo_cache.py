@@ -11,12 +11,12 @@ from splatview.scene.demo import demo_scene
 
 @pytest.fixture
 def small_demo(monkeypatch, tmp_path):
-    """The demo with 3,000 splats, a cache of the test's own, and a count of how often it was made."""
+    """A small demo, a cache of the test's own, and a count of how often it was made."""
     made = []
 
     def make():
         made.append(1)
-        return demo_scene(splats=3000)
+        return demo_scene("gloss", splats=3000)
 
     monkeypatch.setattr(demo_cache, "demo_scene", make)
     monkeypatch.setenv("SPLATVIEW_CACHE_DIR", str(tmp_path / "cache"))

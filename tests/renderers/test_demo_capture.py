@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 
@@ -12,11 +13,16 @@ from splatview.cli import train_setup
 from splatview.cli.main import main
 from splatview.raster import render
 from splatview.renderers import demo_cache as module
-from splatview.scene import InputError
+from splatview.scene import Gaussians, InputError
 from splatview.scene.captures import load_capture
 from splatview.scene.captures.demo import demo_capture, demo_truth
 from splatview.scene.formats import load_scene
 from splatview.scene.progress import Progress
+
+
+@functools.cache
+def small_truth() -> Gaussians:
+    return demo_truth(3000)
 
 
 @pytest.fixture
@@ -26,7 +32,7 @@ def small_demo(monkeypatch, tmp_path: Path) -> list[int]:
 
     def make():
         made.append(1)
-        return demo_truth(3000)
+        return small_truth()
 
     monkeypatch.setattr(module, "cached_demo", make)
     monkeypatch.setattr(module, "PHOTOS", 10)

@@ -12,8 +12,8 @@ from PIL import Image
 
 from splatview.raster import Parameters, render
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
+from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters
+from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import fresh
+from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.default import (
     CLONE,
     KEEP,
@@ -17,7 +18,7 @@ from splatview.trainer.strategies.default import (
     SPLIT,
     DefaultStrategy,
     decide,
-    dim,
+    reset_opacities,
     split,
 )
 from splatview.trainer.strategies.ops import opacities_of
@@ -38,12 +39,21 @@ def parameters_of(scales, opacities) -> Parameters:
     )
 
 
-def control_of(pulled, **options) -> DefaultStrategy:
-    control = DefaultStrategy(TrainSettings(strategy="classic", **options), EXTENT)
-    control.begin(len(pulled))
-    control.gradient_sums[:] = 2 * np.array(pulled)
-    control.view_counts[:] = 2
-    return control
+class Scene:
+    """Splats with what a strategy works on."""
+
+    def __init__(self, scales, opacities, pulled, **options) -> None:
+        self.splats = Splats(parameters_of(scales, opacities))
+        self.optimizer = SelectiveAdam(self.splats, TrainSettings().rates(0, EXTENT))
+        self.strategy = DefaultStrategy(TrainSettings(strategy="classic", **options))
+        self.state = self.strategy.initialize_state(self.splats, extent=EXTENT)
+        self.state["gradient_sums"][:] = 2 * np.array(pulled)
+        self.state["view_counts"][:] = 2
+
+    def refine(self, progress: float) -> Parameters:
+        rng = np.random.default_rng(0)
+        self.strategy.refine(self.splats, self.optimizer, self.state, progress, rng)
+        return self.splats.arrays
 
 
 def test_worked_example() -> None:
@@ -68,23 +78,22 @@ def test_splats_that_are_no_numbers_are_pruned(bad: int) -> None:
 
 def test_refinement_does_what_was_decided() -> None:
     # Clone, split, keep, prune; the limits of scale are 0.01 and 0.1 of the extent.
-    splats = fresh(parameters_of([0.01, 0.1, 0.1, 0.1], [0.6, 0.7, 0.5, 0.004]))
-    for group in (splats.first, splats.second):
+    scene = Scene([0.01, 0.1, 0.1, 0.1], [0.6, 0.7, 0.5, 0.004], [1e-3, 1e-3, 1e-5, 1e-3])
+    for group in (scene.optimizer.first, scene.optimizer.second):
         for array in group:
             array[:] = 1
-    before = splats.snapshot()
-    control = control_of([1e-3, 1e-3, 1e-5, 1e-3])
-    refined = control.refine(splats, 0.05, np.random.default_rng(0))
-    after = refined.parameters
+    before = scene.splats.snapshot()
+    after = scene.refine(0.05)
     # Kept in order, then clones, then both halves of what was split.
-    assert len(refined) == 5
+    assert len(scene.splats) == 5
     np.testing.assert_array_equal(after.means[:3], before.means[[0, 2, 0]])
     np.testing.assert_array_equal(after.sh[2:], before.sh[[0, 1, 1]])
     np.testing.assert_allclose(np.exp(after.log_scales[3:]), 0.1 / 1.6, rtol=1e-5)
     assert (after.means[3] != after.means[4]).all()
-    for array in refined.first:
+    for array in scene.optimizer.first:
         assert (array[:2] == 1).all() and (array[2:] == 0).all()
-    assert (control.view_counts == 0).all() and len(control.view_counts) == 5
+    counts = scene.state["view_counts"]
+    assert (counts == 0).all() and len(counts) == 5
 
 
 def test_halves_are_drawn_from_the_splat() -> None:
@@ -101,38 +110,45 @@ def test_halves_are_drawn_from_the_splat() -> None:
 
 
 def test_the_room_left_goes_to_those_pulled_most() -> None:
-    splats = fresh(parameters_of([0.01] * 5, [0.5] * 5))
-    control = control_of([3e-3, 1e-3, 5e-3, 2e-3, 4e-3], max_splats=7)
-    before = splats.snapshot()
-    refined = control.refine(splats, 0.05, np.random.default_rng(0))
-    assert len(refined) == 7
-    np.testing.assert_array_equal(refined.parameters.means[5:], before.means[[2, 4]])
+    scene = Scene([0.01] * 5, [0.5] * 5, [3e-3, 1e-3, 5e-3, 2e-3, 4e-3], max_splats=7)
+    before = scene.splats.snapshot()
+    after = scene.refine(0.05)
+    assert len(scene.splats) == 7
+    np.testing.assert_array_equal(after.means[5:], before.means[[2, 4]])
 
 
 def test_a_reset_dims_all_once_each_period() -> None:
-    splats = fresh(parameters_of([0.01] * 3, [0.9, 0.5, 0.008]))
-    splats.first.opacity_logits[:] = 1
-    control = control_of([0, 0, 0])
-    splats = control.refine(splats, 0.09, np.random.default_rng(0))
-    np.testing.assert_allclose(opacities_of(splats.parameters), [0.9, 0.5, 0.008], rtol=1e-5)
-    splats = control.refine(splats, 0.11, np.random.default_rng(0))
-    np.testing.assert_allclose(opacities_of(splats.parameters), [0.01, 0.01, 0.008], rtol=1e-5)
-    assert (splats.first.opacity_logits == 0).all()
-    splats.parameters.opacity_logits[:] = 1
-    splats = control.refine(splats, 0.15, np.random.default_rng(0))
-    assert (splats.parameters.opacity_logits == 1).all()
+    scene = Scene([0.01] * 3, [0.9, 0.5, 0.008], [0, 0, 0])
+    scene.optimizer.first.opacity_logits[:] = 1
+    np.testing.assert_allclose(opacities_of(scene.refine(0.09)), [0.9, 0.5, 0.008], rtol=1e-5)
+    np.testing.assert_allclose(opacities_of(scene.refine(0.11)), [0.01, 0.01, 0.008], rtol=1e-5)
+    assert (scene.optimizer.first.opacity_logits == 0).all()
+    scene.splats.arrays.opacity_logits[:] = 1
+    assert (scene.refine(0.15).opacity_logits == 1).all()
 
 
 def test_giants_go_after_the_first_reset() -> None:
-    splats = fresh(parameters_of([0.01, 0.3], [0.9, 0.9]))
-    control = control_of([0, 0])
-    splats = control.refine(splats, 0.11, np.random.default_rng(0))
-    assert len(splats) == 2
-    dim(splats)
-    splats = control.refine(splats, 0.12, np.random.default_rng(0))
-    assert np.exp(splats.parameters.log_scales).max() < 0.02
+    scene = Scene([0.01, 0.3], [0.9, 0.9], [0, 0])
+    assert len(scene.refine(0.11).means) == 2
+    reset_opacities(scene.splats, scene.optimizer)
+    assert np.exp(scene.refine(0.12).log_scales).max() < 0.02
 
 
 def test_a_scene_is_never_pruned_to_nothing() -> None:
-    splats = fresh(parameters_of([0.01] * 3, [0.001] * 3))
-    assert len(control_of([0, 0, 0]).refine(splats, 0.05, np.random.default_rng(0))) == 3
+    assert len(Scene([0.01] * 3, [0.001] * 3, [0, 0, 0]).refine(0.05).means) == 3
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_the_norms_of_a_picture_are_noted(make_trainer, absolute: bool) -> None:
+    """By the numbers of the picture itself, in half images, while density control lasts."""
+    trainer = make_trainer(strategy="classic", absolute_gradient=absolute)
+    info, _ = trainer._render_and_backprop(trainer.views.at(0))
+    found = info.abs_means2d if absolute else info.means2d
+    norms = np.linalg.norm(found.numpy().astype(np.float64) * [24, 20], axis=1)
+    seen = info.visible.numpy()
+    np.testing.assert_allclose(trainer.state["gradient_sums"][seen], norms[seen], rtol=1e-6)
+    assert norms.max() > 0
+    np.testing.assert_array_equal(trainer.state["view_counts"], seen)
+    trainer.counters.iteration = 150  # beyond
+    trainer._render_and_backprop(trainer.views.at(1))
+    np.testing.assert_array_equal(trainer.state["view_counts"], seen)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from splatview.cli.main import main
@@ -184,19 +185,27 @@ def test_signals_stop_between_steps_and_are_the_callers_again_afterwards() -> No
 def test_batches_average_gradients(make_trainer) -> None:
     """A step over two photos has the mean of their gradients, and sees whom either sees."""
     trainer = make_trainer(batch=2)
-    parameters = trainer.splats.parameters
-    looked = []
+    parameters, looked = list(trainer.splats.parameters()), []
+    for place in range(2):
+        trainer.optimizer.zero_grad()
+        _, loss = trainer._render_and_backprop(trainer.views.at(place))
+        looked.append(([gradient_of(tensor).copy() for tensor in parameters], loss))
     batch = BatchSum(parameters)
     for place in range(2):
-        gradients, seen, loss = trainer._render_and_backprop(trainer.views.at(place), False)
-        looked.append(([array.copy() for array in gradients], loss))
-        batch.add(gradients, seen, loss)
-    means, seen, loss = batch.means(2, Alone(), 2)
+        info, loss = trainer._render_and_backprop(trainer.views.at(place))
+        batch.add(info.pieces, loss)
+    seen, loss = batch.means(2, Alone(), 2)
+    means = [gradient_of(tensor) for tensor in parameters]
     for mean, first, second in zip(means, looked[0][0], looked[1][0], strict=True):
         np.testing.assert_allclose(mean, (first + second) / 2, rtol=1e-6, atol=1e-12)
     assert loss == pytest.approx((looked[0][1] + looked[1][1]) / 2)
-    moving = np.flatnonzero(np.abs(means.means).sum(axis=1))
+    moving = np.flatnonzero(np.abs(means[0]).sum(axis=1))
     assert len(moving) and np.isin(moving, np.concatenate(seen)).all()
+
+
+def gradient_of(tensor: torch.Tensor) -> np.ndarray:
+    assert tensor.grad is not None
+    return tensor.grad.numpy()
 
 
 def test_the_gist_of_torchs_messages() -> None:

@@ -113,7 +113,7 @@ def far_trainer(make_trainer: Callable[..., Trainer]) -> Callable[..., Trainer]:
 
     def make(**settings) -> Trainer:
         near = make_trainer(**settings)
-        return Trainer(near.views, near.splats.parameters, near.extent, near.settings, centre=MAP, threads=2)
+        return Trainer(near.views, near.splats.arrays, near.extent, near.settings, centre=MAP, threads=2)
 
     return make
 
@@ -138,16 +138,16 @@ def test_edits_while_training_are_in_the_world(far_trainer, make_trainer, strate
             trainer.step()
     assert far.settings.no_growth == (REGION_ON_THE_MAP,)
     np.testing.assert_array_equal(far.splats.ids, near.splats.ids)
-    np.testing.assert_array_equal(far.splats.parameters.means, near.splats.parameters.means)
-    np.testing.assert_array_equal(far.snapshot().means, near.splats.parameters.means + MAP)
+    np.testing.assert_array_equal(far.splats.arrays.means, near.splats.arrays.means)
+    np.testing.assert_array_equal(far.snapshot().means, near.splats.arrays.means + MAP)
 
 
 def test_a_checkpoint_without_a_centre_is_moved_to_it(far_trainer, tmp_path: Path) -> None:
     """As written before captures were trained about a centre: its means are in the world."""
     trainer = far_trainer()
     trainer.centre = np.zeros(3)
-    world = (trainer.splats.parameters.means + MAP).astype(np.float32)
-    trainer.splats.parameters.means[:] = world
+    world = (trainer.splats.arrays.means + MAP).astype(np.float32)
+    trainer.splats.arrays.means[:] = world
     save_checkpoint(trainer, tmp_path / "old.safetensors")
     resumed = far_trainer()
     restore(resumed, load_checkpoint(tmp_path / "old.safetensors"))

@@ -16,9 +16,10 @@ from splatview.raster import Parameters, Workspace, draw_frame, parameters_of
 from splatview.raster.gradients import Gradients, differentiate
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, reference
 from splatview.scene.projection import project
+from splatview.trainer.counters import NothingSeen
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies.ops import invalid_splats
-from splatview.trainer.trainer import NothingSeen, Trainer
+from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
 THEMES = sorted({case.theme for case in CASES})
@@ -185,16 +186,16 @@ def wrong_run(case: HardCase, strategy: str) -> list[str]:
             for _ in range(STEPS):
                 trainer.step()
         return []
-    ill_from_the_start = set(trainer.splats.ids[ill_rows(trainer.splats.parameters)].tolist())
+    ill_from_the_start = set(trainer.splats.ids[ill_rows(trainer.splats.arrays)].tolist())
     wrong = []
     for step in range(STEPS):
         report = trainer.step()
         if not np.isfinite(report.loss):
             return [f"loss {report.loss} at step {step}"]
-        ill = set(trainer.splats.ids[ill_rows(trainer.splats.parameters)].tolist())
+        ill = set(trainer.splats.ids[ill_rows(trainer.splats.arrays)].tolist())
         if not ill <= ill_from_the_start:
             return [f"splats {sorted(ill - ill_from_the_start)[:5]} are not finite after step {step}"]
-    if not trainer.counters.refined_at:
+    if not trainer.state["refined_at"]:
         wrong.append("density control never ran")
     if not len(trainer.splats):
         wrong.append("no splat is left")
@@ -225,11 +226,11 @@ def test_density_control_takes_out_what_no_picture_shows() -> None:
         case = find_case(name)
         for strategy in ("classic", "mcmc"):
             trainer = trainer_of(case, strategy)
-            before = invalid_splats(trainer.splats.parameters)
+            before = invalid_splats(trainer.splats.arrays)
             assert before[list(case.culled)].all() and before.sum() == len(case.culled)
             for _ in range(STEPS):
                 trainer.step()
-            assert not invalid_splats(trainer.splats.parameters).any()
+            assert not invalid_splats(trainer.splats.arrays).any()
             assert len(trainer.splats) >= 12
 
 

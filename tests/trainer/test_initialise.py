@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from splatview.scene import InputError
 from splatview.scene.sh import SH_C0
-from splatview.trainer.splats import initial_parameters, mean_square_distance
+from splatview.trainer.initialisation import initial_parameters, mean_square_distance
 
 
 def brute_force(points: np.ndarray, neighbours: int) -> np.ndarray:

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from splatview.measure.metrics import SSIM_K, gaussian_window, ssim
 from splatview.raster import Workspace
+from splatview.trainer.functional import photo_loss as torch_photo_loss
 from splatview.trainer.loss import photo_loss
-from splatview.trainer.torch_api import photo_loss as torch_photo_loss
 
 
 def pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -128,3 +128,9 @@ def test_torch_operation_differentiates() -> None:
     assert loss.item() == pytest.approx(expected.item(), rel=1e-12)
     assert x.grad is not None and y.grad is not None
     torch.testing.assert_close(x.grad, y.grad, rtol=1e-10, atol=1e-14)
+    pixels, mask = torch.from_numpy(photo), torch.rand(14, 13, generator=torch.manual_seed(0)) > 0.2
+
+    def masked(image: torch.Tensor) -> torch.Tensor:
+        return torch_photo_loss(image, pixels, mask=mask)
+
+    assert torch.autograd.gradcheck(masked, (torch.from_numpy(image).requires_grad_(),))

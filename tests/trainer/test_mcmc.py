@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters
+from splatview.trainer.adam import SelectiveAdam
+from splatview.trainer.functional import Visibility
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import Splats, fresh
+from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.mcmc import DEAD, MCMCStrategy, shared
 from splatview.trainer.strategies.ops import opacities_of
 
@@ -18,7 +20,7 @@ def splats_of(opacities) -> Splats:
     count = len(opacities)
     rng = np.random.default_rng(0)
     opacities = np.array(opacities)
-    return fresh(
+    return Splats(
         Parameters(
             means=rng.normal(size=(count, 3)).astype(np.float32),
             quats=rng.normal(size=(count, 4)).astype(np.float32),
@@ -29,8 +31,26 @@ def splats_of(opacities) -> Splats:
     )
 
 
-def control_of(count: int, **options) -> MCMCStrategy:
-    return MCMCStrategy(TrainSettings(strategy="mcmc", **options), 1.0, count)
+class Scene:
+    """Splats with what a strategy works on."""
+
+    def __init__(self, opacities, **options) -> None:
+        self.splats = splats_of(opacities)
+        self.optimizer = SelectiveAdam(self.splats, TrainSettings().rates(0, 1.0), threads=1)
+        self.strategy = MCMCStrategy(TrainSettings(strategy="mcmc", **options))
+        self.state = self.strategy.initialize_state(self.splats, extent=1.0)
+
+    def refine(self, progress: float) -> Splats:
+        rng = np.random.default_rng(0)
+        self.strategy.refine(self.splats, self.optimizer, self.state, progress, rng)
+        return self.splats
+
+    def shake(self, pieces: list[np.ndarray], rate: float, step: int) -> np.ndarray:
+        """The means after the noise of a step, at the run's end, where nothing is refined."""
+        self.optimizer.rates = self.optimizer.rates._replace(means=rate)
+        info = Visibility(pieces, len(self.splats))
+        self.strategy.step_post_backward(self.splats, self.optimizer, self.state, step, info, progress=0.99)
+        return self.splats.arrays.means
 
 
 @pytest.mark.parametrize("copies", [1, 2, 5, 51])
@@ -46,51 +66,48 @@ def test_copies_together_look_like_the_one(copies: int, opacity: float) -> None:
 
 
 def test_the_dead_move_onto_the_living() -> None:
-    splats = splats_of([0.9, 0.001, 0.5, 0.002, 0.8])
-    before = splats.snapshot()
-    for group in (splats.first, splats.second):
+    scene = Scene([0.9, 0.001, 0.5, 0.002, 0.8], max_splats=5)
+    before = scene.splats.snapshot()
+    for group in (scene.optimizer.first, scene.optimizer.second):
         for array in group:
             array[:] = 1
-    control = control_of(5, max_splats=5)
-    refined = control.refine(splats, 0.1, np.random.default_rng(0))
+    refined = scene.refine(0.1)
     assert len(refined) == 5
     alive = before.means[[0, 2, 4]]
     for dead in (1, 3):
-        assert (refined.parameters.means[dead] == alive).all(axis=1).any()
-        assert refined.first.means[dead].tolist() == [0, 0, 0]
-    np.testing.assert_array_equal(refined.parameters.means[[0, 2, 4]], alive)
-    assert (opacities_of(refined.parameters) > DEAD).all()
-    moved_onto = [i for i in (0, 2, 4) if (refined.parameters.means[[1, 3]] == before.means[i]).all(1).any()]
+        assert (refined.arrays.means[dead] == alive).all(axis=1).any()
+        assert scene.optimizer.first.means[dead].tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(refined.arrays.means[[0, 2, 4]], alive)
+    assert (opacities_of(refined.arrays) > DEAD).all()
+    moved_onto = [i for i in (0, 2, 4) if (refined.arrays.means[[1, 3]] == before.means[i]).all(1).any()]
     for i in moved_onto:
-        assert refined.parameters.opacity_logits[i] < before.opacity_logits[i]
+        assert refined.arrays.opacity_logits[i] < before.opacity_logits[i]
 
 
 def test_the_number_grows_by_even_factors_to_the_limit() -> None:
-    control = control_of(100, max_splats=1600, refine_from=0.1, grow_for=0.4)
-    counts = [control.count_at(progress) for progress in (0, 0.1, 0.2, 0.3, 0.5, 1)]
+    scene = Scene([0.5] * 100, max_splats=1600, refine_from=0.1, grow_for=0.4)
+    counts = [scene.strategy.count_at(progress, 100) for progress in (0, 0.1, 0.2, 0.3, 0.5, 1)]
     assert counts == [100, 100, 200, 400, 1600, 1600]
-    splats = control.refine(splats_of([0.5] * 100), 0.3, np.random.default_rng(0))
-    assert len(splats) == 200, "no more than twice as many at once"
-    assert len(control.refine(splats, 0.3, np.random.default_rng(0))) == 400
-    assert control_of(100, max_splats=10).count_at(0.9) == 100
+    assert len(scene.refine(0.3)) == 200, "no more than twice as many at once"
+    assert len(scene.refine(0.3)) == 400
+    assert Scene([0.5], max_splats=10).strategy.count_at(0.9, 100) == 100
 
 
 def test_a_scene_of_the_dead_is_left_alone() -> None:
-    splats = splats_of([0.001, 0.001])
-    assert control_of(2).refine(splats, 0.1, np.random.default_rng(0)) is splats
+    scene = Scene([0.001, 0.001])
+    before = scene.splats.means
+    assert scene.refine(0.1).means is before
 
 
 def test_noise_has_the_shape_of_the_splat_and_spares_the_opaque() -> None:
     count = 40_000
-    splats = splats_of([0.001] * count)
-    parameters = splats.parameters
+    scene = Scene([0.001] * count, noise=2.0)
+    parameters = scene.splats.arrays
     parameters.log_scales[:] = np.log([0.5, 0.1, 1.0])
     parameters.quats[:] = (math.cos(math.pi / 8), 0, 0, math.sin(math.pi / 8))  # 45° about z
     parameters.opacity_logits[::2] = 3.0
     before = parameters.means.copy()
-    control = control_of(count, noise=2.0)
-    control.after_step(splats, [np.arange(count, dtype=np.int32)], 0.5, 7, 1)
-    shift = (parameters.means - before).astype(np.float64)
+    shift = (scene.shake([np.arange(count, dtype=np.int32)], 0.5, 7) - before).astype(np.float64)
     assert (shift[::2] == 0).all()
     c = math.cos(math.pi / 4)
     rotation = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
@@ -102,10 +119,9 @@ def test_noise_has_the_shape_of_the_splat_and_spares_the_opaque() -> None:
 
 def test_noise_depends_on_seed_and_step_only() -> None:
     def moved(step: int, seed: int, pieces: int, threads: int) -> np.ndarray:
-        splats = splats_of([0.01] * 500)
-        seen = np.array_split(np.arange(500, dtype=np.int32), pieces)
-        control_of(500, seed=seed).after_step(splats, seen, 1e-6, step, threads)
-        return splats.parameters.means
+        scene = Scene([0.01] * 500, seed=seed)
+        scene.optimizer.threads = threads
+        return scene.shake(np.array_split(np.arange(500, dtype=np.int32), pieces), 1e-6, step)
 
     np.testing.assert_array_equal(moved(3, 1, 1, 1), moved(3, 1, 7, 2))
     assert (moved(3, 1, 1, 1) != moved(4, 1, 1, 1)).any()

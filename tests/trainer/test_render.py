@@ -16,7 +16,13 @@ from splatview import raster
 from splatview.scene import Camera, Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import COUNTS
 from splatview.scene.projection import project
-from splatview.trainer.torch_api import GRADIENT_EARLY_STOP, Visibility, render
+from splatview.trainer.functional import (
+    GRADIENT_EARLY_STOP,
+    Visibility,
+    photo_loss,
+    rasterize,
+    rasterize_depth,
+)
 
 GROUPS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 BOUNDS = {torch.float32: 1e-4, torch.float64: 1e-9}
@@ -46,7 +52,7 @@ def tensors_of(scene: Gaussians, dtype: torch.dtype) -> dict[str, torch.Tensor]:
 
 def picture(inputs, camera, settings=None, **options: Any) -> tuple[torch.Tensor, Visibility]:
     means, quats, log_scales, opacity_logits, sh = (inputs[name] for name in GROUPS)
-    return render(means, quats, log_scales, opacity_logits, sh, camera, settings, **options)
+    return rasterize(means, quats, log_scales, opacity_logits, sh, camera, settings, **options)
 
 
 def gradient(tensor: torch.Tensor) -> torch.Tensor:
@@ -292,12 +298,15 @@ def test_visibility(random_gaussians):
     inputs = tensors_of(scene, torch.float32)
     image, visibility = picture(inputs, camera)
     assert visibility.means2d is None
+    radii = visibility.radii
     image[..., :3].sum().backward()
     footprint = raster.draw_frame(raster.parameters_of(scene), camera, RenderSettings(), raster.Workspace())
     assert visibility.visible.sum() == len(footprint.bins.order) == len(visibility.indices)
     assert 0 < len(visibility.indices) < 200
-    assert visibility.radii.shape == visibility.indices.shape
-    assert (visibility.radii > 0).all()
+    assert radii.shape == visibility.indices.shape
+    assert (radii > 0).all()
+    with pytest.raises(RuntimeError, match="before"):
+        _ = visibility.radii
     assert visibility.means2d is not None and visibility.abs_means2d is not None
     # The absolute sum bounds the sum, and a splat that is not visible pulls nothing.
     slack = 1e-5 * visibility.abs_means2d.abs().max()
@@ -344,12 +353,82 @@ def test_workspaces_go_round(random_gaussians):
         assert all(torch.equal(gradient(inputs[name]), expected[name]) for name in GROUPS)
 
 
-def test_differentiating_twice_is_refused(random_gaussians):
+def test_a_kept_graph_is_differentiated_again(random_gaussians):
     inputs = tensors_of(random_gaussians(10), torch.float32)
     image, _ = picture(inputs, look_at((0, 0, -2), (0, 0, 0), width=20, height=20))
-    image.sum().backward(retain_graph=True)
-    with pytest.raises(RuntimeError, match="once"):
-        image.sum().backward()
+    photo = torch.full((20, 20, 3), 90, dtype=torch.uint8)
+    loss = photo_loss(image, photo)
+    loss.backward(retain_graph=True)
+    once = {name: gradient(value).clone() for name, value in inputs.items()}
+    loss.backward()
+    for name, value in inputs.items():
+        torch.testing.assert_close(gradient(value), 2 * once[name])
+    with pytest.raises(RuntimeError, match="second time"):
+        loss.backward()
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        again, _ = picture(inputs, look_at((0, 0, -2), (0, 0, 0), width=20, height=20))
+        (slope,) = torch.autograd.grad(again.square().sum(), inputs["means"], create_graph=True)
+        slope.sum().backward()
+
+
+def test_gradients_that_are_held_are_not_overwritten(random_gaussians):
+    """Memory of gradients goes round, but only where nobody has it any more."""
+    inputs, camera = tensors_of(random_gaussians(50), torch.float32), look_at((0, 0, -2), (0, 0, 0))
+    camera = camera.resized(20, 20)
+    held, places = [], set()
+    for factor in (1.0, 2.0, 3.0):
+        image, _ = picture(inputs, camera)
+        (factor * image).sum().backward()
+        held.append(gradient(inputs["means"]))
+        inputs["means"].grad = None
+        places.add(gradient(inputs["sh"]).data_ptr())
+        for value in inputs.values():
+            value.grad = None
+    torch.testing.assert_close(held[1], 2 * held[0])
+    torch.testing.assert_close(held[2], 3 * held[0])
+    place = held[0].data_ptr()
+    del held, image
+    picture(inputs, camera)[0].sum().backward()
+    first = gradient(inputs["means"]).data_ptr()
+    for value in inputs.values():
+        value.grad = None
+    picture(inputs, camera)[0].sum().backward()
+    assert gradient(inputs["means"]).data_ptr() == first != place
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_gradcheck(random_gaussians, antialiased):
+    """torch's own check, by finite differences in float64, where no alpha is cut."""
+    camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=9, height=7)
+    model = ImageModel(alpha_cut=0.0, jacobian_margin=None, antialiased=antialiased)
+    inputs = list(tensors_of(random_gaussians(4, sh_degree=1, seed=3), torch.float64).values())
+    background = torch.tensor([0.2, 0.5, 0.8], dtype=torch.float64, requires_grad=True)
+
+    def drawn(*tensors: torch.Tensor) -> torch.Tensor:
+        return rasterize(*tensors[:5], camera, RenderSettings(model=model), background=tensors[5])[0]
+
+    assert torch.autograd.gradcheck(drawn, (*inputs, background))
+    depth = lambda *tensors: rasterize_depth(*tensors, camera, RenderSettings(model=model))  # noqa: E731
+    assert torch.autograd.gradcheck(depth, tuple(inputs[:4]), atol=1e-4)
+
+
+def test_depth_is_that_of_a_plane(random_gaussians):
+    """Flat, opaque splats side by side, turned to the camera: their plane's depth, and 0 beside them."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 21))
+    count = x.size
+    inputs = {
+        "means": torch.from_numpy(np.stack([x.ravel(), y.ravel(), np.full(count, 3.25)], 1)),
+        "quats": torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).repeat(count, 1),
+        "log_scales": torch.full((count, 3), -3.2, dtype=torch.float64),
+        "opacity_logits": torch.full((count,), 6.0, dtype=torch.float64),
+    }
+    means = inputs["means"].requires_grad_()
+    camera = look_at((0, 0, 0), (0, 0, 1), width=40, height=40, fov_y=40)
+    depth = rasterize_depth(*inputs.values(), camera)
+    torch.testing.assert_close(depth[20, 20], torch.tensor(3.25, dtype=torch.float64), rtol=1e-6, atol=0)
+    assert depth[0, 0] == 0
+    depth[20, 20].backward()
+    assert float(gradient(means)[:, 2].sum()) == pytest.approx(1, abs=0.05), "it moves with the plane"
 
 
 def test_parameter_changed_between_is_noticed(random_gaussians):

@@ -95,7 +95,7 @@ def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
     assert all(a.iteration < b.iteration for a, b in pairwise(seen))
     assert len(seen) > 5 and thread.published >= len(seen)
     trainer = thread.post(lambda training_run: training_run.trainer).result()
-    np.testing.assert_array_equal(seen[-1].gaussians.means, trainer.splats.parameters.means)
+    np.testing.assert_array_equal(seen[-1].gaussians.means, trainer.splats.arrays.means)
     np.testing.assert_array_equal(seen[-1].ids, trainer.splats.ids)
 
     # The same run without a thread goes through the same scenes.
@@ -104,7 +104,7 @@ def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
     while not again.done:
         again.step()
         if (snapshot := wanted.get(again.counters.iteration)) is not None:
-            np.testing.assert_array_equal(snapshot.gaussians.sh, again.splats.parameters.sh)
+            np.testing.assert_array_equal(snapshot.gaussians.sh, again.splats.arrays.sh)
             np.testing.assert_array_equal(snapshot.ids, again.splats.ids)
 
 
@@ -225,7 +225,7 @@ def test_settings_change_between_steps(begin) -> None:
     thread.change(max_splats=400, means_rate=1e-3).result(60)
     assert thread.status.settings.max_splats == 400
     trainer = thread.post(lambda training_run: training_run.trainer).result(60)
-    assert trainer.control.settings == trainer.settings
+    assert trainer.strategy.settings == trainer.settings
     for wrong in ({"max_splats": 0}, {"strategy": "classic"}, {"sh_degree": 7}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             thread.change(**wrong).result(60)
@@ -292,7 +292,7 @@ def test_closing_saves_what_was_trained(begin, tmp_path) -> None:
     checkpoint = load_checkpoint(tmp_path / "toy.checkpoint.safetensors")
     assert checkpoint.counters.iteration == status.iteration == status.saved_at
     scene = load_scene(tmp_path / "toy.ply")
-    np.testing.assert_array_equal(scene.means, checkpoint.splats.parameters.means)
+    np.testing.assert_array_equal(scene.means, checkpoint.parameters.means)
     thread.close()  # once more does nothing
 
 

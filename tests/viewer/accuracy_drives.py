@@ -27,8 +27,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     accuracy = app.feature(Accuracy)
     accuracy.rounds = options.get("rounds")
     exact = hand.picture()
-    hand.ctx.window_focus("//Accuracy")
-    hand.ctx.set_ref("//Accuracy")
+    hand.page("Accuracy")
     hand.frames(3)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the measurement to begin")
@@ -77,8 +76,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["eye_moved"] = float(np.abs(app.camera.eye - eye).max())
     accuracy.comparing.right = "off"
 
-    hand.ctx.window_focus("//Accuracy")
-    hand.ctx.set_ref("//Accuracy")
+    hand.page("Accuracy")
     hand.ctx.item_click("**/###exact")
     hand.frames(3)
     hand.settle()

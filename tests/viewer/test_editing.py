@@ -24,7 +24,7 @@ from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
 from splatview.viewer.editing.tools import place_of
-from splatview.viewer.menus import matching
+from splatview.viewer.palette import matching
 from splatview.viewer.panels.crops import outline
 
 CAMERA = look_at((0, 0, -4), (0, 0, 0), up=(0, -1, 0), width=200, height=100)

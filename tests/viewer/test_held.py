@@ -29,9 +29,9 @@ from splatview.scene.captures.demo import demo_capture
 from splatview.scene.edits import DELETED, HIDDEN, Crop
 from splatview.scene.formats import load_scene
 from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import initial_parameters
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.commands import COMMANDS

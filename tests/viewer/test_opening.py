@@ -21,8 +21,9 @@ from splatview.viewer import open as opening
 from splatview.viewer.background import WindowBackground
 from splatview.viewer.camera import CameraLists, camera_text, common_up
 from splatview.viewer.commands import COMMANDS
+from splatview.viewer.first_views import nearest_axis
 from splatview.viewer.navigation import orbit
-from splatview.viewer.open import begin, cancel_loading, nearest_axis, open_paths
+from splatview.viewer.open import begin, cancel_loading, open_paths
 
 
 @pytest.fixture

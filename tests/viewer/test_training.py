@@ -18,9 +18,10 @@ from splatview.scene import RenderSettings, look_at
 from splatview.scene.captures.demo import demo_capture
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.evaluate import evaluate
+from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.splats import fresh, initial_parameters
+from splatview.trainer.splats import Splats, copied
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.navigation import orbit
@@ -320,7 +321,7 @@ def test_a_comparison_is_the_photo_the_render_and_their_difference(capture):
 
 def initial_scene(capture):
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
-    return fresh(start).snapshot()
+    return Splats(copied(start)).snapshot()
 
 
 def test_what_a_mask_leaves_out_differs_nowhere(capture):
@@ -345,7 +346,7 @@ def test_a_photo_has_one_score(training, capture, masked, exposures_differ):
     start = initial_parameters(capture.points, capture.point_colours, capture.scene_radius)
     request = ComparisonRequest(
         shot=shot,
-        gaussians=fresh(start).snapshot(),
+        gaussians=Splats(copied(start)).snapshot(),
         settings=training.settings,
         shrink=1,
         gain=1.0,

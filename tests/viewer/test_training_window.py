@@ -64,7 +64,7 @@ def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):
     checkpoint = load_checkpoint(tmp_path / "toy.checkpoint.safetensors")
     assert checkpoint.counters.iteration == saved_at
     assert checkpoint.settings.max_splats == 2234
-    np.testing.assert_array_equal(checkpoint.splats.parameters.means, saved.means)
+    np.testing.assert_array_equal(checkpoint.parameters.means, saved.means)
     assert np.asarray(Image.open(tmp_path / "toy.png")).std() > 10
     assert "Traceback" not in found["output"]
     assert "stopped at step" in found["output"] and "toy.ply" in found["output"]

@@ -98,7 +98,7 @@ class Soak:
         training.thread.pause()
         wait(lambda: training.status.state == "paused", 60)
         wait(lambda: training.shown is not None and training.shown.iteration == training.status.iteration, 60)
-        answer = training.thread.post(lambda session: session.trainer.splats.parameters.means.copy())
+        answer = training.thread.post(lambda session: session.trainer.splats.arrays.means.copy())
         assert training.shown is not None
         if not np.array_equal(answer.result(60), training.shown.gaussians.means):
             self.problems.append("the last picture is not of the trainer's scene")

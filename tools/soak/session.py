@@ -143,7 +143,7 @@ def main() -> int:
         checkpoint = load_checkpoint(folder / "trained.checkpoint.safetensors")
         session.steps = checkpoint.counters.iteration
         saved = load_scene(folder / "trained.ply")
-        if not np.array_equal(saved.means, checkpoint.splats.parameters.means):
+        if not np.array_equal(saved.means, checkpoint.parameters.means):
             session.problems.append("scene and checkpoint are of different moments")
     except Exception as error:
         session.problems.append(f"what training left: {type(error).__name__}: {error}")

@@ -7,23 +7,30 @@ value after Ye et al. 2024 (AbsGS).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatview.raster import Frame, Parameters
+from splatview.raster import Parameters
 from splatview.raster.compiling import kernel
-from splatview.raster.gradients import Gradients
 from splatview.scene.projection import rotation_matrices
-from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.ops import (
     PAPER_ITERATIONS,
     DensitySettings,
+    State,
     Strategy,
+    append,
     inside_any,
     invalid_splats,
+    keep,
     opacities_of,
 )
+
+if TYPE_CHECKING:
+    from splatview.trainer.adam import SelectiveAdam
+    from splatview.trainer.functional import Visibility
+    from splatview.trainer.splats import Splats
 
 KEEP, CLONE, SPLIT, PRUNE = range(4)
 
@@ -82,86 +89,102 @@ class DefaultSettings(DensitySettings):
     """classic: add up a splat's gradient over pixels by absolute value (Ye et al. 2024, AbsGS)."""
 
 
-@dataclass(eq=False)
 class DefaultStrategy(Strategy[DefaultSettings]):
-    """Adds up what steps show of each splat, and refines the scene by it."""
+    """Adds up what pictures show of each splat, and refines the scene by it."""
 
-    thresholds: Thresholds = field(default_factory=Thresholds)
-    gradient_sums: np.ndarray = field(default_factory=lambda: np.empty(0))
-    """(N,) float64, sum of the norms since the last refinement."""
-    view_counts: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
-    """(N,) int64, photos that showed the splat since the last refinement."""
-    resets: int = 0
+    def __init__(self, settings: DefaultSettings | None = None, thresholds: Thresholds | None = None) -> None:
+        super().__init__(settings or DefaultSettings())
+        self.thresholds = thresholds or Thresholds()
 
-    def begin(self, count: int) -> None:
-        self.gradient_sums, self.view_counts = np.zeros(count), np.zeros(count, np.int64)
+    def initialize_state(self, splats: Splats, *, extent: float, focal: float = math.inf) -> State:
+        """In the state: "gradient_sums" (N,) float64, sums of the norms since the last refinement;
+        "view_counts" (N,) int64, pictures that showed the splat since then; "resets", opacities reset."""
+        state = super().initialize_state(splats, extent=extent, focal=focal)
+        return state | {"resets": 0} | nothing_noted(len(splats))
 
-    def keep(self, kept: np.ndarray) -> None:
-        self.gradient_sums, self.view_counts = self.gradient_sums[kept], self.view_counts[kept]
+    def step_pre_backward(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        step: int,
+        info: Visibility,
+        *,
+        progress: float,
+    ) -> None:
+        if progress < self.settings.refine_until:
+            info.on_backward(lambda info: self.note(state, info))
 
-    def observe(self, frame: Frame, gradients: Gradients, visible: list[np.ndarray]) -> None:
-        source = gradients.abs_means2d if self.settings.absolute_gradient else gradients.means2d
-        half_width, half_height = frame.view.width / 2, frame.view.height / 2
-        for indices in visible:
-            add_norms(indices, source, half_width, half_height, self.gradient_sums, self.view_counts)
+    def note(self, state: State, info: Visibility) -> None:
+        """Adds what a differentiated picture shows to the state."""
+        source = info.abs_means2d if self.settings.absolute_gradient else info.means2d
+        assert source is not None
+        gradients, sums, counts = source.numpy(), state["gradient_sums"], state["view_counts"]
+        for indices in info.pieces:
+            add_norms(indices, gradients, info.width / 2, info.height / 2, sums, counts)
 
-    def mean_gradients(self) -> np.ndarray:
-        """(N,) float64: norms since the last refinement, over the photos that showed the splat."""
-        return self.gradient_sums / np.maximum(self.view_counts, 1)
+    def sums(self, state: State) -> list[np.ndarray]:
+        return [state["gradient_sums"], state["view_counts"]]
 
-    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
+    def refine(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        progress: float,
+        rng: np.random.Generator,
+    ) -> None:
         """Clones, splits and prunes; forgets what was noted."""
-        limits, parameters = self.thresholds, splats.parameters
+        limits, parameters, extent = self.thresholds, splats.arrays, state["extent"]
         with np.errstate(over="ignore"):
             scales = np.exp(parameters.log_scales.max(axis=1))
+        gradients = mean_gradients(state)
         actions = decide(
-            self.mean_gradients(),
+            gradients,
             scales,
             opacities_of(parameters),
             gradient_threshold=limits.absolute_gradient
             if self.settings.absolute_gradient
             else limits.gradient,
-            scale_threshold=limits.scale * self.extent,
+            scale_threshold=limits.scale * extent,
             opacity_threshold=limits.opacity,
         )
-        if self.resets > 0:
-            actions[~(scales <= limits.largest_scale * self.extent)] = PRUNE
+        if state["resets"] > 0:
+            actions[~(scales <= limits.largest_scale * extent)] = PRUNE
         growing = (actions == CLONE) | (actions == SPLIT)
         actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
         actions[invalid_splats(parameters)] = PRUNE
         if (actions == PRUNE).all():
             actions[:] = KEEP  # there would be nothing left to train
-        self._respect_limit(actions)
+        self._respect_limit(actions, gradients)
         cloned = Parameters(*(array[actions == CLONE] for array in parameters))
         halves = split(Parameters(*(array[actions == SPLIT] for array in parameters)), rng)
-        kept = splats.take((actions == KEEP) | (actions == CLONE))
+        keep(splats, optimizer, state, (actions == KEEP) | (actions == CLONE))
         added = Parameters(*(np.concatenate(pair) for pair in zip(cloned, halves, strict=True)))
-        splats = kept.joined(added)
-        if progress >= (self.resets + 1) * limits.reset_every and progress < self.settings.refine_until:
-            self.resets = int(progress / limits.reset_every)
-            dim(splats)
-        self.begin(len(splats))
-        return splats
+        append(splats, optimizer, state, added)
+        if progress >= (state["resets"] + 1) * limits.reset_every and progress < self.settings.refine_until:
+            state["resets"] = int(progress / limits.reset_every)
+            reset_opacities(splats, optimizer)
+        state.update(nothing_noted(len(splats)))
 
-    def state(self) -> dict[str, np.ndarray]:
-        return {
-            "pulled": self.gradient_sums,
-            "seen": self.view_counts,
-            "resets": np.array([self.resets]),
-        }
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        self.gradient_sums, self.view_counts = state["pulled"].copy(), state["seen"].copy()
-        self.resets = int(state["resets"][0])
-
-    def _respect_limit(self, actions: np.ndarray) -> None:
+    def _respect_limit(self, actions: np.ndarray, gradients: np.ndarray) -> None:
         """Turns clones and splits beyond the room for new splats into keeps, those of the least gradients
         first."""
         growing = np.flatnonzero((actions == CLONE) | (actions == SPLIT))
         room = self.settings.max_splats - int((actions != PRUNE).sum())
         if len(growing) > room:
-            by_gradient = np.argsort(-self.mean_gradients()[growing], kind="stable")
+            by_gradient = np.argsort(-gradients[growing], kind="stable")
             actions[growing[by_gradient[max(room, 0) :]]] = KEEP
+
+
+def nothing_noted(count: int) -> dict[str, np.ndarray]:
+    """The arrays of a state after a refinement."""
+    return {"gradient_sums": np.zeros(count), "view_counts": np.zeros(count, np.int64)}
+
+
+def mean_gradients(state: State) -> np.ndarray:
+    """(N,) float64: norms since the last refinement, over the pictures that showed the splat."""
+    return state["gradient_sums"] / np.maximum(state["view_counts"], 1)
 
 
 def split(parameters: Parameters, rng: np.random.Generator) -> Parameters:
@@ -174,12 +197,12 @@ def split(parameters: Parameters, rng: np.random.Generator) -> Parameters:
     )
 
 
-def dim(splats: Splats) -> None:
+def reset_opacities(splats: Splats, optimizer: SelectiveAdam) -> None:
     """Caps every opacity at RESET_OPACITY, in place, and forgets the averages of opacities."""
-    logits = splats.parameters.opacity_logits
+    logits = splats.arrays.opacity_logits
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1 - RESET_OPACITY))), out=logits)
-    splats.first.opacity_logits[:] = 0
-    splats.second.opacity_logits[:] = 0
+    optimizer.first.opacity_logits[:] = 0
+    optimizer.second.opacity_logits[:] = 0
 
 
 @kernel

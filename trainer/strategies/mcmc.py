@@ -1,7 +1,7 @@
 """Density control as sampling: dead splats move to where the scene is, and faint ones wander.
 
 Source: Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo, and the constants of
-its code. Losses that `adam` adds draw opacity and scale towards 0, so that what does not help
+its code. Losses that the optimiser adds draw opacity and scale towards 0, so that what does not help
 dies; a dead splat is put on a living one, both changed so that the picture stays; the number grows
 towards a limit; and noise explores where splats are nearly transparent.
 """
@@ -10,22 +10,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatview.raster import Parameters
+from splatview.raster import Parameters, available_threads
 from splatview.raster.compiling import inline, kernel, run
 from splatview.raster.project import rotation_matrix, sigmoid
-from splatview.trainer.adam import Regularisation
-from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.ops import (
     PAPER_ITERATIONS,
     DensitySettings,
+    State,
     Strategy,
+    append,
     inside_any,
     invalid_splats,
     opacities_of,
 )
+
+if TYPE_CHECKING:
+    from splatview.trainer.adam import SelectiveAdam
+    from splatview.trainer.functional import Visibility
+    from splatview.trainer.splats import Splats
 
 DEAD = 0.005
 """Splats no more opaque than this are moved."""
@@ -71,80 +77,104 @@ class MCMCSettings(DensitySettings):
     4,000 steps."""
 
 
-@dataclass(eq=False)
 class MCMCStrategy(Strategy[MCMCSettings]):
-    """Moves the dead to the living; nothing is noted from step to step."""
+    """Moves the dead to the living, and adds copies of the living."""
 
-    initial_count: int = 0
-    """Splats at the start of the run, from which the number grows."""
+    def __init__(self, settings: MCMCSettings | None = None) -> None:
+        super().__init__(settings or MCMCSettings())
 
-    def begin(self, count: int) -> None:
-        self.initial_count = self.initial_count or count
+    def initialize_state(self, splats: Splats, *, extent: float, focal: float = math.inf) -> State:
+        """In the state: "initial_count", splats at the start of the run, from which the number grows."""
+        state = super().initialize_state(splats, extent=extent, focal=focal)
+        return state | {"initial_count": len(splats)}
 
-    def regularisation(self, progress: float, focal: float) -> Regularisation:
-        settings, factor = self.settings, self.settings.reg_end**progress
-        return Regularisation(
-            factor * settings.opacity_reg,
-            factor * settings.scale_reg / self.extent,
-            SMALLEST_REGULARISED * self.extent / focal,
+    def step_pre_backward(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        step: int,
+        info: Visibility,
+        *,
+        progress: float,
+    ) -> None:
+        """Sets the weights of the regularisers in the optimiser's next step."""
+        settings, extent, factor = self.settings, state["extent"], self.settings.reg_end**progress
+        optimizer.set_options("opacity_logits", reg=factor * settings.opacity_reg)
+        optimizer.set_options(
+            "log_scales",
+            reg=factor * settings.scale_reg / extent,
+            least=SMALLEST_REGULARISED * extent / state["focal"],
         )
 
-    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
+    def step_post_backward(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        step: int,
+        info: Visibility,
+        *,
+        progress: float,
+    ) -> None:
+        """Adds noise to the positions of splats just moved, and refines where that is due."""
+        means, quats, log_scales, opacity_logits, _ = splats.arrays
+        seed = np.uint64(mixed(self.settings.seed * 0x9E3779B97F4A7C15 + step))
+        amount = self.settings.noise * optimizer.rates.means
+        run(
+            shake,
+            [(indices,) for indices in info.pieces if len(indices)],
+            (means, quats, log_scales, opacity_logits, amount, seed),
+            optimizer.threads or available_threads(),
+        )
+        super().step_post_backward(splats, optimizer, state, step, info, progress=progress)
+
+    def refine(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        progress: float,
+        rng: np.random.Generator,
+    ) -> None:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
-        opacities = opacities_of(splats.parameters)
-        living = (opacities > DEAD) & ~invalid_splats(splats.parameters)
+        parameters = splats.arrays
+        opacities = opacities_of(parameters)
+        living = (opacities > DEAD) & ~invalid_splats(parameters)
         dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
-        growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
+        growing = ~inside_any(self.settings.no_growth, parameters.means)
         alive = np.flatnonzero(living & growing)
         if len(alive) == 0:
-            return splats
+            return
         if len(dead):
-            sources, copies = self._draw(splats.parameters, opacities, alive, len(dead), rng)
-            for array, values in zip(splats.parameters, copies, strict=True):
+            sources, copies = self._draw(parameters, opacities, alive, len(dead), rng)
+            for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values
                 array[dead] = values
             splats.renumber(dead)
-            for group in (splats.first, splats.second):
+            for group in (optimizer.first, optimizer.second):
                 for array in group:
                     array[sources] = 0
                     array[dead] = 0
-        missing = min(self.count_at(progress), MOST_GROWTH * len(splats)) - len(splats)
+        due = self.count_at(progress, state["initial_count"])
+        missing = min(due, MOST_GROWTH * len(splats)) - len(splats)
         if missing > 0:
-            opacities = opacities_of(splats.parameters)
-            growing = ~inside_any(self.settings.no_growth, splats.parameters.means)
-            sources, copies = self._draw(splats.parameters, opacities, np.flatnonzero(growing), missing, rng)
-            for array, values in zip(splats.parameters, copies, strict=True):
+            opacities = opacities_of(parameters)
+            growing = ~inside_any(self.settings.no_growth, parameters.means)
+            sources, copies = self._draw(parameters, opacities, np.flatnonzero(growing), missing, rng)
+            for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values
-            splats = splats.joined(copies)
-        return splats
+            append(splats, optimizer, state, copies)
 
-    def after_step(
-        self, splats: Splats, visible: list[np.ndarray], rate: float, iteration: int, threads: int
-    ) -> None:
-        """Adds noise to the positions of splats just moved."""
-        means, quats, log_scales, opacity_logits, _ = splats.parameters
-        seed = np.uint64(mixed(self.settings.seed * 0x9E3779B97F4A7C15 + iteration))
-        run(
-            shake,
-            [(indices,) for indices in visible if len(indices)],
-            (means, quats, log_scales, opacity_logits, self.settings.noise * rate, seed),
-            threads,
-        )
-
-    def state(self) -> dict[str, np.ndarray]:
-        return {"initial_count": np.array([self.initial_count])}
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        self.initial_count = int(state["initial_count"][0])
-
-    def count_at(self, progress: float) -> int:
-        """Splats due at a share of the run: even growth by factors, to the limit when growth ends."""
+    def count_at(self, progress: float, initial: int) -> int:
+        """Splats due at a share of a run that began with `initial`: even growth by factors, to the limit when
+        growth ends."""
         settings = self.settings
         begin, end = settings.refine_from, settings.refine_from + settings.grow_for
         share = min(max((progress - begin) / max(end - begin, 1e-9), 0.0), 1.0)
-        limit = max(settings.max_splats, self.initial_count)
-        return round(self.initial_count * (limit / self.initial_count) ** share)
+        limit = max(settings.max_splats, initial)
+        return round(initial * (limit / initial) ** share)
 
     def _draw(
         self,

@@ -6,18 +6,21 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from splatview.raster import Frame, Parameters, available_threads
+from splatview.raster import Parameters, available_threads
 from splatview.raster.compiling import SPLATS_PER_TASK, even_ranges, kernel, run
-from splatview.raster.gradients import Gradients
 from splatview.scene.edits import Crop
+from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX, sigmoid
-from splatview.trainer.adam import NO_REGULARISATION, Regularisation
-from splatview.trainer.splats import Splats
+
+if TYPE_CHECKING:  # settings of strategies are read where torch is missing
+    from splatview.trainer.adam import SelectiveAdam
+    from splatview.trainer.functional import Visibility
+    from splatview.trainer.splats import Splats
 
 PAPER_ITERATIONS = 30_000
 """Steps of the run that the paper's numbers are those of (Kerbl et al. 2023)."""
@@ -43,50 +46,130 @@ class DensitySettings:
     does not matter; halves of a large neighbour may still reach in."""
 
 
+State = dict[str, Any]
+"""What a strategy notes from step to step: numbers and numpy arrays by name, those of N rows a row for each
+splat. Plain data, which checkpoints can hold."""
+
 Settings = TypeVar("Settings", bound=DensitySettings)
 
 
-@dataclass(eq=False)
 class Strategy(ABC, Generic[Settings]):
-    """What decides where splats are born and die. The base notes nothing and moves nothing."""
+    """What decides where splats are born and die, in the life cycle of gsplat's strategies:
 
-    settings: Settings
-    extent: float
-    """Radius of the scene, world units."""
+        state = strategy.initialize_state(splats, extent=extent, focal=focal)
+        for step in range(1, steps + 1):
+            image, info = rasterize(*splats.parameters(), camera)
+            progress = (step - 1) / steps
+            strategy.step_pre_backward(splats, optimizer, state, step, info, progress=progress)
+            loss_of(image).backward()
+            optimizer.step(info.pieces)
+            strategy.step_post_backward(splats, optimizer, state, step, info, progress=progress)
+            optimizer.zero_grad()
 
-    def begin(self, count: int) -> None:
-        """The run begins with `count` splats."""
+    A strategy itself notes nothing: its `state` does. `progress` is the share of the run that was over when
+    the step began, 0 to 1, by which settings are stated. A step on several pictures calls
+    `step_pre_backward` for each of them, and `step_post_backward` once, with a `Visibility` of them all.
+    """
 
-    def keep(self, kept: np.ndarray) -> None:
-        """Only the splats that the mask (N,) names are left."""
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        """May be replaced between steps."""
 
-    def observe(self, frame: Frame, gradients: Gradients, visible: list[np.ndarray]) -> None:
-        """Takes note of one step; `visible` are the splats that reach into its photo."""
+    def initialize_state(self, splats: Splats, *, extent: float, focal: float = math.inf) -> State:
+        """The state of a run that begins with `splats`. `extent`: radius of the scene, world units; `focal`:
+        of the photos, px."""
+        return {"extent": extent, "focal": focal, "refined_at": 0, "refined_progress": 0.0}
+
+    def step_pre_backward(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        step: int,
+        info: Visibility,
+        *,
+        progress: float,
+    ) -> None:
+        """Between drawing and differentiating: asks the picture for what shall be noted of it."""
+
+    def step_post_backward(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        step: int,
+        info: Visibility,
+        *,
+        progress: float,
+    ) -> None:
+        """After the optimiser's step: refines the scene where that is due."""
+        settings = self.settings
+        if (
+            settings.refine_from <= progress < settings.refine_until
+            and progress - state["refined_progress"] >= settings.refine_every
+            and step - state["refined_at"] >= settings.least_refine_steps
+        ):
+            rng = np.random.default_rng([settings.seed, step, 1])
+            self.refine(splats, optimizer, state, progress, rng)
+            state["refined_at"], state["refined_progress"] = step, progress
 
     @abstractmethod
-    def refine(self, splats: Splats, progress: float, rng: np.random.Generator) -> Splats:
-        """The scene with splats added, moved and taken out, at a share of the run."""
-
-    def regularisation(self, progress: float, focal: float) -> Regularisation:
-        """Losses on opacity and scale at a share of the run, for photos of this focal length in px."""
-        return NO_REGULARISATION
-
-    def after_step(
-        self, splats: Splats, visible: list[np.ndarray], rate: float, iteration: int, threads: int
+    def refine(
+        self,
+        splats: Splats,
+        optimizer: SelectiveAdam,
+        state: State,
+        progress: float,
+        rng: np.random.Generator,
     ) -> None:
-        """Moves splats, in place, after Adam has; `rate` is that of the means."""
+        """Adds, moves and takes out splats, at a share of the run."""
 
-    def totals(self) -> list[np.ndarray]:
-        """What `observe` adds to, in place."""
+    def sums(self, state: State) -> list[np.ndarray]:
+        """Arrays of the state to which pictures add in `backward`; several processes add theirs up."""
         return []
 
-    @abstractmethod
-    def state(self) -> dict[str, np.ndarray]:
-        """Arrays that `restore` takes."""
 
-    @abstractmethod
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where another's `state` was taken."""
+def keep(splats: Splats, optimizer: SelectiveAdam, state: State, which: np.ndarray) -> None:
+    """Only the splats at `which` (integers or a mask), with their averages and their rows of the state."""
+    count, groups = len(splats), (splats.arrays, optimizer.first, optimizer.second)
+    parameters, first, second = (Parameters(*(array[which] for array in group)) for group in groups)
+    splats.replace(parameters, splats.ids[which])
+    optimizer.replace(splats, first, second)
+    for name, value in state.items():
+        if isinstance(value, np.ndarray) and len(value) == count:
+            state[name] = value[which]
+
+
+def append(splats: Splats, optimizer: SelectiveAdam, state: State, new: Parameters) -> None:
+    """New splats behind the others; their averages and their rows of the state are 0."""
+    count, added = len(splats), len(new.means)
+    zeros = Parameters(*(np.zeros_like(array) for array in new))
+    parameters, first, second = (
+        Parameters(*(np.concatenate(pair) for pair in zip(group, more, strict=True)))
+        for group, more in (
+            (splats.arrays, new),
+            (optimizer.first, zeros),
+            (optimizer.second, zeros),
+        )
+    )
+    splats.replace(parameters, np.concatenate([splats.ids, splats.new_ids(added)]))
+    optimizer.replace(splats, first, second)
+    for name, value in state.items():
+        if isinstance(value, np.ndarray) and len(value) == count:
+            state[name] = np.concatenate([value, np.zeros((added, *value.shape[1:]), value.dtype)])
+
+
+def raise_sh_degree(splats: Splats, optimizer: SelectiveAdam, degree: int) -> None:
+    """Coefficients up to `degree`, if they are not there yet; new ones and their averages are 0."""
+    missing = SH_COEFFICIENTS[degree] - splats.sh.shape[1]
+    if missing <= 0:
+        return
+    parameters, first, second = (
+        group._replace(sh=np.pad(group.sh, ((0, 0), (0, missing), (0, 0))))
+        for group in (splats.arrays, optimizer.first, optimizer.second)
+    )
+    splats.replace(parameters, splats.ids)
+    optimizer.replace(splats, first, second)
 
 
 def opacities_of(parameters: Parameters) -> np.ndarray:
@@ -142,22 +225,3 @@ def inside_any(regions: Sequence[Crop], means: np.ndarray) -> np.ndarray:
         if region.enabled:
             inside |= region.contains(means)
     return inside
-
-
-GONE = -30.0
-"""Logit whose opacity no picture shows."""
-
-
-def dropout(parameters: Parameters, share: float, rng: np.random.Generator) -> Parameters:
-    """The splats with this share (below 1) of them, drawn by chance, made invisible; the rest is stronger.
-
-    A step without some of the splats keeps the others from relying on them: where photos are few, splats that
-    make one photo right by covering for one another's faults make every other view wrong. Source: Park et al.
-    2025, DropGaussian. There the opacities of those left are divided by their share; here their logits are
-    raised by its logarithm, which is the same where splats are faint, keeps opacities below 1, and leaves the
-    derivative by a logit as it is.
-    """
-    with np.errstate(invalid="ignore"):  # NaN may be signalling
-        logits = parameters.opacity_logits - np.float32(math.log1p(-share))
-    logits[rng.random(len(logits), np.float32) < share] = GONE
-    return parameters._replace(opacity_logits=logits)

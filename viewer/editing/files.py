@@ -19,10 +19,10 @@ from splatview.scene.user_dirs import config_folder
 from splatview.viewer import open as opening
 from splatview.viewer.editing.session import (
     JOURNALS,
-    Editing,
     EditSession,
     at_rest,
     can_edit,
+    session_for_edit,
     session_of,
     with_session,
 )
@@ -37,24 +37,20 @@ if TYPE_CHECKING:
 def check_at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes; says so where not."""
     if at_rest(app):
+        session_for_edit(app)  # a sequence that plays is paused
         return True
     app.tell(AT_REST if can_edit(app) else "Open a scene first")
     return False
 
 
-def choose_export(app: AppState) -> None:
-    """Asks where the edited scene goes."""
-    live = app.feature(Editing).live
-    if live is not None and can_edit(app) and not at_rest(app):
-        live.export(app)
-        return
-    if not check_at_rest(app):
-        return
-    app.choose_files(
-        "Export the edited scene",
-        lambda paths: app.post(export_to, paths[0]),
-        kind="save_scene",
-        name=f"{_stem(app)}-edited.ply",
+def changed_elsewhere(session: EditSession, target: Path) -> str:
+    """What to say where another program has changed an open file that `target` is; "" where none has."""
+    read = session.stamps.get(Path(os.path.realpath(target)))
+    if read is None or stamp_of(target) in (read, None):
+        return ""
+    return (
+        f"{target}: another program has changed it since it was opened here; export under another name, or "
+        "open it again"
     )
 
 
@@ -62,12 +58,8 @@ def choose_export(app: AppState) -> None:
 def export_to(app: AppState, session: EditSession, path: Path) -> None:
     """Writes the edited scene, whole or not at all, in a thread."""
     target = path if path.suffix else path.with_suffix(".ply")
-    read = session.stamps.get(Path(os.path.realpath(target)))
-    if read is not None and stamp_of(target) not in (read, None):
-        app.complain(
-            f"{target}: another program has changed it since it was opened here; export under another name,"
-            " or open it again"
-        )
+    if problem := changed_elsewhere(session, target):
+        app.complain(problem)
         return
     session.document.cancel_preview()
     document = session.document
@@ -82,7 +74,7 @@ def export_to(app: AppState, session: EditSession, path: Path) -> None:
         )
 
     def done(count: int) -> None:
-        if read is not None:
+        if Path(os.path.realpath(target)) in session.stamps:
             session.stamps.update(stamps_of([target]))
         session.news = f"Exported {count:,} splats to {target}: {found[0].in_words}"
         for loss in found[0].lost:

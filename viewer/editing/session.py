@@ -18,7 +18,7 @@ import numpy as np
 from splatview.edit.document import Document, Planned
 from splatview.edit.impact import frozen
 from splatview.edit.journal import Journal
-from splatview.edit.operations.base import Operation
+from splatview.edit.operations.base import Operation, Scope
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
@@ -30,7 +30,17 @@ from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
-from splatview.viewer.editing.tool_state import Depth, Forms, Measured, Place, Stroke, ToolName
+from splatview.viewer.editing.tool_state import (
+    CROPPING,
+    TRANSFORMING,
+    Depth,
+    Forms,
+    Measured,
+    Mode,
+    Place,
+    Stroke,
+    ToolName,
+)
 from splatview.viewer.loading import Examination, LoadedScene, Stamp
 from splatview.viewer.state import Feature
 from splatview.viewer.tasks import Task
@@ -41,6 +51,9 @@ if TYPE_CHECKING:
 
 LOOK = "look"
 """Section whose previews change opacity, size and colour."""
+
+TRANSFORM = "Transform"
+"""Section and handles that move, rotate and scale."""
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
@@ -73,6 +86,8 @@ class EditSession:
 
     document: Document
     tool: ToolName = "none"
+    mode: Mode = "set"
+    """How the tools that select combine with the selection, where no key is held."""
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
     brush_radius: float = BRUSH_RADIUS
@@ -155,13 +170,18 @@ class EditSession:
 
     @property
     def handles(self) -> str:
-        """Title of the section whose handles are on the picture; "" where there are none."""
-        forms, document = self.forms, self.document
-        movable = forms.scope != "selection" or document.counts.selected > 0
-        if forms.move.gizmo and movable and "Move" in forms.sections:
-            return "Move"
-        chosen = 0 <= forms.crop < len(document.crops)
-        return "Crop" if chosen and "Crop" in forms.sections else ""
+        """Handles on the picture: "Transform", "Crop", or "" where there are none."""
+        forms = self.forms
+        if self.tool in TRANSFORMING:
+            return TRANSFORM if self.target.at_rest else ""
+        chosen = 0 <= forms.crop < len(self.document.crops)
+        in_hand = self.tool in CROPPING or "Crop" in forms.sections
+        return "Crop" if chosen and in_hand else ""
+
+    @property
+    def scope(self) -> Scope:
+        """Splats that a transform or a change of colours is of: all where none is selected."""
+        return self.forms.scope if self.document.counts.selected else "scene"
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
@@ -311,7 +331,11 @@ class EditSession:
 
 
 class LiveScene(Protocol):
-    """A scene that changes while it is shown, such as one in training: it is edited by way of snapshots."""
+    """A scene that changes while it is shown, such as one in training or a sequence that plays: it is edited
+    by way of snapshots."""
+
+    at_rest: bool
+    """Whether every edit of a snapshot can be done and kept."""
 
     def is_shown(self, app: AppState) -> bool:
         """Whether the window shows a snapshot of it that can be edited."""
@@ -380,6 +404,15 @@ class Editing(Feature):
         self.session.journal = Journal(
             document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
         )
+
+    def leave(self) -> None:
+        """Closes the session for good, its edits with it: another frame is shown."""
+        session, self.session, self.examining = self.session, None, None
+        if session is not None:
+            if session.journal is not None:
+                session.journal.close(keep=False)
+                session.journal = None
+            session.close()
 
     def before_frame(self, app: AppState) -> None:
         """Ends jobs, and reports what they and the user's edits came to."""
@@ -521,8 +554,10 @@ def can_edit(app: AppState) -> bool:
 
 def at_rest(app: AppState) -> bool:
     """Whether a scene is open that no trainer changes: every edit can be done and kept."""
-    session = session_of(app)
-    return session is not None and session.target.at_rest
+    editing = app.feature(Editing)
+    if editing.session is None:
+        return editing.live is not None and editing.live.at_rest and editing.live.is_shown(app)
+    return editing.session.target.at_rest
 
 
 def load_changed_scene(app: AppState, session: EditSession) -> None:

@@ -10,7 +10,7 @@ from splatview.measure.knobs import Knob, Plan, knob
 from splatview.measure.ladder import Ladder, Measured, is_clear
 from splatview.measure.work import rows, sums
 from splatview.viewer import theme
-from splatview.viewer.panels import widgets
+from splatview.viewer.panels import effects, widgets
 from splatview.viewer.preferences import RANGES
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable, unpriced_knobs
@@ -38,12 +38,14 @@ def show(app: AppState) -> None:
         )
     else:
         prices(app, accuracy, accuracy.ladder)
-    widgets.section("Frame budget")
-    budget(app, accuracy)
-    widgets.section("Exact beside chosen")
-    split(accuracy)
-    if accuracy.bill is not None and imgui.collapsing_header("The bill of this view"):
+    if widgets.fold(app, "Frame limit", opened=True):
+        budget(app, accuracy)
+    if widgets.fold(app, "Compare", opened=True):
+        split(accuracy)
+    if accuracy.bill is not None and widgets.fold(app, "Work of this view"):
         bill(accuracy)
+    if widgets.fold(app, "Effects"):
+        effects.show(app)
 
 
 def tools(app: AppState, accuracy: Accuracy) -> None:

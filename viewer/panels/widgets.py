@@ -49,13 +49,29 @@ def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
     imgui.set_next_item_width(-1)
 
 
-def tooltip(tip: str) -> None:
-    """Tooltip of the last item, after a short rest on it."""
-    if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
+def tooltip(tip: str, *, hovered: bool | None = None) -> None:
+    """Tooltip of the last item, after a short rest on it, or where the mouse is known to be."""
+    if hovered is None:
+        hovered = bool(tip) and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip)
+    if tip and hovered and imgui.begin_tooltip():
         imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
         imgui.text_unformatted(printable(tip, keep="\n"))
         imgui.pop_text_wrap_pos()
         imgui.end_tooltip()
+
+
+def fitting(text: str, room: float) -> str:
+    """`text` with an ellipsis where it is wider than `room`."""
+    if imgui.calc_text_size(text).x <= room:
+        return text
+    low, high = 0, len(text)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if imgui.calc_text_size(f"{text[:middle].rstrip()}...").x <= room:
+            low = middle
+        else:
+            high = middle - 1
+    return f"{text[:low].rstrip()}..." if low else ""
 
 
 def slider(
@@ -148,6 +164,17 @@ def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> No
     button(name, tip, partial(app.post, COMMANDS[id].run), width=width, lacks=COMMANDS[id].lacks(app))
 
 
+def command_tooltip(app: AppState, id: str, *, name: str = "") -> None:
+    """Tooltip of the last item: a command's title, key and explanation, and what it lacks."""
+    if not imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
+        return
+    command = COMMANDS[id]
+    key, lacks = keys_of(id), command.lacks(app)
+    head = f"{name or command.menu or command.title}{f' ({key})' if key else ''}".replace("...", "")
+    explained = command.tip or (command.title if head != command.title else "")
+    tooltip("\n".join(filter(None, (head, explained, lacks))), hovered=True)
+
+
 def button(name: str, tip: str, pressed: Callable[[], object], *, width: float = 0, lacks: str = "") -> None:
     """`lacks`: what must be there before it can be pressed, for the tooltip; "" where it can be."""
     imgui.begin_disabled(lacks != "")
@@ -164,6 +191,17 @@ def beside(name: str) -> None:
     right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
     if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
         imgui.same_line()
+
+
+def fold(app: AppState, title: str, *, opened: bool = False) -> bool:
+    """A section that can be shut; whether it is open. A command that asks for it has it opened and shown."""
+    if app.reveal == title:
+        imgui.set_next_item_open(True)
+    shown = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open if opened else 0)
+    if app.reveal == title:
+        imgui.set_scroll_here_y(0.0)
+        app.reveal = ""
+    return shown
 
 
 def section(name: str) -> None:

@@ -30,6 +30,8 @@ Rule = Literal["cut", "no_growth"]
 class TrainingEdits:
     """Sessions on snapshots of a training: a `LiveScene` for the `Editing` feature."""
 
+    at_rest = False
+
     def __init__(self, thread: BackgroundTraining, shown: Callable[[AppState], Snapshot | None]) -> None:
         """`shown` gives the snapshot that the window shows; None where it shows something else."""
         self._thread = thread

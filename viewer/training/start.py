@@ -274,6 +274,7 @@ def adopt(app: AppState, started: StartedTraining) -> None:
     others = {kind: feature for kind, feature in app.features.items() if kind is not LiveTraining}
     app.features = {LiveTraining: started.training, **others}
     app.scene, app.dialog = EMPTY_SCENE, None
+    app.page, app.strip = "Train", "Curves"
     app.bookmarks, app.bookmark_index = [], -1
     start.started.append(started)
     started.training.start(app, on_change=start.wake)

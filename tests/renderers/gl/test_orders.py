@@ -9,7 +9,8 @@ import pytest
 
 from splatview.measure.metrics import psnr
 from splatview.renderers.gl.project import short_keys
-from splatview.renderers.gl.quads import QuadsRenderer, finite_box
+from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.gl.scene_buffers import finite_box
 from splatview.renderers.gl.tiles import TilesRenderer
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, RenderSettings, look_at

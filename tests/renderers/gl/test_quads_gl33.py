@@ -207,7 +207,7 @@ def test_too_many_splats_are_refused_in_one_line(renderer, random_gaussians, mon
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("version", ["3.3", "4.1"])
+@pytest.mark.parametrize("version", ["3.3", pytest.param("4.1", marks=pytest.mark.slow)])
 def test_all_of_this_on_old_opengl(version):
     """Mesa can pass for an older driver: it then refuses newer GLSL, compute shaders and storage buffers."""
     if "SPLATVIEW_TEST_GL" in os.environ:

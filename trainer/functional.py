@@ -1,0 +1,448 @@
+"""Differentiable operations of training, as functions of torch over the CPU kernels, without copies."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from splatview.raster import Frame, Parameters, Workspace, draw_frame
+from splatview.raster.frame import StageClock
+from splatview.raster.gradients import Gradients, differentiate
+from splatview.raster.parameters import check_parameters
+from splatview.raster.project import RX, RY
+from splatview.scene import Camera, RenderSettings
+from splatview.scene.sh import SH_C0
+from splatview.trainer.loss import SSIM_WEIGHT
+from splatview.trainer.loss import photo_loss as compare
+
+GRADIENT_EARLY_STOP = 1e-7
+"""The light below which a pixel ends, in float32. Where gradients nearly cancel, what they leave out at
+`raster.EARLY_STOP` shows in their fourth digit; at this, in their sixth, for a twentieth more time."""
+
+
+class Visibility:
+    """What density control asks of a picture: which splats show, how large, and how hard each is pulled."""
+
+    def __init__(self, pieces: list[np.ndarray], count: int, size: tuple[int, int] = (0, 0)) -> None:
+        """`pieces`: int32 arrays of distinct indices; `size`: the picture's width and height."""
+        self.pieces = pieces
+        """Splats that reach into the image, ascending: parts that may be worked on apart."""
+        self.count = count
+        """N, the splats of the scene."""
+        self.width, self.height = size
+        self.means2d: torch.Tensor | None = None
+        """(N, 2) dL/d(mean in the image), px; None before backward."""
+        self.abs_means2d: torch.Tensor | None = None
+        """(N, 2) the same, added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
+        self.milliseconds: dict[str, float] = {}
+        """Time in the rasteriser by stage, so far."""
+        self._on_backward: list[Callable[[Visibility], None]] = []
+        self._frame: Callable[[], Frame | None] = lambda: None
+
+    def __len__(self) -> int:
+        return sum(map(len, self.pieces))
+
+    @property
+    def indices(self) -> torch.Tensor:
+        """(V,) int64, ascending: splats that reach into the image."""
+        return torch.from_numpy(np.concatenate(self.pieces).astype(np.int64))
+
+    @property
+    def visible(self) -> torch.Tensor:
+        """(N,) bool."""
+        mask = torch.zeros(self.count, dtype=torch.bool)
+        mask[self.indices] = True
+        return mask
+
+    @property
+    def radii(self) -> torch.Tensor:
+        """(V,) px: the larger half extent of the ellipse where alpha is at least the cut.
+
+        Raises:
+            RuntimeError: the picture has been differentiated, or dropped, and its numbers are gone.
+        """
+        frame = self._frame()
+        if frame is None:
+            raise RuntimeError("ask for radii before the picture is differentiated")
+        indices = np.concatenate(self.pieces)
+        return torch.from_numpy(np.maximum(frame.records[indices, RX], frame.records[indices, RY]))
+
+    def on_backward(self, function: Callable[[Visibility], None]) -> None:
+        """Has `function` called with this once `means2d` and `abs_means2d` are there."""
+        self._on_backward.append(function)
+
+
+def rasterize(
+    means: torch.Tensor,
+    quats: torch.Tensor,
+    log_scales: torch.Tensor,
+    opacity_logits: torch.Tensor,
+    sh: torch.Tensor,
+    camera: Camera,
+    settings: RenderSettings | None = None,
+    *,
+    background: torch.Tensor | None = None,
+    pose: torch.Tensor | None = None,
+    early_stop: float | None = None,
+    dtype: torch.dtype | None = None,
+    threads: int | None = None,
+) -> tuple[torch.Tensor, Visibility]:
+    """The picture (H, W, 4), RGB over the background and alpha, in `dtype`; and what shows in it.
+
+    Parameters have the shapes of `scene.Gaussians` and are all float32 or all float64, on the CPU; `dtype`
+    is theirs where it is None. `background` (3,) stands for that of the settings and may need a gradient.
+    `pose` (6,) must be zeros; its gradient is that of a small motion of the camera, (shift, turn) in camera
+    axes: see `raster.gradients`. `early_stop` is the light below which a pixel ends; by default that of
+    the settings, or else `GRADIENT_EARLY_STOP` in float32 and 0, never, in float64. Threads: None means all
+    cores.
+
+    The gradients by the means in the image are in the `Visibility` once the picture has been differentiated.
+    A picture that is differentiated again (`retain_graph`) is drawn again first. There are no second
+    derivatives.
+
+    Raises:
+        ValueError: an argument has the wrong shape, dtype or device; the message names it.
+    """
+    settings = settings or RenderSettings()
+    named = {
+        "means": means,
+        "quats": quats,
+        "log_scales": log_scales,
+        "opacity_logits": opacity_logits,
+        "sh": sh,
+    }
+    if not isinstance(means, torch.Tensor):
+        raise ValueError(f"means must be a tensor, got {type(means).__name__}")
+    if means.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"means must be torch.float32 or torch.float64, got {means.dtype}")
+    for name, tensor in named.items():
+        _check(name, tensor, means.dtype)
+    dtype = dtype or means.dtype
+    for name, tensor, length in (("background", background, 3), ("pose", pose, 6)):
+        if tensor is not None:
+            _check(name, tensor, dtype)
+            if tensor.shape != (length,):
+                raise ValueError(f"{name} must have shape ({length},), got {tuple(tensor.shape)}")
+    if pose is not None and not (pose.detach() == 0).all():
+        raise ValueError("pose must be zeros: move the camera instead")
+    if early_stop is None:
+        early_stop = settings.early_stop
+    if early_stop is None:
+        early_stop = GRADIENT_EARLY_STOP if dtype == torch.float32 else 0.0
+    visibility = Visibility([], len(means), (camera.width, camera.height))
+    options = _Options(camera, settings, early_stop, NUMPY[dtype], threads)
+    image = _Rasterize.apply(*named.values(), background, pose, options, visibility)
+    assert isinstance(image, torch.Tensor)
+    return image, visibility
+
+
+NUMPY = {torch.float32: np.float32, torch.float64: np.float64}
+
+
+def _check(name: str, tensor: Any, dtype: torch.dtype) -> None:
+    if not isinstance(tensor, torch.Tensor):
+        raise ValueError(f"{name} must be a tensor, got {type(tensor).__name__}")
+    if tensor.device.type != "cpu":
+        raise ValueError(f"{name} must be on the CPU, got {tensor.device}")
+    if tensor.dtype != dtype:
+        raise ValueError(f"{name} must be {dtype} like means, got {tensor.dtype}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Options:
+    """How a picture is drawn."""
+
+    camera: Camera
+    settings: RenderSettings
+    early_stop: float
+    dtype: type[np.floating]
+    threads: int | None
+
+    def draw(self, splats: Parameters, background: torch.Tensor | None, workspace: Workspace) -> Frame:
+        return draw_frame(
+            splats,
+            self.camera,
+            self.settings,
+            workspace,
+            background=None if background is None else background.detach().numpy(),
+            dtype=self.dtype,
+            early_stop=self.early_stop,
+            threads=self.threads,
+        )
+
+
+@dataclass(eq=False)
+class _Buffers:
+    """Memory of pictures: fresh memory costs a page fault every 4 KiB, in a step of 200,000 splats a tenth of
+    its time for gradients alone."""
+
+    workspace: Workspace = field(default_factory=Workspace)
+    gradients: list[np.ndarray] = field(default_factory=list)
+    """Arrays of the latest gradients, which the graph that they went into may still hold."""
+
+    def differentiate(self, splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
+        """Overwrites the latest gradients where nothing but this refers to them any more."""
+        arrays, reuse = self.gradients, None
+        if arrays and all(sys.getrefcount(arrays[i]) <= UNSHARED for i in range(len(arrays))):
+            nothing = np.empty(0)
+            reuse = Gradients(
+                parameters=Parameters(*arrays[:5]),
+                means2d=arrays[5],
+                abs_means2d=arrays[6],
+                background=nothing,
+                pose=nothing,
+                milliseconds={},
+            )
+        found = differentiate(splats, frame, d_image, reuse=reuse)
+        self.gradients = [*found.parameters, found.means2d, found.abs_means2d]
+        return found
+
+
+def _unshared() -> int:
+    arrays = [np.empty(1)]
+    return max(sys.getrefcount(arrays[i]) for i in range(1))
+
+
+UNSHARED = _unshared()
+"""What `sys.getrefcount` says of an array that only a list refers to."""
+
+
+class _Pool:
+    """Buffers that no picture is using. A picture keeps its own from forward to backward."""
+
+    def __init__(self) -> None:
+        self._free: list[_Buffers] = []
+        self._lock = threading.Lock()
+
+    def take(self) -> _Buffers:
+        with self._lock:
+            return self._free.pop() if self._free else _Buffers()
+
+    def give_back(self, buffers: _Buffers) -> None:
+        with self._lock:
+            self._free.append(buffers)
+
+
+_pictures, _losses = _Pool(), _Pool()
+
+
+class _Held:
+    """Buffers in use, which go back when they are released or nobody wants them any more."""
+
+    def __init__(self, pool: _Pool) -> None:
+        self._pool = pool
+        self.buffers: _Buffers | None = pool.take()
+
+    def release(self) -> None:
+        buffers, self.buffers = self.buffers, None
+        if buffers is not None:
+            self._pool.give_back(buffers)
+
+    def __del__(self) -> None:
+        self.release()
+
+
+class _HeldFrame(_Held):
+    """A frame in its buffers."""
+
+    def __init__(self, options: _Options, splats: Parameters, background: torch.Tensor | None) -> None:
+        super().__init__(_pictures)
+        assert self.buffers is not None
+        self.splats = splats
+        self.frame: Frame | None = options.draw(splats, background, self.buffers.workspace)
+
+    def release(self) -> None:
+        self.frame = None
+        super().release()
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> torch.Tensor:
+        *tensors, background, _pose, options, visibility = args
+        splats = check_parameters(*(tensor.detach().numpy() for tensor in tensors))
+        held = _HeldFrame(options, splats, background)
+        frame = held.frame
+        assert frame is not None
+        # Copied together, as the workspace's next picture overwrites them.
+        runs = [frame.visible[start:stop] for start, stop in frame.runs]
+        visible = np.concatenate(runs)
+        visibility.pieces = np.split(visible, np.cumsum([len(part) for part in runs[:-1]]))
+        visibility.milliseconds |= frame.milliseconds
+        visibility._frame = lambda: held.frame
+        ctx.held, ctx.options, ctx.visibility, ctx.background = held, options, visibility, background
+        # Autograd notices through these if a parameter is changed in place before backward reads it.
+        ctx.save_for_backward(*tensors)
+        return torch.from_numpy(frame.image)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+        _ = ctx.saved_tensors
+        held: _HeldFrame = ctx.held
+        if held.frame is None:  # the graph was kept after an earlier backward
+            held = _HeldFrame(ctx.options, held.splats, ctx.background)
+        frame, buffers = held.frame, held.buffers
+        assert frame is not None and buffers is not None
+        d_image = grad_outputs[0].contiguous().numpy()
+        gradients = buffers.differentiate(held.splats, frame, d_image)
+        visibility: Visibility = ctx.visibility
+        visibility.milliseconds |= gradients.milliseconds
+        visibility.means2d = torch.from_numpy(gradients.means2d)
+        visibility.abs_means2d = torch.from_numpy(gradients.abs_means2d)
+        held.release()
+        clock = StageClock()
+        with clock.stage("density"):
+            for function in visibility._on_backward:
+                function(visibility)
+        visibility.milliseconds |= clock.milliseconds
+        d_background = d_pose = None
+        if ctx.needs_input_grad[5]:
+            d_background = torch.from_numpy(gradients.background)
+        if ctx.needs_input_grad[6]:
+            d_pose = torch.from_numpy(gradients.pose.astype(d_image.dtype))
+        return *map(torch.from_numpy, gradients.parameters), d_background, d_pose, None, None
+
+
+LEAST_ALPHA = 1e-4
+"""Where less than this covers a pixel, its depth fades to 0: a share of nothing is no depth."""
+
+
+def rasterize_depth(
+    means: torch.Tensor,
+    quats: torch.Tensor,
+    log_scales: torch.Tensor,
+    opacity_logits: torch.Tensor,
+    camera: Camera,
+    settings: RenderSettings | None = None,
+    *,
+    threads: int | None = None,
+) -> torch.Tensor:
+    """Expected depth (H, W) in world units along the view axis, 0 where nothing is: the mean of the camera
+    depths of the splats' centres, weighted as their colours are.
+
+    Differentiable by all arguments, by drawing depths as colours. Arguments are those of `rasterize`.
+    """
+    axis = torch.from_numpy(np.ascontiguousarray(camera.R_camera_world[2])).to(means.dtype)
+    eye = torch.from_numpy(np.ascontiguousarray(camera.eye)).to(means.dtype)
+    depths = (means - eye) @ axis
+    # A colour is 0.5 + SH_C0·sh, and nothing behind the eye is drawn.
+    sh = ((depths - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
+    black = replace(settings or RenderSettings(), background=(0.0, 0.0, 0.0))
+    picture, _ = rasterize(means, quats, log_scales, opacity_logits, sh, camera, black, threads=threads)
+    return picture[..., 0] / picture[..., 3].clamp_min(LEAST_ALPHA)
+
+
+def photo_loss(
+    image: torch.Tensor,
+    photo: torch.Tensor,
+    *,
+    mask: torch.Tensor | None = None,
+    ssim_weight: float = SSIM_WEIGHT,
+    threads: int | None = None,
+) -> torch.Tensor:
+    """(1 - w)·L1 + w·(1 - SSIM) of a picture (H, W, 4), float32 or float64, and a photo (H, W, 3) uint8.
+
+    All on the CPU; mask (H, W) bool: pixels that are false count as equal. With w = 1 it is 1 - SSIM.
+
+    Raises:
+        ValueError: a tensor has the wrong shape or dtype; see `loss.photo_loss`.
+    """
+    loss = _PhotoLoss.apply(image, photo, mask, ssim_weight, threads)
+    assert isinstance(loss, torch.Tensor)
+    return loss
+
+
+class _PhotoLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> torch.Tensor:
+        image, photo, mask, ssim_weight, threads = args
+        held = _Held(_losses)
+        assert held.buffers is not None
+        workspace = held.buffers.workspace
+
+        def compared(image: torch.Tensor) -> Any:
+            return compare(
+                image.detach().contiguous().numpy(),
+                photo.contiguous().numpy(),
+                workspace,
+                mask=None if mask is None else mask.contiguous().numpy(),
+                ssim_weight=ssim_weight,
+                threads=threads,
+            )
+
+        result = compared(image)
+        # The gradient lives in the buffers: they are the graph's until it is gone.
+        ctx.held, ctx.compared, ctx.d_image = held, compared, result.d_image
+        ctx.save_for_backward(image)
+        return torch.tensor(result.loss, dtype=image.dtype)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+        (image,) = ctx.saved_tensors
+        d_image, ctx.d_image = ctx.d_image, None
+        if d_image is None:  # given away in an earlier backward, and autograd may have added to it
+            d_image = ctx.compared(image).d_image
+        by_image = torch.from_numpy(d_image)
+        if grad_outputs[0] != 1:
+            by_image = by_image * grad_outputs[0]
+        return by_image, None, None, None, None
+
+
+def expose(image: torch.Tensor, exposure: torch.Tensor) -> torch.Tensor:
+    """The picture (H, W, 4) as a photo of another exposure shows it: gain·colour + offset, alpha as it is.
+
+    `exposure` (3, 2) float64: logarithm of the gain, and offset, of each colour.
+    """
+    exposed = _Expose.apply(image, exposure)
+    assert isinstance(exposed, torch.Tensor)
+    return exposed
+
+
+class _Expose(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> torch.Tensor:
+        image, exposure = args
+        colours, (log_gain, offset) = image.detach().numpy(), exposure.detach().numpy().T
+        gain = np.append(np.exp(log_gain), 1.0).astype(colours.dtype)
+        exposed = colours * gain
+        exposed[..., :3] += offset.astype(colours.dtype)
+        ctx.save_for_backward(image)
+        ctx.gain = gain
+        return torch.from_numpy(exposed)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+        (image,) = ctx.saved_tensors
+        d = grad_outputs[0].numpy()
+        by_gain = ctx.gain[:3] * np.einsum("hwc,hwc->c", d[..., :3], image.numpy()[..., :3], dtype=np.float64)
+        by_offset = d[..., :3].sum(axis=(0, 1), dtype=np.float64)
+        return torch.from_numpy(d * ctx.gain), torch.from_numpy(np.stack([by_gain, by_offset], axis=1))
+
+
+GONE = -30.0
+"""Logit whose opacity no picture shows."""
+
+
+def dropout(opacity_logits: torch.Tensor, share: float, rng: np.random.Generator) -> torch.Tensor:
+    """Logits (N,) of the splats with this share (below 1) of them, drawn by chance, made invisible; the rest
+    is stronger.
+
+    A step without some of the splats keeps the others from relying on them: where photos are few, splats that
+    make one photo right by covering for one another's faults make every other view wrong. Source: Park et al.
+    2025, DropGaussian. There the opacities of those left are divided by their share; here their logits are
+    raised by its logarithm, which is the same where splats are faint, keeps opacities below 1, and leaves the
+    derivative by a logit as it is.
+    """
+    dropped = torch.from_numpy(rng.random(len(opacity_logits), np.float32) < share)
+    return (opacity_logits - math.log1p(-share)).masked_fill(dropped, GONE)

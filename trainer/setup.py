@@ -1,0 +1,156 @@
+"""From a capture to a trainer with the recipe that it calls for; and a whole run in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from splatview.scene import Gaussians
+from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
+from splatview.trainer.counters import PluginError, StepReport
+from splatview.trainer.distributed import Group
+from splatview.trainer.effects import Antialiased, model_for
+from splatview.trainer.evaluate import Evaluation, evaluate
+from splatview.trainer.initialisation import initial_parameters
+from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
+from splatview.trainer.settings import (
+    PAPER_ITERATIONS,
+    TrainSettings,
+    automatic_dropout,
+    automatic_limit,
+    automatic_max_aspect,
+    automatic_regularisation,
+    automatic_steps,
+)
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import TrainViews, train_views
+
+
+def settings_for(
+    capture: Capture,
+    views: TrainViews,
+    *,
+    iterations: int | None = None,
+    minutes: float | None = None,
+    max_splats: int | None = None,
+    antialiased: Antialiased = "auto",
+    **fields: Any,
+) -> TrainSettings:
+    """The recipe that suits a capture; `fields` are those of `TrainSettings`, which stand as they are.
+
+    Raises:
+        ValueError, TypeError: a field makes no sense, or there is none of its name.
+    """
+    photos, pixels = len(views), views.pixel_count
+    limit = max_splats or automatic_limit(pixels, minutes if iterations is None else None)
+    if iterations is None:
+        iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
+    automatic: dict[str, Any] = {
+        "opacity_reg": automatic_regularisation(photos),
+        "scale_reg": automatic_regularisation(photos),
+        "dropout": automatic_dropout(photos),
+        "max_aspect": automatic_max_aspect(photos),
+        "background": capture.background or (0.0, 0.0, 0.0),
+        "model": model_for(capture, antialiased),
+    }
+    return TrainSettings(iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields})
+
+
+def trainer_for(
+    capture: Capture,
+    views: TrainViews,
+    settings: TrainSettings,
+    *,
+    centre: np.ndarray,
+    threads: int | None = None,
+    group: Group | None = None,
+    loss: LossPlugin | None = None,
+) -> Trainer:
+    """A trainer at its start: splats at the capture's points. `capture` and `views` are about `centre`."""
+    extent = capture.scene_radius
+    parameters = initial_parameters(
+        capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=settings.seed
+    )
+    return Trainer(
+        views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
+    )
+
+
+class TrainedScene(NamedTuple):
+    """What `train` returns."""
+
+    scene: Gaussians
+    evaluation: Evaluation | None
+    """Scores on the held-out photos; None where there are none."""
+
+
+def train(
+    capture: Capture | str | Path,
+    *,
+    loss: Callable[[LossStep], torch.Tensor] | str | Path | None = None,
+    iterations: int | None = None,
+    minutes: float | None = None,
+    downscale: int = 1,
+    lens: LensUse = DEFAULT_LENS_USE,
+    threads: int | None = None,
+    on_step: Callable[[StepReport], object] = lambda report: None,
+    **settings: Any,
+) -> TrainedScene:
+    """Trains a scene on a capture, or on the folder of one, as `splatview train` does; writes nothing.
+
+    `loss`: a loss of one's own, a function or a file with one, see `plugin`; `downscale` and `lens` are of
+    photos that are read from a folder; `on_step` is called after each step; `settings` are those of
+    `settings_for`. Ctrl-C ends it early, and what is there is returned.
+
+    Raises:
+        InputError: the capture cannot be read, or trained on.
+        ValueError, TypeError: a setting makes no sense, or there is none of its name.
+        PluginError: the loss failed. Its `scene` is what was trained so far.
+    """
+    plugin = None
+    if callable(loss):
+        plugin = LossPlugin(loss)
+    elif loss is not None:
+        plugin = load_plugin(Path(loss))
+    if not isinstance(capture, Capture):
+        capture = load_capture(capture, downscale=downscale, lens=lens)
+    centre = capture.centre
+    capture = capture.about(centre)
+    views = TrainViews(train_views(capture.train), settings.get("seed", 0))
+    recipe = settings_for(capture, views, iterations=iterations, minutes=minutes, **settings)
+    trainer = trainer_for(capture, views, recipe, centre=centre, threads=threads, loss=plugin)
+    with kernel_threads_only():
+        try:
+            while not trainer.done:
+                on_step(trainer.step())
+        except KeyboardInterrupt:
+            pass
+        except PluginError as error:
+            error.scene = trainer.snapshot()
+            raise
+    held_out, evaluation = train_views(capture.held_out), None
+    if held_out:
+        evaluation = evaluate(
+            trainer.splats.arrays,
+            held_out,
+            trainer.render_settings,
+            threads=threads,
+            exposures_differ=trainer.exposures.is_on,
+        )
+    return TrainedScene(trainer.snapshot(), evaluation)
+
+
+@contextmanager
+def kernel_threads_only() -> Iterator[None]:
+    """Within, torch has one thread: its others would wait in loops on the cores that the kernels work on."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
