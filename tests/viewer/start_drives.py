@@ -283,7 +283,7 @@ def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     for theme_name in names:
         hand.ctx.item_click("//Settings/##Theme")
         hand.frames(3)
-        hand.ctx.item_click(f"//$FOCUSED/{THEMES[theme_name]}")
+        hand.ctx.item_click(f"//$FOCUSED/$${list(THEMES).index(theme_name)}/{THEMES[theme_name]}")
         hand.frames(3)
         found[theme_name] = app.preferences.theme
         shoot(hand, f"settings_{theme_name}")

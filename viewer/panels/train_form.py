@@ -9,7 +9,7 @@ from imgui_bundle import ImVec2, imgui
 
 from splatview.scene.errors import printable
 from splatview.viewer import theme
-from splatview.viewer.dialogs import DIALOG_FLAGS, centred
+from splatview.viewer.dialogs import DIALOG_FLAGS
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.start_screen import fitted
 from splatview.viewer.state import AppState, Feature
@@ -55,8 +55,12 @@ def show(app: AppState) -> None:
 
 
 def _window(app: AppState, name: str, width: float, contents: Callable[[AppState], None]) -> None:
-    centred(width)
-    opened = imgui.begin(name, True, DIALOG_FLAGS | imgui.WindowFlags_.no_resize)[1]
+    viewport = imgui.get_main_viewport()
+    wide = min(width * imgui.get_font_size(), 0.96 * viewport.size.x)
+    # In the middle also when it grows by what is found.
+    imgui.set_next_window_pos(viewport.get_center(), imgui.Cond_.always, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((wide, 0), (wide, 0.94 * viewport.size.y))
+    opened = imgui.begin(name, True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
     contents(app)
     imgui.end()
     if not opened:
