@@ -11,6 +11,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.formats.packing import (
     ALWAYS_ALLOWED,
     LOGITS,
+    MOST_EXPANSION,
     SQRT_HALF,
     check_expansion,
     check_room,
@@ -71,13 +73,20 @@ def is_sog_folder(path: Path) -> bool:
     return os.path.isdir(path) and any(os.path.isfile(path / name) for name in (META, LOD_META))
 
 
+DAMAGED_ZIP = (
+    *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error),
+    *(NotImplementedError, RuntimeError, EOFError, UnicodeDecodeError),
+)
+"""What zipfile raises."""
+
+
 def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a zip. Raises InputError and Cancelled."""
     try:
         with zipfile.ZipFile(file) as archive:
             source = _Zip(archive, path)
             return _read_unit(source, _meta_of(source, META), progress, room)
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+    except DAMAGED_ZIP as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
 
 
@@ -101,6 +110,11 @@ class _Zip:
             entry = self._archive.getinfo(_plain(name, self.name))
         except KeyError:
             raise InputError(f"{self.name}: has no {excerpt(name)}; export it again") from None
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            # Dictionaries of others are as large as the file says, before a byte of it is unpacked.
+            raise InputError(
+                f"{self.name}: its {name} is packed in a way that .sog does not have; export it again"
+            )
         with self._archive.open(entry) as file:
             # An entry may lie about its size.
             data = file.read(most + 1)
@@ -190,29 +204,50 @@ class _Pictures:
 
     def pixels(self, name: Any, least: int) -> np.ndarray:
         """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
-        from PIL import Image
+        from PIL import WebPImagePlugin
 
         source = self.source
-        data = source.read(name, max(ALWAYS_ALLOWED, source.held))
+        data = source.read(name, MOST_EXPANSION * source.held + ALWAYS_ALLOWED)
+        # Before the library is asked, which makes room for whatever size is said.
+        width, height = _size_of_webp(data)
+        if width * height < least:
+            raise InputError(
+                f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is of "
+                "another scene, damaged, or no WebP"
+            )
+        if width * height > 2 * least + 2**20:
+            raise InputError(
+                f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
+            )
         try:
-            with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
-                width, height = image.size
-                if width * height < least:
-                    raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is "
-                        "of another scene, or damaged"
-                    )
-                if width * height > 2 * least + 2**20:
-                    raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
-                    )
-                return np.asarray(image.convert("RGBA"))
-        except InputError:
-            raise
-        except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+            # Not Image.open, which warns of large pictures and refuses larger ones.
+            with WebPImagePlugin.WebPImageFile(io.BytesIO(data)) as image:
+                if image.size != (width, height):
+                    raise ValueError("its size is not what it says")
+                pixels = np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
+                # Kernels are compiled for arrays that can be written to and for others: once is enough.
+                pixels.setflags(write=False)
+                return pixels
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
             raise InputError(
                 f"{source.name}: {name} is no WebP that can be read ({error}); export it again"
             ) from None
+
+
+def _size_of_webp(data: bytes) -> tuple[int, int]:
+    """Width and height that a WebP says to have; (0, 0) of what is none. Source: the container's
+    specification, of which the first chunk is enough."""
+    kind, body = data[12:16], data[20:30]
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(body) < 10:
+        return 0, 0
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")
+    if kind == b"VP8L":
+        bits = int.from_bytes(body[1:5], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8 ":
+        return int.from_bytes(body[6:8], "little") & 0x3FFF, int.from_bytes(body[8:10], "little") & 0x3FFF
+    return 0, 0
 
 
 def _decoded(
@@ -280,6 +315,7 @@ class _Palette:
 NO_PALETTE = _Palette(
     pixels=np.zeros((1, 1, 4), np.uint8), entries=0, per_channel=0, levels=np.zeros(256, np.float32)
 )
+NO_PALETTE.pixels.setflags(write=False)
 
 
 def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> _Palette:

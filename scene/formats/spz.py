@@ -127,8 +127,7 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     start = file.read(8)
     file.seek(0)
     if start.startswith(GZIP):
-        packed = io.BytesIO(gunzipped(file, path, 16, progress))
-        header = _read_header(packed, path)
+        header = _read_header(io.BytesIO(gunzipped(file, path, 16, progress).tobytes()), path)
         file.seek(0)
         _check_size(header, size, room, path)
         # Extension records are few: a mebibyte is more than any of them needs.
@@ -137,7 +136,9 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     elif struct.unpack_from("<I", start.ljust(8, b"\0"), 4)[0] < 4:
         header = _read_header(file, path)
         _check_size(header, size, room, path)
-        blocks, records = _plain_blocks(header, file.read(), path)
+        content = np.empty(min(sum(header.sizes.values()) + 2**20, size), np.uint8)
+        content = content[: file.readinto(content.data)]
+        blocks, records = _plain_blocks(header, content, path)
     else:
         header, blocks, records = _read_streams(file, path, size, progress, room)
     progress.step(0.5)
@@ -172,11 +173,11 @@ def _plain_blocks(header: Header, content: bytes, path: Path) -> tuple[dict[str,
     """Blocks by name, and what follows them. Raises InputError."""
     blocks, at = {}, 0
     for name, size in header.sizes.items():
-        blocks[name] = np.frombuffer(content[at : at + size], np.uint8)
+        blocks[name] = content[at : at + size]
         at += size
         if len(blocks[name]) < size:
             raise too_short(path, f"the {name} of its {header.count:,} splats")
-    return blocks, content[at:]
+    return blocks, content[at:].tobytes()
 
 
 def _read_streams(
@@ -282,14 +283,13 @@ def _arrays(
     from splatview.scene.formats.kernels.decoding import decode_spz
 
     n, halves, three_bytes = header.count, header.version == 1, header.version < 3
-    blocks = [
-        np.frombuffer(content[name], np.uint8).reshape(n, -1) if n else NO_ROWS for name in header.sizes
-    ]
+    blocks = [content[name].reshape(n, -1) if n else NO_ROWS for name in header.sizes]
     if not three_bytes:
-        blocks[4] = blocks[4].view("<u4")
+        # In a plain file words of four bytes may begin anywhere.
+        blocks[4] = np.require(blocks[4].view("<u4"), np.uint32, "A")
     arrays = empty_arrays(n, min(header.degree, 3))
-    if halves:
-        arrays["means"][:] = blocks[0].view("<f2")
+    if halves and n:
+        arrays["means"][:] = blocks[0].reshape(-1).view("<f2").reshape(n, 3)
     flips = axis_flips(frame)
     axes, turn, signs = flips or NO_FLIPS
     units = axes if halves else np.ldexp(axes, -header.fraction_bits)
