@@ -31,6 +31,7 @@ from splatview.scene.formats.packing import (
     check_room,
     empty_arrays,
     logits_of,
+    parsed_json,
     slices,
     too_short,
     unit_quats,
@@ -143,10 +144,7 @@ class _Document:
     def __init__(self, text: bytes, binary: _Buffer, path: Path, opened: ExitStack) -> None:
         self.path, self._binary, self._opened = path, binary, opened
         self._buffers: dict[int, _Buffer] = {}
-        try:
-            self.json = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: its description is no JSON ({error}); export it again") from None
+        self.json = parsed_json(text, path, "its description")
 
     def read(self, progress: Progress, room: float) -> Gaussians:
         try:

@@ -7,9 +7,11 @@ Everything is rounded to the nearest step, so that an error is at most half of o
 from __future__ import annotations
 
 import io
+import json
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -155,6 +157,21 @@ def gunzipped(file: io.BufferedReader, path: Path, most: int, progress: Progress
     except zlib.error as error:
         raise InputError(f"{path}: is damaged ({error}); copy or export it again") from None
     return content[:at]
+
+
+MOST_JSON_VALUES = 1 << 20
+"""Values of a description: lists of nothing take 20 times their text as Python's objects. One of a scene has
+some hundred, the tree of a streamed one 20 for each of its parts."""
+
+
+def parsed_json(text: bytes, path: Path, what: str) -> Any:
+    """The content of the description `what`. Raises InputError."""
+    if text.count(b",") + text.count(b"[") + text.count(b"{") > MOST_JSON_VALUES:
+        raise InputError(f"{path}: {what} lists more than any scene needs: it is damaged")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: {what} is no JSON ({error}); export it again") from None
 
 
 def check_room(path: Path, count: int, degree: int, room: float) -> None:

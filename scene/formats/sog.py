@@ -8,7 +8,6 @@ playcanvas/splat-transform, read-sog.ts, read-sog-v1.ts and read-lod.ts (MIT), r
 from __future__ import annotations
 
 import io
-import json
 import os
 import zipfile
 import zlib
@@ -30,6 +29,7 @@ from splatview.scene.formats.packing import (
     check_expansion,
     check_room,
     empty_arrays,
+    parsed_json,
 )
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
@@ -82,12 +82,33 @@ DAMAGED_ZIP = (
 
 def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a zip. Raises InputError and Cancelled."""
+    _check_directory(file, path)
     try:
         with zipfile.ZipFile(file) as archive:
             source = _Zip(archive, path)
             return _read_unit(source, _meta_of(source, META), progress, room)
     except DAMAGED_ZIP as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
+
+
+MOST_DIRECTORY = 1 << 20
+"""Bytes of a zip's list of its files, which zipfile makes ten times as many of Python's objects of: there are
+eight files, of some 60 bytes each."""
+
+
+def _check_directory(file: io.BufferedReader, path: Path) -> None:
+    """Raises InputError where a zip lists more than it can hold of a scene. Source: APPNOTE.TXT, 4.3.14 and
+    4.3.16."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(max(0, size - 2**16 - 128))
+    tail = file.read()
+    file.seek(0)
+    end, wide_end = tail.rfind(b"PK\5\6"), tail.rfind(b"PK\6\6")
+    sizes = [int.from_bytes(tail[end + 12 : end + 16], "little")] if end >= 0 else []
+    if sizes == [2**32 - 1]:
+        sizes = [int.from_bytes(tail[wide_end + 40 : wide_end + 48], "little")] if wide_end >= 0 else []
+    if any(size > MOST_DIRECTORY for size in sizes):
+        raise InputError(f"{path}: lists more files than a scene has: it is damaged; export it again")
 
 
 def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
@@ -151,12 +172,7 @@ def _plain(name: Any, where: Path) -> str:
 
 
 def _meta_of(source: Source, name: str) -> dict[str, Any]:
-    try:
-        meta = json.loads(source.read(name, MAX_META_BYTES))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{source.name}: its {name} is no JSON ({error}); export it again") from None
+    meta = parsed_json(source.read(name, MAX_META_BYTES), source.name, f"its {name}")
     if not isinstance(meta, dict):
         raise InputError(f"{source.name}: its {name} holds no object; export it again")
     return meta
