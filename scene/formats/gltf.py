@@ -58,6 +58,8 @@ MOST_STRIDE = 252
 
 LINEAR = "lin_rec709_display"
 
+MOST_PRIMITIVES = 1 << 12
+
 MOST_DEPTH = 64
 """Nodes below one another."""
 
@@ -151,6 +153,11 @@ class _Document:
             placed = self._placed()
             if not placed:
                 raise InputError(f"{self.path}: has no splats ({EXTENSION}): it is a scene of something else")
+            if len(placed) > MOST_PRIMITIVES:
+                raise InputError(
+                    f"{self.path}: {len(placed):,} primitives of splats, and {MOST_PRIMITIVES:,} are read: "
+                    "put them together elsewhere first"
+                )
             found = [self._attributes(one.primitive) for one in placed]
             counts = [attributes["POSITION"].count for attributes in found]
             degree = max(map(_degree, found))

@@ -22,9 +22,7 @@ import numpy as np
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.formats.packing import (
-    ALWAYS_ALLOWED,
     LOGITS,
-    MOST_EXPANSION,
     SQRT_HALF,
     check_expansion,
     check_room,
@@ -85,7 +83,7 @@ def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     _check_directory(file, path)
     try:
         with zipfile.ZipFile(file) as archive:
-            source = _Zip(archive, path)
+            source = _Zip(archive, path, os.fstat(file.fileno()).st_size)
             return _read_unit(source, _meta_of(source, META), progress, room)
     except DAMAGED_ZIP as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
@@ -122,9 +120,8 @@ def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
 
 
 class _Zip:
-    def __init__(self, archive: zipfile.ZipFile, path: Path) -> None:
-        self.name, self._archive = path, archive
-        self.held = sum(entry.compress_size for entry in archive.infolist())
+    def __init__(self, archive: zipfile.ZipFile, path: Path, held: int) -> None:
+        self.name, self._archive, self.held = path, archive, held
 
     def read(self, name: str, most: int) -> bytes:
         try:
@@ -140,7 +137,10 @@ class _Zip:
             # An entry may lie about its size.
             data = file.read(most + 1)
         if len(data) > most:
-            raise InputError(f"{self.name}: its {name} is larger than {most:,} bytes: it is damaged")
+            raise InputError(
+                f"{self.name}: its {name} is larger than {most:,} bytes: it is damaged, or made to fill the "
+                "memory"
+            )
         return data
 
 
@@ -223,7 +223,8 @@ class _Pictures:
         from PIL import WebPImagePlugin
 
         source = self.source
-        data = source.read(name, MOST_EXPANSION * source.held + ALWAYS_ALLOWED)
+        # A WebP is packed already: a zip makes it no smaller.
+        data = source.read(name, 2 * source.held + MAX_META_BYTES)
         # Before the library is asked, which makes room for whatever size is said.
         width, height = _size_of_webp(data)
         if width * height < least:
