@@ -284,8 +284,12 @@ def _decoded(
     texels.append(pictures.texels(_names(shn, 2)[1]) if shn else texels[0])
     progress.step(0.7)
     low, high = (_numbers(meta["means"][end], 3)[:, None] for end in ("mins", "maxs"))
-    logs = _between(low, high, np.arange(2**16)[None], 65535)
-    means = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+    words = np.arange(2**16)
+    if n < len(words) // 4:
+        words = np.unique(texels[1][:, :3].astype(np.uint16) << 8 | texels[0][:, :3])
+    logs = _between(low, high, words[None], 65535)
+    means = np.zeros((3, 2**16), np.float32)
+    means[:, words] = np.sign(logs) * np.expm1(np.abs(logs))
     if version == 2:
         log_scales, colours = (np.tile(_codebook(meta[entry]), (3, 1)) for entry in ("scales", "sh0"))
         logits = LOGITS

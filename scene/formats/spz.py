@@ -212,10 +212,10 @@ def _read_streams(
                 f"{path}: {table[2 * i + 1]:,} bytes of {name}, and {length:,} belong there: damaged"
             )
         tasks.append((file.read(table[2 * i]), length, name))
-    from splatview.scene.compiling import available_threads, run
+    from splatview.scene.compiling import run, threads_for
 
     # The largest is the last.
-    done = run(_unpacked, tasks[::-1], (path, progress), available_threads())[::-1]
+    done = run(_unpacked, tasks[::-1], (path, progress), threads_for(size))[::-1]
     return header, dict.fromkeys(header.sizes, NOTHING) | dict(zip(wanted, done, strict=True)), records
 
 
@@ -357,11 +357,12 @@ def save_spz(
     encoded = _encoded(gaussians, order, header, sh_bits, progress.part(0.1, 0.2))
     blocks = {name: block for name, block in encoded.items() if block.size}
     records = struct.pack("<III", FRAME, 4, NUMBERED_FRAMES.index(DEFAULT_FRAME) + 1)
-    from splatview.scene.compiling import available_threads, run
+    from splatview.scene.compiling import run, threads_for
 
     # The largest is the last.
     tasks = list(blocks.items())[::-1]
-    streams = run(_frame, tasks, (progress,), available_threads())[::-1]
+    size = sum(header.sizes.values())
+    streams = run(_frame, tasks, (progress,), threads_for(size))[::-1]
     progress.step(0.9)
     with atomic_write(path) as file:
         file.write(
