@@ -104,7 +104,8 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     ),
     "Edit": (
         "undo", "redo", None,
-        "delete", "hide", "isolate", "lock", "duplicate", "show", "unlock", None, "tool_measure",
+        "delete", "hide", "isolate", "lock", "duplicate", "show", "unlock", None,
+        "turn_over", "tool_measure",
     ),
     "Select": (
         "select_all", "select_none", "select_inverse", None,
