@@ -86,9 +86,8 @@ def test_a_target_is_searched_for(splatview, scene, tmp_path):
 def test_a_folder_is_written_for_a_name_without_suffix(splatview, scene, tmp_path):
     assert splatview("convert", scene, tmp_path / "sogs")[0] == 0
     assert len(load_scene(tmp_path / "sogs")) == 60
-    assert (
-        splatview("convert", tmp_path / "sogs", tmp_path / "lods" / "lod-meta.json", "--sh-degree", 0)[0] == 0
-    )
+    lods = tmp_path / "lods" / "lod-meta.json"
+    assert splatview("convert", tmp_path / "sogs", lods, "--sh-degree", 0)[0] == 0
     assert load_scene(lods).sh_degree == 0
 
 
