@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -74,6 +75,37 @@ def turn_matrix(turns: str) -> np.ndarray:
 def reframed(gaussians: Gaussians, frame: str, to: str = OURS) -> Gaussians:
     """The scene of a file in `frame` with its axes as `to` has them; exact but for rotated SH."""
     return gaussians if frame == to else turned(gaussians, frame_matrix(frame, to))
+
+
+Flips = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""What becomes of a scene whose axes change their signs alone, float32: the sign of each axis (3,), the turn
+that quaternions get before their own (4,), and the sign of each SH coefficient (16,)."""
+
+NO_FLIPS: Flips = (np.ones(3, np.float32), np.array([1, 0, 0, 0], np.float32), np.ones(16, np.float32))
+
+
+@cache
+def axis_flips(frame: str, to: str = OURS) -> Flips | None:
+    """How a scene of `frame` becomes one of `to`; None where axes change places."""
+    matrix = frame_matrix(frame, to)
+    if not np.array_equal(matrix, np.diag(matrix.diagonal())):
+        return None
+    turn = quaternions(matrix[None] * np.linalg.det(matrix))[0]
+    signs = np.round(sh_rotation(matrix, 3).diagonal())
+    return matrix.diagonal().astype(np.float32), turn.astype(np.float32), signs.astype(np.float32)
+
+
+TURNED_AT_ONCE = 1 << 15
+"""Splats, so that no second copy of the scene is made."""
+
+
+def turn_in_place(arrays: dict[str, np.ndarray], matrix: np.ndarray) -> None:
+    """Turns the arrays of a `Gaussians` that nobody has yet, as `turned` does."""
+    for start in range(0, len(arrays["means"]), TURNED_AT_ONCE):
+        part = {name: values[start : start + TURNED_AT_ONCE] for name, values in arrays.items()}
+        done = turned(Gaussians(**part), matrix)
+        for name in ("means", "quats", "sh"):
+            part[name][:] = getattr(done, name)
 
 
 def turned(gaussians: Gaussians, matrix: np.ndarray) -> Gaussians:

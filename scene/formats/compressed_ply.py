@@ -14,28 +14,23 @@ from plyfile import PlyElement, PlyProperty
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.formats.packing import (
-    SLICE,
+    LOGITS,
+    SQRT_HALF,
+    arrays_of,
     check_room,
-    from_smallest_three,
-    logits_of,
-    opacity_levels,
-    smallest_three,
+    empty_arrays,
     storable_in_z_order,
 )
 from splatview.scene.formats.ply_body import PlyBody, Target
 from splatview.scene.formats.ply_header import header_text, scalar_types
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
-from splatview.scene.sh import SH_C0, rgb_to_sh
 
 CHUNK = 256
 
 BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
 COLOUR_BOUNDS = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in "rgb")
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-
-BITS = ((21, 11), (11, 10), (0, 11))
-"""(shift, bits) of x, y and z of positions and of scales."""
 
 LARGEST_LOG_SCALE = 20.0
 """Log-scales are kept within ± this: -inf would spoil the bounds of a chunk."""
@@ -61,12 +56,9 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
     check_room(path, vertex.count, 3 if sh_element is not None else 0, room)
     coloured = set(COLOUR_BOUNDS) <= set(scalar_types(chunk))
     bounds = np.empty((chunk.count, 18 if coloured else 12), np.float32)
-    packed = [np.empty(vertex.count, np.uint32) for _ in PACKED]
+    words = np.empty((vertex.count, 4), np.uint32)
     names = list(BOUNDS + COLOUR_BOUNDS if coloured else BOUNDS)
-    wanted = {
-        "chunk": [Target(names=names, array=bounds)],
-        "vertex": [Target(names=[name], array=array) for name, array in zip(PACKED, packed, strict=True)],
-    }
+    wanted = {"chunk": Target(names=names, array=bounds), "vertex": Target(names=PACKED, array=words)}
     rest = np.empty((vertex.count, 0), np.uint8)
     if sh_element is not None:
         rest_names = [f"f_rest_{i}" for i in range(len(sh_element.properties))]
@@ -79,57 +71,30 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
             )
         rest = np.empty((vertex.count, len(rest_names)), np.uint8)
         if rest_names:
-            wanted["sh"] = [Target(names=rest_names, array=rest)]
+            wanted["sh"] = Target(names=rest_names, array=rest)
     read = [element for name, element in elements.items() if name in wanted]
     for i, element in enumerate(read):
-        body.read_rows(
-            element, wanted[element.name], progress.part(0.5 * i / len(read), 0.5 * (i + 1) / len(read))
-        )
-    return _decoded(bounds, packed, rest, body.header.comments, progress.part(0.5, 1.0))
+        piece = progress.part(0.5 * i / len(read), 0.5 * (i + 1) / len(read))
+        body.read_rows(element, [wanted[element.name]], piece)
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.decoding import decode_compressed_ply
 
-
-def _decoded(
-    bounds: np.ndarray,
-    packed: list[np.ndarray],
-    rest: np.ndarray,
-    comments: tuple[str, ...],
-    progress: Progress,
-) -> Gaussians:
-    n, per_channel = len(packed[0]), rest.shape[1] // 3
-    means, log_scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-    quats, logits = np.empty((n, 4), np.float32), np.empty(n, np.float32)
-    sh = np.empty((n, 1 + per_channel, 3), np.float32)
-    for start in range(0, n, SLICE):
-        at = slice(start, min(start + SLICE, n))
-        low_high = bounds[np.arange(at.start, at.stop) // CHUNK]
-        position, rotation, scale, colour = (words[at] for words in packed)
-        means[at] = _between(low_high[:, 0:6], position)
-        log_scales[at] = _between(low_high[:, 6:12], scale)
-        three = np.stack([(rotation >> np.uint32(shift)) & 1023 for shift in (20, 10, 0)], axis=1)
-        quats[at] = from_smallest_three((rotation >> 30).astype(np.int64), three * np.float32(2 / 1023) - 1)
-        rgb = np.stack([(colour >> np.uint32(shift)) & 255 for shift in (24, 16, 8)], axis=1) / np.float32(
-            255
-        )
-        if bounds.shape[1] == 18:
-            rgb = low_high[:, 12:15] * (1 - rgb) + low_high[:, 15:18] * rgb
-        sh[at, 0] = rgb_to_sh(rgb)
-        logits[at] = logits_of((colour & 255) / 255)
-        if per_channel:
-            sh[at, 1:] = SH_LEVELS[rest[at]].reshape(-1, 3, per_channel).transpose(0, 2, 1)
-        progress.step(at.stop / n)
-    return Gaussians(
-        means=means, quats=quats, log_scales=log_scales, opacity_logits=logits, sh=sh, comments=comments
+    arrays = empty_arrays(vertex.count, SH_COEFFICIENTS.index(rest.shape[1] // 3 + 1))
+    tables = (QUAT_LEVELS, LOGITS, SH_LEVELS)
+    over_splats(
+        decode_compressed_ply,
+        vertex.count,
+        *(bounds, words, rest, SHARES, tables, tuple(arrays.values())),
+        progress=progress.part(0.5, 1.0),
     )
+    return Gaussians(**arrays, comments=body.header.comments)
 
 
-def _between(low_high: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Points (N, 3) within bounds (N, 6) from 11, 10 and 11 bits."""
-    t = np.stack(
-        [((words >> np.uint32(shift)) & (2**bits - 1)) / np.float32(2**bits - 1) for shift, bits in BITS],
-        axis=1,
-    )
-    return low_high[:, :3] * (1 - t) + low_high[:, 3:] * t
+SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))
+"""Whole numbers of so many bits as shares of the largest."""
 
+QUAT_LEVELS = (np.arange(1024) * np.float64(np.float32(2 / 1023)) - 1).astype(np.float32) * SQRT_HALF
+"""Component of a quaternion for each number of 10 bits."""
 
 SH_LEVELS = ((np.arange(256) + 0.5) / 256 - 0.5).astype(np.float32) * np.float32(SH_RANGE)
 """Coefficient of each byte: the middle of its step, but for the two ends."""
@@ -143,33 +108,22 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
         InputError: the system refuses.
         Cancelled: nobody waits for it any more.
     """
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.encoding import encode_compressed_ply
+
+    progress.check()
     order = storable_in_z_order(gaussians)
     n, per_channel = len(order), SH_COEFFICIENTS[gaussians.sh_degree] - 1
     chunks = -(-n // CHUNK)
-    bounds, words = np.empty((chunks, 18), "<f4"), np.empty((n, 4), "<u4")
+    bounds, words = np.empty((chunks, 18), np.float32), np.empty((n, 4), np.uint32)
     rest = np.empty((n, 3 * per_channel), np.uint8)
-    step = SLICE // CHUNK * CHUNK
-    for start in range(0, n, step):
-        at = order[start : start + step]
-        part, out = slice(start, start + len(at)), slice(start // CHUNK, -(-(start + len(at)) // CHUNK))
-        scales = np.clip(gaussians.log_scales[at], -LARGEST_LOG_SCALE, LARGEST_LOG_SCALE)
-        for first, values in ((0, gaussians.means[at].astype(np.float32)), (6, scales)):
-            share = _within_chunks(values, bounds[out], first)
-            words[part, first // 3] = sum(
-                np.rint(share[:, axis] * (2**bits - 1)).astype(np.uint32) << np.uint32(shift)
-                for axis, (shift, bits) in enumerate(BITS)
-            )
-        rgb = (0.5 + SH_C0 * gaussians.sh[at, 0]).astype(np.float32)
-        colour = np.rint(_within_chunks(rgb, bounds[out], 12) * 255).astype(np.uint32)
-        opacity = opacity_levels(gaussians.opacity_logits[at]).astype(np.uint32)
-        words[part, 3] = colour[:, 0] << 24 | colour[:, 1] << 16 | colour[:, 2] << 8 | opacity
-        largest, three = smallest_three(gaussians.quats[at])
-        three = np.rint((three + 1) * (1023 / 2)).astype(np.uint32)
-        words[part, 1] = largest.astype(np.uint32) << 30 | three[:, 0] << 20 | three[:, 1] << 10 | three[:, 2]
-        if per_channel:
-            levels = np.floor((gaussians.sh[at, 1:] / np.float32(SH_RANGE) + np.float32(0.5)) * 256)
-            rest[part] = np.clip(levels, 0, 255).transpose(0, 2, 1).reshape(len(at), -1)
-        progress.step((start + len(at)) / n)
+    over_splats(
+        encode_compressed_ply,
+        n,
+        *(order, arrays_of(gaussians), (LARGEST_LOG_SCALE, SH_RANGE), bounds, words, rest),
+        progress=progress.part(0.3, 0.9),
+        step=CHUNK,
+    )
     elements = [
         PlyElement("chunk", [PlyProperty(name, "f4") for name in (*BOUNDS, *COLOUR_BOUNDS)], chunks),
         PlyElement("vertex", [PlyProperty(name, "u4") for name in PACKED], n),
@@ -180,16 +134,6 @@ def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> Non
         )
     with atomic_write(path) as file:
         file.write(header_text(elements, gaussians.comments, path))
-        for table in (bounds, words, rest):
+        for table in (bounds.astype("<f4", copy=False), words.astype("<u4", copy=False), rest):
+            progress.check()
             file.write(table.data)
-
-
-def _within_chunks(values: np.ndarray, bounds: np.ndarray, first: int) -> np.ndarray:
-    """Shares (N, 3) of the way from the lowest to the highest value of each chunk; those two go to `bounds`,
-    from column `first` on."""
-    starts = np.arange(0, len(values), CHUNK)
-    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
-    bounds[:, first : first + 3], bounds[:, first + 3 : first + 6] = low, high
-    each = np.arange(len(values)) // CHUNK
-    width = np.where(high > low, high - low, np.float32(1))
-    return (values - low[each]) / width[each]

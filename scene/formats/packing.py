@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import io
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from splatview.scene.errors import InputError, bytes_in_words
 from splatview.scene.formats.io import physical_memory
-from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
+from splatview.scene.gaussians import ARRAYS, SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.projection import sigmoid
 
@@ -38,10 +39,23 @@ ALWAYS_ALLOWED = 1 << 26
 def storable(gaussians: Gaussians) -> np.ndarray:
     """(N,) bool: splats whose every value is finite and whose quaternion has a length. No renderer draws the
     others, but for log-scales of -inf."""
-    kept = np.abs(gaussians.quats).max(axis=1, initial=0.0) > 0
-    for values in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh):
-        kept &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-    return kept & ~np.isnan(gaussians.opacity_logits)
+    return _storable(gaussians)[0]
+
+
+def _storable(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Also the bounds (3,) of the means of those, low and high, float64."""
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.encoding import find_storable
+
+    kept = np.zeros(len(gaussians), bool)
+    found = over_splats(find_storable, len(gaussians), arrays_of(gaussians), kept)
+    bounds = np.array([[np.inf] * 3 + [-np.inf] * 3, *found])
+    return kept, bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)
+
+
+def arrays_of(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
+    """The arrays of a scene, each in one piece: views of others would be compiled for once more."""
+    return tuple(np.ascontiguousarray(getattr(gaussians, name)) for name in ARRAYS)
 
 
 def unit_quats(quats: np.ndarray) -> np.ndarray:
@@ -68,17 +82,6 @@ def smallest_three(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return largest, np.clip(rest, -1, 1)
 
 
-def from_smallest_three(largest: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """The inverse of `smallest_three`, (N, 4) float32. Damaged ones, too long for a unit quaternion, get a
-    largest component of 0."""
-    rest = rest.astype(np.float32) * SQRT_HALF
-    quats = np.empty((len(rest), 4), np.float32)
-    rows = np.arange(len(rest))
-    quats[rows[:, None], REST[largest]] = rest
-    quats[rows, largest] = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", rest, rest), 0))
-    return quats
-
-
 def opacity_levels(logits: np.ndarray, levels: int = 255) -> np.ndarray:
     """(N,) logits -> opacities as whole numbers, 0 to `levels`."""
     return np.rint(sigmoid(logits.astype(np.float64)) * levels)
@@ -90,35 +93,35 @@ def logits_of(opacities: np.ndarray) -> np.ndarray:
     return (np.log(inside) - np.log1p(-inside)).astype(np.float32)
 
 
-def morton_order(means: np.ndarray) -> np.ndarray:
-    """(N,) indices that sort finite points along a Z-curve of 2^21 steps a side: neighbours in space stand
-    near each other in the file, which codecs of pictures and of streams profit from."""
-    low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
-    span = np.where(high > low, high - low, 1)
-    cells = ((means - low) / span * (2**21 - 1)).astype(np.uint64)
-    keys = np.zeros(len(means), np.uint64)
-    for axis in range(3):
-        keys |= _spread(cells[:, axis]) << np.uint64(axis)
-    return np.argsort(keys, kind="stable")
+LOGITS = logits_of(np.arange(256) / 255)
+"""Logit of an opacity in a byte."""
+
+
+def empty_arrays(count: int, degree: int) -> dict[str, np.ndarray]:
+    """Arrays of `Gaussians` for so many splats, float32, to be filled."""
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "opacity_logits": ()}
+    shapes |= {"sh": (SH_COEFFICIENTS[degree], 3)}
+    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
+
+
+def in_slices(indices: np.ndarray) -> Iterator[np.ndarray]:
+    """`indices` in pieces, of which something is computed without a copy of the scene."""
+    return (indices[start : start + SLICE] for start in range(0, len(indices), SLICE))
 
 
 def storable_in_z_order(gaussians: Gaussians) -> np.ndarray:
-    """(M,) indices of the splats that are storable, as `morton_order` has them."""
-    kept = np.flatnonzero(storable(gaussians))
-    return kept[morton_order(gaussians.means[kept])]
+    """(M,) indices of the splats that are storable along a Z-curve of 2^21 steps a side: neighbours in space
+    stand near each other in the file, which codecs of pictures and of streams profit from."""
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.encoding import morton_keys, sort_by_keys
 
-
-def _spread(x: np.ndarray) -> np.ndarray:
-    """21 bits with two zeros after each."""
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-    return x
+    good, low, high = _storable(gaussians)
+    kept = np.flatnonzero(good)
+    scale = (2**21 - 1) / np.where(high > low, high - low, 1)
+    keys = np.empty(len(kept), np.uint64)
+    over_splats(morton_keys, len(kept), np.ascontiguousarray(gaussians.means), kept, low, scale, keys)
+    sort_by_keys(keys, kept, np.empty_like(keys), np.empty_like(kept))
+    return kept
 
 
 def check_expansion(path: Path, promised: int, held: int) -> None:

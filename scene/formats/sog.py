@@ -13,7 +13,7 @@ import os
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,10 +23,11 @@ from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.formats.packing import (
     ALWAYS_ALLOWED,
+    LOGITS,
+    SQRT_HALF,
     check_expansion,
     check_room,
-    from_smallest_three,
-    logits_of,
+    empty_arrays,
 )
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
@@ -217,74 +218,93 @@ class _Pictures:
 def _decoded(
     pictures: _Pictures, meta: dict[str, Any], version: int, n: int, progress: Progress
 ) -> Gaussians:
-    low, high = (pictures.texels(name) for name in _names(meta["means"], 2))
-    progress.step(0.2)
-    whole = high[:, :3].astype(np.uint16) << 8 | low[:, :3]
-    means = _between(_numbers(meta["means"]["mins"], 3), _numbers(meta["means"]["maxs"], 3), whole, 65535)
-    means = np.sign(means) * np.expm1(np.abs(means))
-    quats_rgba = pictures.texels(_names(meta["quats"], 1)[0])
-    largest = quats_rgba[:, 3].astype(np.int64) - 252
-    quats = from_smallest_three(np.maximum(largest, 0), quats_rgba[:, :3] * np.float32(2 / 255) - 1)
-    quats[largest < 0] = 1, 0, 0, 0
-    progress.step(0.4)
-    scales = pictures.texels(_names(meta["scales"], 1)[0])[:, :3]
-    sh0 = pictures.texels(_names(meta["sh0"], 1)[0])
-    progress.step(0.6)
+    from splatview.scene.formats.kernels.compiling import over_splats
+    from splatview.scene.formats.kernels.decoding import decode_sog
+
+    names = [*_names(meta["means"], 2), *(_names(meta[entry], 1)[0] for entry in ("quats", "scales", "sh0"))]
+    texels = []
+    for name in names:
+        texels.append(pictures.texels(name))
+        progress.step(0.1 * len(texels))
     shn = meta.get("shN") or None
-    rest = _rest(pictures, shn, version, n) if shn else np.zeros((n, 0, 3), np.float32)
+    palette = _palette(pictures, shn, version) if shn else NO_PALETTE
+    progress.step(0.6)
+    texels.append(pictures.texels(_names(shn, 2)[1]) if shn else texels[0])
+    progress.step(0.7)
+    low, high = (_numbers(meta["means"][end], 3)[:, None] for end in ("mins", "maxs"))
+    logs = _between(low, high, np.arange(2**16)[None], 65535)
+    means = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
     if version == 2:
-        log_scales = _codebook(meta["scales"])[scales]
-        constant = _codebook(meta["sh0"])[sh0[:, :3]]
-        logits = logits_of(sh0[:, 3] / 255)
+        log_scales, colours = (np.tile(_codebook(meta[entry]), (3, 1)) for entry in ("scales", "sh0"))
+        logits = LOGITS
     else:
-        log_scales = _between(
-            _numbers(meta["scales"]["mins"], 3), _numbers(meta["scales"]["maxs"], 3), scales, 255
-        )
-        four = _between(_numbers(meta["sh0"]["mins"], 4), _numbers(meta["sh0"]["maxs"], 4), sh0, 255)
-        constant, logits = four[:, :3], np.ascontiguousarray(four[:, 3])
-    progress.step(0.9)
+        log_scales, colours = _levels(meta["scales"], 3), _levels(meta["sh0"], 4)
+        colours, logits = colours[:3], colours[3]
+    arrays = empty_arrays(n, SH_COEFFICIENTS.index(palette.per_channel + 1))
+    over_splats(
+        decode_sog,
+        n,
+        tuple(texels),
+        (palette.pixels, palette.entries),
+        (means, QUAT_LEVELS, log_scales, colours, logits, palette.levels),
+        tuple(arrays.values()),
+        progress=progress.part(0.7, 1.0),
+    )
     tag = TAGS.get(str(meta.get("model", "")))
     if tag is None and meta.get("antialias") is True:
         tag = TAGS["antialiased"]
-    return Gaussians(
-        means=means.astype(np.float32),
-        quats=quats,
-        log_scales=log_scales.astype(np.float32),
-        opacity_logits=logits.astype(np.float32),
-        sh=np.concatenate([constant[:, None], rest], axis=1, dtype=np.float32),
-        comments=(tag,) if tag else (),
-    )
+    return Gaussians(**arrays, comments=(tag,) if tag else ())
 
 
-def _rest(pictures: _Pictures, shn: dict[str, Any], version: int, n: int) -> np.ndarray:
-    """(N, K - 1, 3) float32 by the palette; labels beyond it are zeros."""
-    centroids_name, labels_name = _names(shn, 2)
-    labels_rgba = pictures.texels(labels_name)
-    labels = labels_rgba[:, 0].astype(np.int64) | labels_rgba[:, 1].astype(np.int64) << 8
+QUAT_LEVELS = (np.arange(256, dtype=np.float32) * np.float32(2 / 255) - 1) * SQRT_HALF
+"""Component of a quaternion for each byte."""
+
+
+def _levels(entry: dict[str, Any], count: int) -> np.ndarray:
+    """(count, 256) float32: what the bytes of each channel mean in version 1."""
+    low, high = (_numbers(entry[end], count)[:, None] for end in ("mins", "maxs"))
+    return _between(low, high, np.arange(256)[None], 255).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Palette:
+    pixels: np.ndarray
+    """(H, W, 4) uint8: the coefficients of an entry lie side by side, and PALETTE_COLUMNS entries."""
+    entries: int
+    """Labels from here on are none, and mean zeros."""
+    per_channel: int
+    levels: np.ndarray
+    """(256,) float32: what a byte means."""
+
+
+NO_PALETTE = _Palette(
+    pixels=np.zeros((1, 1, 4), np.uint8), entries=0, per_channel=0, levels=np.zeros(256, np.float32)
+)
+
+
+def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> _Palette:
+    """The bands above the constant one. Raises InputError, KeyError and ValueError."""
+    name = _names(shn, 2)[0]
     most = int(shn["count"]) if version == 2 else 2**16
     if not 0 < most <= 2**16:
         raise InputError(f"{pictures.source.name}: a palette of {most:,} entries: it is damaged")
-    pixels = pictures.pixels(centroids_name, PALETTE_COLUMNS) if version == 1 else None
+    pixels = pictures.pixels(name, PALETTE_COLUMNS) if version == 1 else None
     if pixels is None:
         degree = int(shn["bands"])
         if not 1 <= degree <= 3:
             raise InputError(f"{pictures.source.name}: SH degree {degree}; there are 1 to 3: it is damaged")
-        per_channel = SH_COEFFICIENTS[degree] - 1
         rows = -(-most // PALETTE_COLUMNS)
-        pixels = pictures.pixels(centroids_name, rows * PALETTE_COLUMNS * per_channel)
+        pixels = pictures.pixels(name, rows * PALETTE_COLUMNS * (SH_COEFFICIENTS[degree] - 1))
     per_channel = pixels.shape[1] // PALETTE_COLUMNS
     if per_channel + 1 not in SH_COEFFICIENTS[1:] or pixels.shape[1] % PALETTE_COLUMNS:
         raise InputError(f"{pictures.source.name}: a palette {pixels.shape[1]} texels wide makes no SH bands")
-    entries = pixels[..., :3].reshape(-1, per_channel, 3)[:most]
     if version == 2:
-        palette = _codebook(shn)[entries]
+        levels = _codebook(shn)
     else:
         low, high = float(shn["mins"]), float(shn["maxs"])
-        palette = (low + (high - low) * (entries / np.float32(255))).astype(np.float32)
-    inside = labels < len(palette)
-    rest = palette[np.where(inside, labels, 0)]
-    rest[~inside] = 0
-    return rest
+        levels = (low + (high - low) * (np.arange(256) / np.float32(255))).astype(np.float32)
+    entries = min(most, len(pixels) * PALETTE_COLUMNS)
+    return _Palette(pixels=pixels, entries=entries, per_channel=per_channel, levels=levels)
 
 
 def _names(entry: dict[str, Any], count: int) -> list[Any]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from splatview.raster import compiling
+from splatview.scene.compiling import remove_old_caches
 
 HERE = Path(compiling.__file__).parent
 
@@ -82,7 +83,7 @@ def test_only_old_compiled_files_are_removed(tmp_path):
         (folder / "sub" / "kernel.nbc").write_text("x")
     (old / "letter.txt").write_text("not ours")
     os.utime(old, (0, 0))
-    compiling._remove_old_caches(tmp_path)
+    remove_old_caches(tmp_path)
     assert sorted(path.name for path in tmp_path.rglob("*")) == [
         "kernel.nbc",
         "letter.txt",

@@ -162,11 +162,18 @@ LOADERS: tuple[Loader, ...] = (
         for suffix in ("spz", "splat", "ksplat", "sog", "glb")
     ),
     Loader(
+        name="scene_gltf",
+        file="scene.gltf",
+        seeds=whole.gltfs,
+        call=_load_named("scene.gltf"),
+        around=whole.gltf_buffer,
+    ),
+    Loader(
         name="scene_compressed",
         file="scene.ply",
         seeds=lambda: whole.packed("compressed.ply"),
         call=_load_ply,
-        words=whole.PLY_WORDS,
+        words=(*whole.PLY_WORDS, *whole.COMPRESSED_WORDS),
     ),
     Loader(
         name="scene_sog_meta",

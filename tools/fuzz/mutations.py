@@ -44,7 +44,7 @@ def mutated(rng: random.Random, seeds: Sequence[bytes], words: Sequence[bytes]) 
     if rng.random() < 0.02:
         return data
     if data[:1] in (b"{", b"[") and rng.random() < 0.6:
-        data = _damaged_json(rng, data)
+        data = damaged_json(rng, data)
         if rng.random() < 0.8:
             return data
     # Half of the time what a header promises stays, so that the damage gets past it.
@@ -141,7 +141,7 @@ def _lines(rng: random.Random, buffer: bytearray, seeds, words) -> None:
 _DAMAGES = (_flip, _byte, _integer, _float, _cut, _truncate, _repeat, _insert, _splice, _word, _word, _lines)
 
 
-def _damaged_json(rng: random.Random, data: bytes) -> bytes:
+def damaged_json(rng: random.Random, data: bytes) -> bytes:
     """Some values of a JSON text, at any depth, replaced, lost, doubled or exchanged."""
     try:
         root = [json.loads(data)]

@@ -14,6 +14,7 @@ from typing import Literal
 
 from loaders import Loader
 from mutations import mutated, mutated_checkpoint
+from packed_mutations import INSIDE
 
 from splatview.scene import InputError
 
@@ -137,6 +138,9 @@ def _status(key: str) -> int:
 def damaged_file(loader: Loader, corpus: Sequence[bytes], seed: int) -> bytes:
     """The file number `seed` for a loader: the same whenever its corpus is."""
     rng = random.Random(seed)
+    inside = INSIDE.get(loader.name)
+    if inside is not None and rng.random() < 0.6:
+        return inside(rng, rng.choice(list(loader.seeds())))
     if loader.name == "checkpoint" and rng.random() < 0.5:
         return mutated_checkpoint(rng, corpus, lambda text: mutated(rng, [text], ()))
     return mutated(rng, corpus, loader.words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
 import json
@@ -9,6 +10,7 @@ import struct
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +143,19 @@ def _trainer_json(i: int, camera: Camera) -> dict[str, Any]:
     }
 
 
+COMPRESSED_WORDS = (
+    *(b"packed_position", b"packed_color", b"min_x", b"max_scale_z", b"min_r", b"chunk", b"sh"),
+    *(
+        b"element chunk 0",
+        b"element chunk 2",
+        b"element sh 19",
+        b"element vertex 257",
+        b"property uchar f_rest_0",
+    ),
+)
+
+
+@cache
 def packed(suffix: str) -> list[bytes]:
     """Scenes of SH degree 0 and 2 in a packed format; .spz in versions 2 and 3, too."""
     if suffix == "ksplat":
@@ -157,6 +172,28 @@ def packed(suffix: str) -> list[bytes]:
             body = np.random.default_rng(version).integers(0, 256, 20 * (16 + rotation), np.uint8)
             found.append(gzip.compress(head + body.tobytes(), mtime=0))
     return found
+
+
+def gltfs() -> list[bytes]:
+    """Descriptions of `packed("glb")`, with numbers beside them and within."""
+    found = []
+    for data in packed("glb"):
+        (length,) = struct.unpack_from("<I", data, 12)
+        description = json.loads(data[20 : 20 + length])
+        inner = base64.b64encode(data[28 + length :]).decode()
+        for uri in ("scene.bin", f"data:application/octet-stream;base64,{inner}"):
+            description["buffers"][0]["uri"] = uri
+            found.append(json.dumps(description).encode())
+    return found
+
+
+def gltf_buffer() -> dict[str, bytes]:
+    """What lies beside: enough for each of them."""
+    return {
+        "scene.bin": max(
+            (data[28 + struct.unpack_from("<I", data, 12)[0] :] for data in packed("glb")), key=len
+        )
+    }
 
 
 def ksplat(level: int) -> bytes:
