@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from splatview.scene.formats.folders import atomic_folder
-from splatview.scene.formats.packing import morton_order, storable, unit_quats
+from splatview.scene.formats.packing import storable, storable_in_z_order, unit_quats
 from splatview.scene.formats.sog import LOD_META, META
 from splatview.scene.formats.sog_write import SogKnobs, sog_files
 from splatview.scene.gaussians import Gaussians
@@ -101,7 +101,8 @@ def save_streamed(
     """
     levels = [gaussians.take(storable(gaussians))]
     if len(levels[0]):
-        levels += [fewer for fewer, _ in levels_and_cells(levels[0], levels=COARSER_LEVELS)]
+        coarser = levels_and_cells(levels[0], levels=COARSER_LEVELS)
+        levels += [fewer.take(storable(fewer)) for fewer, _ in coarser]
     progress.step(0.15)
     tree = _split(levels[0].means, np.arange(len(levels[0])), leaf)
     for number, level in enumerate(levels[1:], 1):
@@ -177,7 +178,7 @@ def _chunks(
                 name, filled, count = f"{number}_{count}", 0, count + 1
                 chunks[name] = number, []
             leaf.places[number] = len(chunks) - 1, filled
-            chunks[name][1].append(members[morton_order(level.means[members])])
+            chunks[name][1].append(members[storable_in_z_order(level.take(members))])
             filled += len(members)
     return chunks
 
