@@ -42,7 +42,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("--recipe", metavar="R.json", required=True, type=Path)
-    parser.add_argument("-o", "--output", metavar="OUT.ply", type=Path, help="the edited scene")
+    parser.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, help="the edited scene, in the format of its suffix"
+    )
     parser.add_argument(
         "--dry-run", action="store_true", help="only print what each step would do; write nothing"
     )
@@ -73,7 +75,7 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     if args.output is None and not args.dry_run:
-        raise InputError("nothing to do: give -o OUT.ply or --dry-run (see splatview edit --help)")
+        raise InputError("nothing to do: give -o OUT or --dry-run (see splatview edit --help)")
     if args.output is not None and not args.dry_run:
         check_saving(args.output)
     recipe = load_recipe(args.recipe)

@@ -366,6 +366,9 @@ COMMANDS: dict[str, Command] = {
         _edit("add_sphere", "", "Add a crop sphere", partial(editing.add_crop, shape="sphere"),
             lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
+        _edit("turn_over", "", "Turn the scene over: upside down, as files of another frame are",
+            editing.turn_over, "Turn over", words="flip upside down frame y up RUB RDF rotate 180",
+            lacks=_a_scene_at_rest),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
             _edit(f"find_{name}", "", f"Find {detector.label.lower()}", partial(cleanup.find, detector=name),

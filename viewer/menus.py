@@ -100,7 +100,8 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     "Edit": (
         "undo", "redo", None,
         "delete", "hide", "isolate", "lock", "duplicate", "show", "unlock", None,
-        *(f"tool_{tool}" for tool in (*TRANSFORMING, *CROPPING, "measure")),
+        *(f"tool_{tool}" for tool in (*TRANSFORMING, *CROPPING, "measure")), None,
+        "turn_over",
     ),
     "Select": (
         "select_all", "select_none", "select_inverse", None,
