@@ -241,7 +241,8 @@ class Sequences(Feature):
     def _may_leave(self, app: AppState) -> bool:
         why = self.held(app)
         if why is not None:
-            app.tell(why)
+            if not app.messages or app.messages[-1].text != why:  # a drag asks in every frame
+                app.tell(why)
             return False
         session = session_of(app)
         if session is not None and session.job is not None:

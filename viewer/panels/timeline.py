@@ -30,6 +30,9 @@ COLOURS: dict[FrameState, ImVec4] = {
 BAR_EM = 1.15
 """Height of the slider, in font heights."""
 
+TIP_EM = 24
+"""Width of the slider's tooltip at most, in font heights."""
+
 LEAST_MARK = 2.0
 """px: width of a mark at least, so that one damaged frame among a thousand is seen."""
 
@@ -115,7 +118,11 @@ def slider(app: AppState, player: Player) -> None:
     draw.add_rect_filled(*head, imgui.get_color_u32(theme.ERROR if failed else ImVec4(*theme.ACCENT, 1)), 2)
     if imgui.is_item_hovered():
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
-        imgui.set_tooltip(described(player, under))
+        if imgui.begin_tooltip():
+            imgui.push_text_wrap_pos(imgui.get_font_size() * TIP_EM)
+            imgui.text_unformatted(described(player, under))
+            imgui.pop_text_wrap_pos()
+            imgui.end_tooltip()
 
 
 def described(player: Player, index: int) -> str:
@@ -125,10 +132,10 @@ def described(player: Player, index: int) -> str:
     if index in cache.problems:
         lines.append(cache.problems[index])
     lines.append(
-        f"{len(cache):,} frames are decoded (lighter blue): {bytes_in_words(cache.used)} of"
+        f"{len(cache):,} frames are decoded (blue), {bytes_in_words(cache.used)} of at most"
         f" {bytes_in_words(cache.budget)}"
     )
-    return "\n".join(lines).replace("%", "%%")
+    return "\n".join(lines)
 
 
 def buttons(app: AppState, player: Player) -> None:
