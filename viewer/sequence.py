@@ -11,9 +11,11 @@ from functools import partial
 from splatview.scene import InputError
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.formats.sequence import SceneSequence
+from splatview.scene.framing import robust_bounds
 from splatview.viewer import open as opening
 from splatview.viewer.editing.session import Editing, EditSession, session_of
 from splatview.viewer.loading import Examination, LoadedScene, Reading, load_frame
+from splatview.viewer.picture import EMPTY
 from splatview.viewer.playback import FrameCache, Playhead
 from splatview.viewer.preferences import RANGES, PlayMode
 from splatview.viewer.state import AppState, Feature
@@ -116,9 +118,10 @@ class Sequences(Feature):
         if scene.sequence is None:
             return
         sequence, preferences, wake = scene.sequence, app.preferences, self.wake
+        like, by_gl = replace(scene, gaussians=EMPTY), not app.picture.draws_anywhere
 
         def read(index: int) -> Reading[LoadedScene]:
-            work = partial(load_frame, sequence, index)
+            work = partial(load_frame, sequence, index, like=like, by_gl=by_gl)
             return Reading(sequence.labels[index], work, on_done=wake)
 
         head = Playhead(len(sequence), fps=preferences.frame_rate, mode=preferences.play_mode)
@@ -191,11 +194,18 @@ class Sequences(Feature):
         app.examination, app.examined = None, True
 
     def _settle(self, app: AppState, player: Player, *, now: bool = False) -> None:
-        """Makes the frame at rest ready to be edited, and looks it through."""
+        """Makes the frame at rest ready to be edited, and looks it through: settings follow what is found."""
+        found = app.examination
+        if player.settled and found is not None and found.settings is not None:
+            same = found.gaussians is app.scene.gaussians
+            if same and app.scene.settings is not found.settings:
+                app.scene = replace(app.scene, settings=found.settings)
         rested = not player.dragging and app.now() - player.shown_at >= SETTLE_SECONDS
         if player.settled or player.shown < 0 or not (rested or now) or player.arriving is not None:
             return
         player.settled = True
+        centre, radius = robust_bounds(app.scene.gaussians.means)
+        app.scene = replace(app.scene, centre=centre, radius=radius)
         editing = app.feature(Editing)
         if editing.session is None:
             editing.on_scene_opened(app, replace(app.scene, name=player.sequence.labels[app.scene.frame]))

@@ -96,7 +96,8 @@ def slider(app: AppState, player: Player) -> None:
     imgui.invisible_button("frames", ImVec2(width, tall))
     draw = imgui.get_window_draw_list()
     first = 0
-    for state, run in groupby(map(player.cache.state, range(count))):
+    states: Iterator[FrameState] = map(player.cache.state, range(count))
+    for state, run in groupby(states):
         last = first + sum(1 for _ in run)
         left, right = (corner.x + width * place / count for place in (first, last))
         if state == "failed":
