@@ -30,8 +30,8 @@ SETTLE_SECONDS = 0.3
 STARVED_SECONDS = 2.0
 """Longest wait for a picture of the frame before."""
 
-REACHED_OVER = 2.0
-"""Seconds over which the reached frame rate is measured."""
+REACHED_OVER, LEAST_TIMES = 2.0, 4
+"""Seconds over which the reached frame rate is measured, and frames, where these take longer."""
 
 MEMORY_SHARE = 4
 """A quarter of the free memory is for frames: edits may take half, and decoding takes some too."""
@@ -186,7 +186,7 @@ class Sequences(Feature):
         player.settled = False
         if player.head.playing:
             player.times.append(now)
-            while now - player.times[0] > REACHED_OVER:
+            while now - player.times[0] > REACHED_OVER and len(player.times) > LEAST_TIMES:
                 player.times.popleft()
         app.feature(Editing).leave()
         app.scene = scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from itertools import groupby
+from itertools import pairwise
 
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
@@ -95,16 +95,15 @@ def slider(app: AppState, player: Player) -> None:
     tall, count = imgui.get_font_size() * BAR_EM, len(player.sequence)
     imgui.invisible_button("frames", ImVec2(width, tall))
     draw = imgui.get_window_draw_list()
-    first = 0
-    states: Iterator[FrameState] = map(player.cache.state, range(count))
-    for state, run in groupby(states):
-        last = first + sum(1 for _ in run)
+    states = [player.cache.state(index) for index in range(count)]
+    starts = [index for index in range(count) if index == 0 or states[index] != states[index - 1]]
+    for first, last in pairwise((*starts, count)):
+        state = states[first]
         left, right = (corner.x + width * place / count for place in (first, last))
         if state == "failed":
             right = max(right, left + LEAST_MARK)
         ink = imgui.get_color_u32(COLOURS[state])
         draw.add_rect_filled(ImVec2(left, corner.y + 0.3 * tall), ImVec2(right, corner.y + 0.7 * tall), ink)
-        first = last
     under = min(max(int((imgui.get_mouse_pos().x - corner.x) / width * count), 0), count - 1)
     player.dragging = imgui.is_item_active()
     if player.dragging:
