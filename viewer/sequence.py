@@ -14,7 +14,7 @@ from splatview.scene.formats.sequence import SceneSequence
 from splatview.scene.framing import robust_bounds
 from splatview.viewer import open as opening
 from splatview.viewer.editing.session import Editing, EditSession, session_of
-from splatview.viewer.loading import Examination, LoadedScene, Reading, load_frame
+from splatview.viewer.loading import Examination, LoadedScene, Reading, load_frame, stamps_of
 from splatview.viewer.picture import EMPTY
 from splatview.viewer.playback import FrameCache, Playhead
 from splatview.viewer.preferences import RANGES, PlayMode
@@ -170,6 +170,9 @@ class Sequences(Feature):
                 return
             scene = player.cache.get(target[0])
             assert scene is not None
+            if not player.head.playing and stamps_of(scene.paths) != scene.stamps:
+                player.cache.forget(target[0])  # it may be what an edited frame was exported to
+                return
             player.arriving = (*target, scene, app.picture.load_steps(scene.gaussians))
         index, tick, scene, steps = player.arriving
         until = time.perf_counter() + UPLOAD_SECONDS
