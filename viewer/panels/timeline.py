@@ -30,6 +30,9 @@ COLOURS: dict[FrameState, ImVec4] = {
 BAR_EM = 1.15
 """Height of the slider, in font heights."""
 
+NARROW_EM = 38
+"""Width of the strip, in font heights, below which its controls take two rows."""
+
 TIP_EM = 24
 """Width of the slider's tooltip at most, in font heights."""
 
@@ -44,9 +47,14 @@ def height(app: AppState) -> float:
     """Height of the strip; 0 where no sequence is open."""
     if app.feature(Sequences).player is None:
         return 0.0
-    style = imgui.get_style()
-    rows = imgui.get_font_size() * BAR_EM + imgui.get_frame_height()
-    return rows + style.item_spacing.y + 2 * style.window_padding.y
+    style, rows = imgui.get_style(), 2 if is_narrow() else 1
+    controls = rows * (imgui.get_frame_height() + style.item_spacing.y)
+    return imgui.get_font_size() * BAR_EM + controls + 2 * style.window_padding.y
+
+
+def is_narrow() -> bool:
+    """Whether the controls need two rows, as far as the room right of the cursor tells."""
+    return imgui.get_content_region_avail().x < NARROW_EM * imgui.get_font_size()
 
 
 @contextmanager
@@ -72,7 +80,7 @@ def show(app: AppState) -> None:
     player = app.feature(Sequences).player
     if player is None:
         return
-    style = imgui.get_style()
+    style, narrow = imgui.get_style(), is_narrow()
     background = imgui.get_style_color_vec4(imgui.Col_.window_bg)
     imgui.push_style_color(imgui.Col_.child_bg, background)
     flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
@@ -84,6 +92,8 @@ def show(app: AppState) -> None:
     try:
         slider(app, player)
         buttons(app, player)
+        if not narrow:
+            imgui.same_line()
         settings(app, player)
     finally:
         imgui.end_child()
@@ -169,7 +179,6 @@ def settings(app: AppState, player: Player) -> None:
     """On the right frame rate, repeat and memory; in the room that is left the name of the frame."""
     em, style = imgui.get_font_size(), imgui.get_style()
     rate, combo, gear = 5.2 * em, 5.6 * em, imgui.get_frame_height() * 1.2
-    imgui.same_line()
     left, right = imgui.get_cursor_pos_x(), imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
     start = max(right - rate - combo - gear - 2 * style.item_spacing.x, left)
     name(app, player, start - left - style.item_spacing.x)
