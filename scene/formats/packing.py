@@ -125,9 +125,9 @@ def storable_in_z_order(gaussians: Gaussians) -> np.ndarray:
 
 
 def in_z_order(means: np.ndarray, indices: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(M,) `indices` of means (N, 3) between `low` and `high`, sorted in place along a Z-curve of 2^21 steps a
-    side: neighbours in space stand near each other in the file, which codecs of pictures and of streams profit
-    from."""
+    """(M,) `indices` of means (N, 3) between `low` and `high`, sorted in place along a Z-curve of 2^21 steps
+    a side: neighbours in space stand near each other in the file, which codecs of pictures and of streams
+    profit from."""
     from splatview.scene.formats.kernels.compiling import over_splats
     from splatview.scene.formats.kernels.encoding import morton_keys, sort_by_keys
 

@@ -216,6 +216,8 @@ class Accuracy(Feature):
         session = session_of(app)
         if session is not None and session.loading is not None:
             return
+        if session is None and app.scene.sequence is not None:
+            return  # another frame is about to be shown
         wanted: Any = self.choices.get("attributes", "float32")
         gaussians, made = app.scene.gaussians, self.storing
         if made is not None and (made.gaussians is not gaussians or made.attributes != wanted):
