@@ -35,6 +35,7 @@ from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.view_aids import ViewAids
 
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
@@ -45,6 +46,7 @@ FEATURES: tuple[type[Feature], ...] = (
     Restoring,
     Accuracy,
     Effects,
+    ViewAids,
 )
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 
