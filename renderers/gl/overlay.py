@@ -119,7 +119,7 @@ class LineLayer(Layer):
         self._vertices: moderngl.Buffer | None = None
 
     def draw(self, parts: Sequence[Lines], behind: moderngl.Texture, size: tuple[int, int]) -> None:
-        """Draws all lines of `parts` anew, in a picture of `size` px; they show where `behind` is transparent.
+        """Draws all lines of `parts` anew, in a picture of `size` px; they show where `behind` lets through.
 
         Raises:
             InputError: there is not enough graphics memory.
