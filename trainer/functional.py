@@ -331,8 +331,8 @@ def rasterize_depth(
 
     Differentiable by all arguments, by drawing depths as colours. Arguments are those of `rasterize`.
     """
-    axis = torch.from_numpy(np.ascontiguousarray(camera.R_camera_world[2])).to(means.dtype)
-    eye = torch.from_numpy(np.ascontiguousarray(camera.eye)).to(means.dtype)
+    axis = torch.tensor(camera.R_camera_world[2], dtype=means.dtype)
+    eye = torch.tensor(camera.eye, dtype=means.dtype)
     depths = (means - eye) @ axis
     # A colour is 0.5 + SH_C0·sh, and nothing behind the eye is drawn.
     sh = ((depths - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
