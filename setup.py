@@ -9,4 +9,4 @@ FOUND = find_namespace_packages(
     exclude=[f"{folder}*" for folder in ("build", "tests", "tools", "assets", "docs", "scripts")],
 )
 
-setup(packages=[f"splatview.{name}" for name in FOUND], package_dir={"splatview": "."})
+setup(packages=["splatview", *(f"splatview.{name}" for name in FOUND)], package_dir={"splatview": "."})

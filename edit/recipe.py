@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,12 +65,13 @@ def as_text(recipe: Recipe) -> str:
     return f'{{\n "{FORMAT}": {VERSION},\n "scene": {scene},\n "steps": [\n{steps}\n ]\n}}\n'
 
 
-def load_recipe(path: Path) -> Recipe:
+def load_recipe(path: str | os.PathLike[str]) -> Recipe:
     """The recipe in a file.
 
     Raises:
         InputError: it cannot be read, or is no recipe; for a wrong step with its number and operation.
     """
+    path = Path(path)
     data = read_json(path, what="recipe")
     if not isinstance(data, dict) or FORMAT not in data:
         raise InputError(f'{path}: is no recipe: the key "{FORMAT}" is missing')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -48,7 +49,7 @@ class Conversion:
 
 def convert(
     gaussians: Gaussians,
-    path: Path,
+    path: str | os.PathLike[str],
     *,
     on_measured: Callable[[Conversion], object] = lambda found: None,
     progress: Progress = NO_PROGRESS,
@@ -60,6 +61,7 @@ def convert(
         InputError: the format cannot hold the scene, or the system refuses.
         Cancelled: nobody waits for it any more.
     """
+    path = Path(path)
     known = format_of(path)
     lost = tuple(losses(gaussians, path))
     if known is not None and known.exact:
