@@ -285,7 +285,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         _ = ctx.saved_tensors
         held: _HeldFrame = ctx.held
         if held.frame is None:  # the graph was kept after an earlier backward
@@ -387,7 +387,7 @@ class _PhotoLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
         d_image, ctx.d_image = ctx.d_image, None
         if d_image is None:  # given away in an earlier backward, and autograd may have added to it
@@ -422,7 +422,7 @@ class _Expose(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
         d = grad_outputs[0].numpy()
         by_gain = ctx.gain[:3] * np.einsum("hwc,hwc->c", d[..., :3], image.numpy()[..., :3], dtype=np.float64)

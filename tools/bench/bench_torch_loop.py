@@ -2,12 +2,12 @@
 
     python tools/bench/bench_torch_loop.py BEFORE AFTER CAPTURES [--rounds N] [--steps N]
 
-BEFORE and AFTER are checkouts with a `.venv`; CAPTURES has the folders `banana` and `miku`. Each has a
-process that trains the same photos from the same splats; the two take STEPS steps in turn, so that a machine
-that becomes slower meets both, and the ratio is that of pairs: its median, and its quartiles as the spread. Beside
-the clock stands processor time, which other programs on the machine disturb less. The overhead of autograd is
-what a step's picture, loss and gradients take through torch, less what the same kernels take when they are
-called one after the other, in turn as well.
+BEFORE and AFTER are checkouts with a `.venv`; CAPTURES has the folders `banana` and `miku`. Each checkout has
+a process that trains the same photos from the same splats. The two take STEPS steps in turn, so that a
+machine that becomes slower meets both; the ratio is that of pairs: its median, and its quartiles as the
+spread. Beside the clock stands processor time, which other programs on the machine disturb less. The overhead
+of autograd is what a step's picture, loss and gradients take through torch, by what the same kernels take
+when they are called one after the other, in turn as well.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ def work(capture: str, downscale: int, splats: int) -> None:
 
     try:
         from splatview.trainer.initialisation import initial_parameters
+        from splatview.trainer.torch_import import TorchImport
+
+        TorchImport().wait()  # as the command has it, with its threads off
     except ImportError:  # the checkout before
         from splatview.trainer.splats import initial_parameters
 
@@ -214,9 +217,9 @@ def main() -> None:
     table = {
         "columns": ["what", "before, ms", "after, ms", "after / before", "in processor time"],
         "rows": [row(result) for result in results],
-        "note": "Medians and quartiles of pairs in turn, in one run, beside other work on the machine. Before:"
-        " a loop in numpy; after: the same kernels through torch. Of autograd: the kernels of a step called"
-        " directly, and through torch. The start: from the process's begin to the end of the first step.",
+        "note": "Medians and quartiles of pairs in turn, in one run, beside other work on the machine."
+        " Before: a loop in numpy; after: the same kernels through torch. Of autograd: the kernels of a step"
+        " called directly, and through torch. The start: from the process's begin to the first step's end.",
     }
     write_results(options.output or FOLDER / "torch_loop.json", {"results": results, "table": table})
 
