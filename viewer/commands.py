@@ -242,7 +242,7 @@ COMMANDS: dict[str, Command] = {
                 partial(set_mode, mode=mode.name), checked=lambda app, name=mode.name: app.mode == name)
             for mode in MODES.values()
         ),
-        _picture("open_background", "", "Background: open an equirectangular picture",
+        _picture("open_background", "", "Panorama: open an equirectangular picture behind the scene",
             background.ask_for_picture),
         _edit("duplicate", "Ctrl+D", "Duplicate the selected splats",
             editing.operation_on_selection("duplicate"), "Duplicate", words=("copy splats", "clone"),

@@ -107,10 +107,6 @@ ENTRIES = (
     _page("Accuracy", "what each approximation saves and costs in this view", "quality", "error", "psnr",
         "pareto", "ladder"),
     _page("Train", "a scene from photos", "train", "training", "photos", "photogrammetry", "recipe"),
-    _strip("History", "every step of editing", "steps", "undo history"),
-    _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
-    _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
-    _strip("Log", "what the window has said", "messages", "console", "errors"),
     _scene("problems", "Problems", "Problems of the scene: select and repair", "repair", "invalid", "health"),
     _scene("cameras", "Cameras", "Cameras that are loaded", "camera list", "colmap"),
     _view("bookmarks", "Bookmarks", "Bookmarks: views that were kept", "saved views"),
@@ -145,6 +141,10 @@ ENTRIES = (
     _accuracy("compare", "Compare", "Compare: split view of the exact and the fast picture", "split view",
         "side by side", "difference", "flip", "before after"),
     _accuracy("effects", "Effects", "Effects: what is computed for this scene, and why", "receipt"),
+    _strip("History", "every step of editing", "steps", "undo history"),
+    _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
+    _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
+    _strip("Log", "what the window has said", "messages", "console", "errors"),
 )
 # fmt: on
 """In the order of the palette."""

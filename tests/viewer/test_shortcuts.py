@@ -6,7 +6,8 @@ import pytest
 
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, chord, keys_of
 from splatview.viewer.dialogs import HELP_COLUMNS, help_rows
-from splatview.viewer.menus import MENUS, matching
+from splatview.viewer.menus import MENUS
+from splatview.viewer.palette import matching
 
 
 def test_every_command_has_a_title_and_is_found_by_it():
