@@ -120,6 +120,7 @@ class Window:
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._title = ""
+        self._look = preferences.theme, preferences.font_size
         self._is_software = False
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
@@ -212,6 +213,10 @@ class Window:
         if (title := layout.title(app)) != self._title:
             self._title = title
             glfw.set_window_title(glfw_window_hello_imgui(), title)
+        look = app.preferences.theme, app.preferences.font_size
+        if look != self._look:
+            self._look = look
+            theme.follow(*look)
         flying = commands.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
@@ -321,7 +326,8 @@ def run_window(
     params.fps_idling.time_active_after_last_event = ACTIVE_SECONDS
     callbacks = params.callbacks
     callbacks.load_additional_fonts = theme.load_fonts
-    callbacks.setup_imgui_style = theme.apply
+    start = window.app.preferences
+    callbacks.setup_imgui_style = partial(theme.apply, start.theme, start.font_size)
     callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
     callbacks.pre_new_frame = partial(window.app.attempt, window.before_frame)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 from splatview.viewer.command import Command, needs
@@ -10,6 +11,20 @@ from splatview.viewer.editing.session import session_of
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A page of the inspector, or a panel of the bottom strip."""
+
+    name: str
+    """What the user reads, and the preferences keep."""
+    window: str
+    """ImGui's name of it."""
+    icon: str
+    show: Callable[[AppState], None]
+    training: bool = False
+    """Whether it is there only while a scene is in training."""
 
 
 def arrange(app: AppState, *, page: str | None = None, strip: str | None = None) -> None:
@@ -134,6 +149,8 @@ ENTRIES = (
     _view("aperture", "Lens", "Aperture of the depth of field", "bokeh", "f-stop"),
     _view("model", "Advanced", "Image model: antialiasing, blur, near plane", "antialiasing", "mip",
         "near plane", "footprint", "discs", "2dgs"),
+    _view("theme", "Interface", "Theme: dark, light or high contrast", "dark mode", "light mode"),
+    _view("font", "Interface", "Font size of the window", "font", "text size", "ui scale"),
     _view("statistics", "Statistics", "Statistics: fps, time by stage, memory", "stats", "fps",
         "frame rate", "frames a second", "memory", "performance", "gpu"),
     _accuracy("frame_limit", "Frame limit", "Frame limit while the camera moves", "frame budget", "lag",

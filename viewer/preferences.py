@@ -23,6 +23,7 @@ NavigationMode = Literal["orbit", "fly", "trackball"]
 BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
+Theme = Literal["dark", "light", "high contrast"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -73,6 +74,9 @@ class Preferences:
     """Font heights, without the rail."""
     strip_height: float = 12.0
     """Font heights."""
+    theme: Theme = "dark"
+    font_size: float = 16.0
+    """px on a screen of 96 dpi."""
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 
@@ -86,6 +90,7 @@ RANGES = {
     "edit_memory_gib": (0.0, 1024.0),
     "inspector_width": (17.0, 60.0),
     "strip_height": (6.0, 60.0),
+    "font_size": (10.0, 32.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
@@ -95,6 +100,7 @@ CHOICES = {
     "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
+    "theme": get_args(Theme),
 }
 """Values of the fields that are one of a few words."""
 

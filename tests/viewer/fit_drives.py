@@ -12,7 +12,7 @@ from typing import Any
 import drives
 from drives import Hand
 from editing_drives import settle
-from imgui_bundle import imgui
+from imgui_bundle import hello_imgui, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
@@ -59,7 +59,7 @@ def everything_fits(app: AppState, hand: Hand, options: dict[str, Any], found: d
             found["wrong"] += [f"{size} {state}: {text}" for text in windows_apart(hand, app)]
             hand.shoot(f"{SHOTS}/{size} {state}.png".replace(" ", "_") if SHOTS else None)
     found["looked"] = looked
-    found["em"] = hand.on_gl_thread(imgui.get_font_size)
+    found["scale"] = hello_imgui.dpi_window_size_factor()
 
 
 def resize(hand: Hand, width: int, height: int) -> None:
@@ -166,7 +166,8 @@ def covers(a: Any, b: Any) -> bool:
         return False  # a window within, and its contents
     x = min(a.rect_clipped.max.x, b.rect_clipped.max.x) - max(a.rect_clipped.min.x, b.rect_clipped.min.x)
     y = min(a.rect_clipped.max.y, b.rect_clipped.max.y) - max(a.rect_clipped.min.y, b.rect_clipped.min.y)
-    return x > SLACK and y > SLACK + 1  # rows of a table share a line
+    share = 2 * hello_imgui.dpi_window_size_factor()  # rows of a table share a line
+    return x > SLACK and y > SLACK + share
 
 
 def label(item: Any) -> str:

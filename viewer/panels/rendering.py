@@ -13,7 +13,7 @@ from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
 from splatview.viewer.commands import set_mode
 from splatview.viewer.panels import camera, statistics, widgets
-from splatview.viewer.preferences import RANGES, BackgroundKind
+from splatview.viewer.preferences import RANGES, BackgroundKind, Theme
 from splatview.viewer.state import AppState
 
 COLOURS = (
@@ -103,8 +103,32 @@ def show(app: AppState) -> None:
         camera.speeds(app)
     if widgets.fold(app, "Advanced"):
         image_model(app)
+    if widgets.fold(app, "Interface"):
+        interface(app)
     if widgets.fold(app, "Statistics"):
         statistics.show(app)
+
+
+def interface(app: AppState) -> None:
+    """Theme and font size."""
+    themes: tuple[Theme, ...] = get_args(Theme)
+    chosen = widgets.combo(
+        "Theme",
+        app.preferences.theme,
+        themes,
+        "Colours of the window; the picture keeps its background.",
+        [theme.capitalize() for theme in themes],
+    )
+    if chosen is not None:
+        app.post(lambda app: app.prefer(theme=chosen))
+    size = widgets.stepped(
+        "Font size",
+        app.preferences.font_size,
+        *RANGES["font_size"],
+        "Height of letters; all else follows.",
+    )
+    if size is not None:
+        app.post(lambda app: app.prefer(font_size=size))
 
 
 def picture(app: AppState) -> None:

@@ -121,6 +121,15 @@ def slider(
     return exact if typed else new if slid else None
 
 
+def stepped(name: str, value: float, low: float, high: float, tip: str) -> float | None:
+    """A row with a whole number and steps down and up; the new one where the user changed it."""
+    label(name, tip)
+    changed, new = imgui.input_int(f"##{name}", round(value), 1, 4, imgui.InputTextFlags_.enter_returns_true)
+    tooltip(tip)
+    new = float(min(max(new, low), high))
+    return new if changed and new != value else None
+
+
 def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
     """A row with three finite numbers to type or to drag, by `speed` a pixel; where the user changed them
     the new ones. They keep all their digits, of which `form` shows some."""
@@ -228,15 +237,19 @@ def fold(app: AppState, title: str, *, opened: bool = False) -> bool:
 
 def header(title: str, *, opened: bool = False) -> bool:
     """A collapsing header that is quieter than what is selected; whether it is open."""
-    for colour, value in HEADER.items():
-        imgui.push_style_color(colour, ImVec4(value, value, value * 1.06, 1))
+    for colour, plain in HEADER.items():
+        imgui.push_style_color(colour, imgui.get_style_color_vec4(plain))
     shown = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open if opened else 0)
     imgui.pop_style_color(len(HEADER))
     return shown
 
 
-HEADER = {imgui.Col_.header: 0.165, imgui.Col_.header_hovered: 0.205, imgui.Col_.header_active: 0.235}
-"""Lightness of headers."""
+HEADER = {
+    imgui.Col_.header: imgui.Col_.frame_bg,
+    imgui.Col_.header_hovered: imgui.Col_.frame_bg_hovered,
+    imgui.Col_.header_active: imgui.Col_.frame_bg_active,
+}
+"""Colours of headers."""
 
 
 def section(name: str) -> None:
