@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from splatview.cli.arguments import Parser, positive
+from splatview.cli.sequence import edit_sequence
 from splatview.edit.changes import Change
 from splatview.edit.document import Document, exported
 from splatview.edit.impact import StepImpacts, in_words
@@ -21,6 +22,7 @@ from splatview.edit.sample_views import sample_cameras
 from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import check_saving, load_scene, save_scene
+from splatview.scene.formats.sequence import SceneSequence, resolve
 from splatview.scene.progress import Progress
 
 VIEWS = 8
@@ -34,7 +36,9 @@ def make_parser() -> Parser:
     parser = Parser(
         "edit",
         "Applies the steps of a recipe to SCENE and writes what comes of it. SCENE itself is not changed,\n"
-        "unless OUT names it. The window saves recipes; they are JSON:\n\n"
+        "unless OUT names it. Of a folder of scenes, or a glob in quotes, every frame is edited; OUT is\n"
+        "then another folder, or has a place for the number: frame_%%04d.ply. The window saves recipes;\n"
+        "they are JSON:\n\n"
         '  {"splatview_recipe": 1, "steps": [\n'
         '    {"op": "select", "by": {"kind": "sphere", "centre": [0, 0, 0], "radius": 2}},\n'
         '    {"op": "select_inverse"}, {"op": "delete"}]}\n\n'
@@ -42,7 +46,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("--recipe", metavar="R.json", required=True, type=Path)
-    parser.add_argument("-o", "--output", metavar="OUT.ply", type=Path, help="the edited scene")
+    parser.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, help="the edited scene, in the format of its suffix"
+    )
     parser.add_argument(
         "--dry-run", action="store_true", help="only print what each step would do; write nothing"
     )
@@ -73,12 +79,15 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     if args.output is None and not args.dry_run:
-        raise InputError("nothing to do: give -o OUT.ply or --dry-run (see splatview edit --help)")
+        raise InputError("nothing to do: give -o OUT or --dry-run (see splatview edit --help)")
+    source = resolve(Path(args.scene))
+    if isinstance(source, SceneSequence):
+        return edit_sequence(args, source)
     if args.output is not None and not args.dry_run:
         check_saving(args.output)
     recipe = load_recipe(args.recipe)
     targets = _split_targets(recipe, args) if args.output is not None else {}
-    gaussians = load_scene(args.scene)
+    gaussians = load_scene(source)
     parts: list[tuple[Gaussians, Path]] = []
 
     def hold(scene: Gaussians, path: Path) -> None:

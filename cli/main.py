@@ -39,13 +39,14 @@ MODULES = {"bill": "work"}
 """Commands whose module has another name."""
 
 USAGE = """\
-usage: splatview [SCENE ...]          open a window (no scene: the bundled demo)
+usage: splatview [SCENE ...]          open a window (no scene: the bundled demo; a folder: its frames)
        splatview COMMAND ...          see splatview COMMAND --help
 
 commands:
 {commands}
 options of the window:
   --renderer {renderers:24} what draws (default: auto)
+  --merge                             one scene of all files, also where they are numbered as frames
   -o, --output FILE.png               where there is no display: name of the preview written instead
   --version                           print the version
 

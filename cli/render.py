@@ -31,7 +31,7 @@ from splatview.cli.arguments import (
     number,
     positive,
 )
-from splatview.cli.sequence import render_sequence
+from splatview.cli.sequence import counted, frame_targets, refuse_if
 from splatview.measure.knobs import Plan, path_to_view
 from splatview.renderers import MODES, FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
@@ -41,7 +41,7 @@ from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.io import atomic_write, target_of
-from splatview.scene.formats.sequence import SceneSequence, resolve
+from splatview.scene.formats.sequence import SceneSequence, read_ahead, resolve
 
 # ---- Pictures to files: checked before the work, written whole or not at all.
 
@@ -172,6 +172,43 @@ def run(arguments: list[str]) -> int:
         print(f"{args.output}: {image.shape[1]}x{image.shape[0]}, by {renderer.name}", file=sys.stderr)
     if args.stats:
         print(json.dumps(stats))
+    return 0
+
+
+def render_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
+    """A picture of each frame by one camera, that of the first frame; with --turn the eye goes on by as much
+    before each one that follows. Frames that cannot be read are left out and told of at the end."""
+    if args.stats or args.frames != 1:
+        raise InputError("--stats and --frames measure one scene; name one of the sequence's files")
+    behind = chosen_background(args.background, args.up)
+    targets = frame_targets(args.output, sequence, SUFFIXES)
+    renderer = make_headless(args.renderer, mode=args.mode)
+    still = argparse.Namespace(**{**vars(args), "turn": 0.0})
+    orbit: Orbit | None = None
+    problems: list[InputError] = []
+    written = 0
+    try:
+        with counted("Rendering", len(sequence)) as bar:
+            for i, (_, found) in enumerate(read_ahead(sequence.paths)):
+                bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
+                if isinstance(found, InputError):
+                    problems.append(found)
+                    continue
+                orbit = orbit or chosen_orbit(args, found)
+                camera = orbit.turned(args.turn * i) if args.turn else orbit.camera
+                settings = replace(chosen_settings(args, found), background=behind)
+                plan = chosen_plan(args, settings, renderer.name)
+                aperture = chosen_aperture(args, camera)
+                here = replace(orbit, camera=camera)
+                image, _ = render_frames(still, renderer, found, here, plan, aperture)
+                write_picture(image, targets[i], alpha=args.alpha)
+                written += 1
+    except KeyboardInterrupt:
+        print(f"splatview: stopped; {written:,} of {len(sequence):,} pictures are written", file=sys.stderr)
+        raise
+    refuse_if(problems, len(sequence), f"the other {written:,} are rendered")
+    size = f"{orbit.camera.width}x{orbit.camera.height}" if orbit else ""
+    print(f"{args.output}: {written:,} pictures, {size}, by {renderer.name}", file=sys.stderr)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Sequences without a window: pictures of all frames, and what the frames hold."""
+"""Sequences without a window: what the frames hold, a recipe done to all of them, files for each."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from splatview.cli.arguments import Orbit, chosen_background, chosen_orbit, chosen_plan
 from splatview.cli.main import make_console
-from splatview.renderers.headless import make_headless
 from splatview.scene import InputError
 from splatview.scene.errors import bytes_in_words
+from splatview.scene.formats import FORMATS, save_scene
 from splatview.scene.formats.io import target_of
 from splatview.scene.formats.sequence import SceneSequence, read_ahead
 from splatview.scene.framing import robust_bounds
@@ -29,10 +27,11 @@ NUMBER = re.compile(r"%0?[0-9]*d")
 
 
 def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ...]) -> list[Path]:
-    """The file of each frame: `output` with numbers from 1, or in a folder the names of the scenes.
+    """The file of each frame: `output` with numbers from 1, or in a folder, which is made, the names of the
+    scenes, with their suffix where it is one of `suffixes`, else the first of these.
 
     Raises:
-        InputError: it names one file for all of them, or cannot be written to.
+        InputError: it names one file for all of them, or a frame itself, or cannot be written to.
     """
     folder, name = output.parent, output.name
     if "%" in name:
@@ -40,10 +39,10 @@ def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ..
             raise InputError(
                 f"{output}: give one place for the frame's number, as in frame_%04d{suffixes[0]}"
             )
-        if output.suffix.lower() not in suffixes:
+        if not name.lower().endswith(suffixes):
             raise InputError(f"{output}: files are written as {' or '.join(suffixes)}; give it that suffix")
         targets = [folder / (name % (i + 1)) for i in range(len(sequence))]
-    elif output.suffix.lower() in suffixes and not os.path.isdir(output):
+    elif output.name.lower().endswith(suffixes) and not os.path.isdir(output):
         raise InputError(
             f"{output}: is one file, and {sequence.name} has {len(sequence):,} frames; give a folder, or"
             f" number them: {output.stem}_%04d{output.suffix}"
@@ -54,14 +53,25 @@ def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ..
         if len(set(stems)) < len(stems):
             digits = max(4, len(str(len(stems))))
             stems = [f"frame_{i + 1:0{digits}}" for i in range(len(stems))]
-        targets = [output / f"{stem}{suffixes[0]}" for stem in stems]
+        ends = [own_suffix(path, suffixes) for path in sequence.paths]
+        targets = [output / f"{stem}{end}" for stem, end in zip(stems, ends, strict=True)]
     if not os.path.lexists(folder):
         try:
             folder.mkdir()
         except OSError as error:
             raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from None
     target_of(targets[0])
+    own = {os.path.realpath(path) for path in sequence.paths}
+    taken = next((target for target in targets if os.path.realpath(target) in own), None)
+    if taken is not None:
+        raise InputError(f"{taken}: is a frame of the sequence itself; give another folder")
     return targets
+
+
+def own_suffix(path: Path, suffixes: tuple[str, ...]) -> str:
+    """That of `path` where it is among `suffixes`, else the first of these."""
+    fitting = [suffix for suffix in suffixes if path.name.lower().endswith(suffix)]
+    return max(fitting, key=len, default=suffixes[0])
 
 
 @contextmanager
@@ -77,48 +87,9 @@ def counted(title: str, count: int) -> Iterator[Progress]:
 def refuse_if(problems: list[InputError], count: int, done: str) -> None:
     """Raises InputError where frames could not be read, after all others."""
     if problems:
-        what = f"{len(problems):,} of {count:,} frames cannot be read"
+        what = f"{len(problems):,} of {count:,} frames failed"
         first = f"; the first: {problems[0]}" if len(problems) > 1 else f": {problems[0]}"
         raise InputError(f"{what}, {done}{first}")
-
-
-def render_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
-    """A picture of each frame by one camera, that of the first frame; with --turn the eye goes on by as much
-    before each one that follows. Frames that cannot be read are left out and told of at the end."""
-    from splatview.cli.render import SUFFIXES, chosen_aperture, chosen_settings, render_frames, write_picture
-
-    if args.stats or args.frames != 1:
-        raise InputError("--stats and --frames measure one scene; name one of the sequence's files")
-    targets = frame_targets(args.output, sequence, SUFFIXES)
-    behind = chosen_background(args.background, args.up)
-    renderer = make_headless(args.renderer, mode=args.mode)
-    still = argparse.Namespace(**{**vars(args), "turn": 0.0})
-    orbit: Orbit | None = None
-    problems: list[InputError] = []
-    written = 0
-    try:
-        with counted("Rendering", len(sequence)) as bar:
-            for i, (_, found) in enumerate(read_ahead(sequence.paths)):
-                bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
-                if isinstance(found, InputError):
-                    problems.append(found)
-                    continue
-                orbit = orbit or chosen_orbit(args, found)
-                camera = orbit.turned(args.turn * i) if args.turn else orbit.camera
-                settings = replace(chosen_settings(args, found), background=behind)
-                plan = chosen_plan(args, settings, renderer.name)
-                aperture = chosen_aperture(args, camera)
-                here = replace(orbit, camera=camera)
-                image, _ = render_frames(still, renderer, found, here, plan, aperture)
-                write_picture(image, targets[i], alpha=args.alpha)
-                written += 1
-    except KeyboardInterrupt:
-        print(f"splatview: stopped; {written:,} of {len(sequence):,} pictures are written", file=sys.stderr)
-        raise
-    refuse_if(problems, len(sequence), f"the other {written:,} are rendered")
-    size = f"{orbit.camera.width}x{orbit.camera.height}" if orbit else ""
-    print(f"{args.output}: {written:,} pictures, {size}, by {renderer.name}", file=sys.stderr)
-    return 0
 
 
 def describe_sequence(sequence: SceneSequence, *, as_json: bool) -> int:
@@ -187,3 +158,49 @@ def as_text(sequence: SceneSequence, receipt: dict[str, Any]) -> str:
             what = f"{entry['count']:>12,} splats  SH {entry['sh_degree']}  {size:>10}"
         lines.append(f"{i:>7}  {label:{wide}}  {what}")
     return "\n".join(lines)
+
+
+def edit_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
+    """The steps of a recipe, done to every frame. What they choose they choose in each frame anew; steps that
+    name splats by their numbers are for one scene only. Frames that fail are left out and told of."""
+    from splatview.edit.document import Document, exported
+    from splatview.edit.operations.merge_split import Split
+    from splatview.edit.recipe import check_scene, load_recipe, replay
+    from splatview.renderers.cpu import CpuRenderer
+
+    if args.dry_run or args.prices or args.json:
+        raise InputError("--dry-run, --prices and --json are for one scene; name one of the sequence's files")
+    recipe = load_recipe(args.recipe)
+    if any(isinstance(step, Split) for step in recipe.steps):
+        raise InputError(f"{args.recipe}: splits files off, the same for every frame; leave that step out")
+    suffixes = tuple(known.suffix for known in FORMATS.values() if known.write)
+    targets = frame_targets(args.output, sequence, suffixes)
+    problems: list[InputError] = []
+    written = 0
+    try:
+        with counted("Editing", len(sequence)) as bar:
+            for i, (path, found) in enumerate(read_ahead(sequence.paths)):
+                bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
+                if isinstance(found, InputError):
+                    problems.append(found)
+                    continue
+                document = Document(
+                    found,
+                    name=path.name,
+                    folder=recipe.folder,
+                    tools=CpuRenderer(),
+                    budget=args.memory * 2**30,
+                )
+                try:
+                    check_scene(recipe, document, any_scene=True)
+                    replay(recipe, document, undo=False)
+                    save_scene(exported(document), targets[i])
+                    written += 1
+                except InputError as error:
+                    problems.append(InputError(f"{path}: {error}"))
+    except KeyboardInterrupt:
+        print(f"splatview: stopped; {written:,} of {len(sequence):,} frames are written", file=sys.stderr)
+        raise
+    refuse_if(problems, len(sequence), f"the other {written:,} are written")
+    print(f"{args.output}: {written:,} frames", file=sys.stderr)
+    return 0

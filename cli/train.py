@@ -235,7 +235,11 @@ def make_parser() -> Parser:
     parser.add_argument("capture", metavar="CAPTURE", nargs="?")
     parser.add_argument("--demo", action="store_true", help="train on pictures of the demo scene instead")
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT.ply", help="scene to write (default: CAPTURE's name)"
+        "-o",
+        "--output",
+        type=Path,
+        metavar="OUT",
+        help="scene to write, in any format (default: CAPTURE's name)",
     )
     parser.add_argument("--headless", action="store_true", help="train without a window")
     group = parser.add_argument_group("length")

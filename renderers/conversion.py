@@ -12,7 +12,16 @@ from typing import Any, Self
 
 from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
-from splatview.renderers.rate_distortion import Choice, Judge, Search, Target, Trial, search, with_degree
+from splatview.renderers.rate_distortion import (
+    Choice,
+    Judge,
+    Search,
+    Target,
+    Trial,
+    parse_target,
+    search,
+    with_degree,
+)
 from splatview.scene import Camera, Gaussians
 from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import (
@@ -120,7 +129,7 @@ def convert(
     path: str | os.PathLike[str],
     *,
     sh_degree: int | None = None,
-    target: Target | None = None,
+    target: Target | str | None = None,
     cameras: Sequence[Camera] | None = None,
     on_measured: Callable[[Conversion], object] = lambda found: None,
     progress: Progress = NO_PROGRESS,
@@ -128,14 +137,15 @@ def convert(
     """Writes the scene as `path`; where the file differs from it, after `on_measured` was told what will come
     back from there: until then the file is in a folder of its own, and an older one stays.
 
-    `sh_degree`: the highest that is kept. `target`: what the file is to reach, see `rate_distortion`.
+    `sh_degree`: the highest that is kept. `target`: what the file is to reach, such as
+    "40dB" or "5MB", see `rate_distortion`.
     `cameras`: views to be measured on; None: from around the scene.
 
     Raises:
         InputError: the format cannot hold the scene or reach the target, or the system refuses.
         Cancelled: nobody waits for it any more.
     """
-    path = Path(path)
+    path, target = Path(path), parse_target(target) if isinstance(target, str) else target
     known = format_of(path)
     whole = target is None and (sh_degree is None or sh_degree >= gaussians.sh_degree)
     if known is not None and known.exact and whole:

@@ -33,8 +33,8 @@ SAMPLE = 30_000
 MOST_DOTS = 40_000
 """In a small picture: splats larger than a pixel are several."""
 
-PIXELS = 4096
-"""Of a small picture, whatever its shape."""
+PIXELS, LEAST_PIXELS = 4096, 64
+"""Of a small picture, whatever its shape; half as many as splats where those are few."""
 
 LONGEST_SIDE = 256
 """Pixels of a small picture's height or width at most."""
@@ -76,8 +76,12 @@ OBJECT_TAIL = 1.25
 """An object ends where its bulk does: 99 % of its detail lies within so many times the distance of 90 %.
 Skull, guitar, playbot, biker and spot have 1.11 to 1.20; train-1000, banana, miku and demo 1.43 to 1.88."""
 
-MIDDLE = 0.8
-"""Share of the detail that fills the picture where there are surroundings."""
+MIDDLE, SPARSE_MIDDLE = 0.8, 0.4
+"""Share of the detail that fills the picture where there are surroundings, and where it is sparse at that."""
+
+SPARSE = 0.1
+"""Discs of one standard deviation cover less than this of the subject's ball in a sparse scene, a sample of
+one say: train-1000 has 0.02, banana and miku 1 and more."""
 
 MARGIN = 1.06
 """How much larger than its subject the picture is."""
@@ -131,8 +135,12 @@ class Sample:
         detail = 1 / np.maximum(largest, max(1e-3 * float(np.median(largest)), 1e-30))
         origin = np.array([weighted_quantiles(means[:, i], detail, (0.5,))[0] for i in range(3)])
         apart = np.linalg.norm(means - origin, axis=1)
-        middle, bulk, most, all_but_outliers = weighted_quantiles(apart, detail, (MIDDLE, 0.9, 0.99, TAIL))
-        radius = all_but_outliers if most <= OBJECT_TAIL * bulk else middle
+        shares = (SPARSE_MIDDLE, MIDDLE, 0.9, 0.99, TAIL)
+        nearest, middle, bulk, most, all_but_outliers = weighted_quantiles(apart, detail, shares)
+        radius = all_but_outliers
+        if not most <= OBJECT_TAIL * bulk:
+            areas = np.sort(sizes, axis=1)[apart <= middle, 1:].astype(np.float64).prod(axis=1)
+            radius = middle if float(areas.sum()) * step >= SPARSE * middle**2 else nearest
         colours = np.clip(0.5 + SH_C0 * np.nan_to_num(gaussians.sh[::step][kept, 0]), 0, 1)
         return cls(
             origin=origin,
@@ -226,7 +234,8 @@ def best_side(sample: Sample, up: np.ndarray) -> np.ndarray:
     flatness = 1 - min(half_height / max(half_width, 1e-30), 1.0)
     elevation = math.radians(LOWEST + (HIGHEST - LOWEST) * flatness)
     half = (half_width, half_height * math.cos(elevation) + half_width * math.sin(elevation))
-    pixel = max(math.sqrt(4 * half[0] * half[1] / PIXELS), max(half) * 2 / LONGEST_SIDE, 1e-30)
+    pixels = min(PIXELS, max(LEAST_PIXELS, len(along) // 2))
+    pixel = max(math.sqrt(4 * half[0] * half[1] / pixels), max(half) * 2 / LONGEST_SIDE, 1e-30)
     size = (max(3, math.ceil(2 * half[0] / pixel)), max(3, math.ceil(2 * half[1] / pixel)))
     dots = Dots.of(sample, pixel)
     sides = [directed(2 * math.pi * k / AZIMUTHS, elevation, up) for k in range(AZIMUTHS)]

@@ -14,8 +14,8 @@ from splatview.scene.sh import rgb_to_sh
 
 
 def view_normals(gaussians: Gaussians, camera: Camera, footprint: Footprint = "ellipsoid") -> np.ndarray:
-    """(N, 3) float64 unit, camera axes (right, down, forward): the axis of each splat's smallest scale, of discs
-    their plane's, with the sign that faces the eye. NaN where the rotation is none."""
+    """(N, 3) float64 unit, camera axes (right, down, forward): the axis of each splat's smallest scale, of
+    discs their plane's, with the sign that faces the eye. NaN where the rotation is none."""
     R = rotation_matrices(gaussians.quats.astype(np.float64))
     with np.errstate(over="ignore", invalid="ignore"):
         shortest = np.exp(gaussians.log_scales).argmin(axis=1)

@@ -285,7 +285,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         _ = ctx.saved_tensors
         held: _HeldFrame = ctx.held
         if held.frame is None:  # the graph was kept after an earlier backward
@@ -331,8 +331,8 @@ def rasterize_depth(
 
     Differentiable by all arguments, by drawing depths as colours. Arguments are those of `rasterize`.
     """
-    axis = torch.from_numpy(np.ascontiguousarray(camera.R_camera_world[2])).to(means.dtype)
-    eye = torch.from_numpy(np.ascontiguousarray(camera.eye)).to(means.dtype)
+    axis = torch.tensor(camera.R_camera_world[2], dtype=means.dtype)
+    eye = torch.tensor(camera.eye, dtype=means.dtype)
     depths = (means - eye) @ axis
     # A colour is 0.5 + SH_C0·sh, and nothing behind the eye is drawn.
     sh = ((depths - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
@@ -387,7 +387,7 @@ class _PhotoLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
         d_image, ctx.d_image = ctx.d_image, None
         if d_image is None:  # given away in an earlier backward, and autograd may have added to it
@@ -422,7 +422,7 @@ class _Expose(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
         d = grad_outputs[0].numpy()
         by_gain = ctx.gain[:3] * np.einsum("hwc,hwc->c", d[..., :3], image.numpy()[..., :3], dtype=np.float64)

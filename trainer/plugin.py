@@ -233,7 +233,7 @@ def load_plugin(path: Path) -> LossPlugin:
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise PluginError(f"{place_of(error, file)}: cannot be imported: {_told(error)}") from None
-    function = getattr(module, FUNCTION, None)
+    function: Any = getattr(module, FUNCTION, None)
     if not callable(function):
         raise PluginError(f"{file}: has no function {FUNCTION}(step); docs/training.md shows one")
     plugin = LossPlugin(function, file=file)

@@ -22,7 +22,7 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
-from splatview.scene.formats import check_saving, save_scene
+from splatview.scene.formats import check_saving, format_of, save_scene
 from splatview.scene.formats.io import target_of
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
@@ -64,6 +64,12 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
+        known = format_of(self.scene)
+        if known is not None and known.folder:
+            raise InputError(
+                f"{self.scene}: a training saves to one file, with its checkpoint beside it; name one, such "
+                "as NAME.sog, and splatview convert makes a folder of it"
+            )
         check_saving(self.scene)
         target_of(self.checkpoint)
         for path in (self.scene, self.checkpoint):

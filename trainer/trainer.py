@@ -203,26 +203,41 @@ class Trainer:
     def _backward(self, progress: float) -> tuple[Visibility, float]:
         """Leaves the mean gradients over the step's photos in the parameters; what the photos show, and the
         mean loss."""
-        settings, group = self.settings, self.group
+        settings = self.settings
         first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
-        if settings.batch == 1:
-            return self._render_and_backprop(self.views.at(first, downscale), first)
-        sums = self.strategy.sums(self.state)
-        before = [total.copy() for total in sums]
+        sums, before = self.strategy.sums(self.state), []
+        if self.group.size > 1 or self.loss is not None:
+            before = [total.copy() for total in sums]
+        try:
+            if settings.batch == 1:
+                return self._render_and_backprop(self.views.at(first, downscale), first)
+            return self._batch_backward(first, downscale, sums, before)
+        except BaseException:  # another process is gone, or the user's loss failed: nothing has been noted
+            for total, old in zip(sums, before, strict=False):
+                total[:] = old
+            self.exposures.gradients[:] = 0
+            raise
+
+    def _batch_backward(
+        self, first: int, downscale: int, sums: list[np.ndarray], before: list[np.ndarray]
+    ) -> tuple[Visibility, float]:
+        """The same for a batch of photos, of which each process takes its share. `sums`: of the strategy, and
+        what they were before, where there are several processes."""
+        group, photos = self.group, self.settings.batch
         batch = BatchSum(self.splats.parameters())
-        for place in range(first + group.rank, first + settings.batch, group.size):
+        for place in range(first + group.rank, first + photos, group.size):
             info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
-            batch.add(info.pieces, loss)
+            with self.clock.stage("batch"):
+                batch.add(info.pieces, loss)
         with self.clock.stage("batch"):
-            noted = [total - old for total, old in zip(sums, before, strict=True)]
-            for total, old in zip(sums, before, strict=True):
-                total[:] = old  # should another process be gone, this step has not happened
-            group.add_up(noted)
+            if group.size > 1:
+                noted = [total - old for total, old in zip(sums, before, strict=True)]
+                group.add_up(noted)
+                for total, old, new in zip(sums, before, noted, strict=True):
+                    total[:] = old + new
             if self.exposures.is_on:
                 group.add_up([self.exposures.gradients])
-            pieces, loss = batch.means(settings.batch, group, self.threads)
-            for total, new in zip(sums, noted, strict=True):
-                total += new
+            pieces, loss = batch.means(photos, group, self.threads)
         return Visibility(pieces, len(self.splats)), loss
 
     def _render_and_backprop(self, view: TrainView, place: int = 0) -> tuple[Visibility, float]:

@@ -44,6 +44,7 @@ from splatview.viewer.thumbnails import SceneThumbnails
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
 from splatview.viewer.training.start import Starter, TrainingStart
+from splatview.viewer.view_aids import ViewAids
 
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
@@ -61,6 +62,7 @@ FEATURES: tuple[type[Feature], ...] = (
     TrainingStart,
     StartScreen,
     TrainForm,
+    ViewAids,
 )
 """Features of every window, in the order in which a frame calls them; a training comes before them."""
 

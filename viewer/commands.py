@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field, first_views, sequence
+from splatview.viewer import background, camera, depth_of_field, first_views, sequence, view_aids
 from splatview.viewer import open as opening
 from splatview.viewer import save as pictures
 from splatview.viewer.command import Command, needs
@@ -33,6 +33,7 @@ from splatview.viewer.state import AppState
 from splatview.viewer.training import live as training
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.view_aids import ViewAids
 
 NAVIGATION_MODES: tuple[NavigationMode, ...] = get_args(NavigationMode)
 
@@ -221,6 +222,10 @@ COMMANDS: dict[str, Command] = {
             "directory")),
         _file("add", "Ctrl+Shift+O", "Import: add another scene to this one", files.choose_addition,
             "Import...", words=("append",), lacks=needs(lambda app: app.is_open, "Open a scene first")),
+        _file("recent", "", "Recent: open a scene that was open before",
+            partial(toggle_dialog, name="recent"),
+            words=("open recent", "last files"),
+            lacks=needs(lambda app: bool(app.preferences.recent), "No scene was opened before")),
         _file("reload", "F5", "Read the scene's files again", opening.reload,
             lacks=needs(lambda app: app.scene_path is not None, "Open a file first")),
         _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
@@ -264,6 +269,21 @@ COMMANDS: dict[str, Command] = {
             for name, key in zip(AXIS_NAMES, AXIS_KEYS, strict=True)
         ),
         _camera("level", "L", "Make the horizon level", camera.make_level),
+        *(
+            _camera(f"up_{name}", "", f"Up: {name}", partial(camera.set_up, name=name), name,
+                words=("up axis", "upright"),
+                checked=lambda app, name=name: camera.up_name(app.view) == name)
+            for name in camera.UP_NAMES
+        ),
+        _camera("roll_left", "", "Turn the view by 90 degrees to the left, and its up axis with it",
+            partial(view_aids.roll, degrees=-90.0), "View 90° to the left", words=("roll",)),
+        _camera("roll_right", "", "Turn the view by 90 degrees to the right, and its up axis with it",
+            partial(view_aids.roll, degrees=90.0), "View 90° to the right"),
+        *(
+            _edit(f"turn_scene_{name}", "", f"Turn the scene by 90 degrees about {name}",
+                partial(view_aids.turn_scene, name=name), f"Scene 90° about {name}", lacks=_a_scene)
+            for name in AXIS_NAMES
+        ),
         _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next",
             words=("up", "up axis", "upside down")),
         _camera("up_from_view", "Shift+U", "Take what is up in the picture as the up axis",
@@ -303,7 +323,17 @@ COMMANDS: dict[str, Command] = {
                 partial(set_mode, mode=mode.name), checked=lambda app, name=mode.name: app.mode == name)
             for mode in MODES.values()
         ),
-        _picture("open_background", "", "Background: open an equirectangular picture",
+        _picture("toggle_grid", "Shift+G", "Ground grid: show or hide it", view_aids.toggle_grid,
+            "Ground grid", words=("grid", "floor", "ground"), checked=lambda app: app.preferences.show_grid),
+        _picture("toggle_axes", "Ctrl+G", "Axes of the world: show or hide them", view_aids.toggle_axes,
+            "Axes", words=("axes", "axis", "origin", "xyz"), checked=lambda app: app.preferences.show_axes),
+        _picture("toggle_centres", "Shift+M", "Centres of the splats over the picture",
+            view_aids.toggle_centres, "Centres", words=("centers", "dots"),
+            checked=lambda app: app.feature(ViewAids).centres),
+        _picture("toggle_rings", "Shift+R", "Rings: outlines of the splats over the picture",
+            view_aids.toggle_rings, "Rings", words=("outlines", "ellipses"),
+            checked=lambda app: app.feature(ViewAids).rings),
+        _picture("open_background", "", "Panorama: open an equirectangular picture behind the scene",
             background.ask_for_picture),
         _edit("duplicate", "Ctrl+D", "Duplicate the selected splats",
             editing.operation_on_selection("duplicate"), "Duplicate", words=("copy splats", "clone"),
@@ -366,6 +396,9 @@ COMMANDS: dict[str, Command] = {
         _edit("add_sphere", "", "Add a crop sphere", partial(editing.add_crop, shape="sphere"),
             lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
+        _edit("turn_over", "", "Turn the scene over: upside down, as files of another frame are",
+            editing.turn_over, "Turn over", words=("flip", "rotate 180", "frame"),
+            lacks=_a_scene_at_rest),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
             _edit(f"find_{name}", "", f"Find {detector.label.lower()}", partial(cleanup.find, detector=name),

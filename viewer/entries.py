@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 from splatview.viewer.command import Command, needs
@@ -10,6 +11,20 @@ from splatview.viewer.editing.session import session_of
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A page of the inspector, or a panel of the bottom strip."""
+
+    name: str
+    """What the user reads, and the preferences keep."""
+    window: str
+    """ImGui's name of it."""
+    icon: str
+    show: Callable[[AppState], None]
+    training: bool = False
+    """Whether it is there only while a scene is in training."""
 
 
 def arrange(app: AppState, *, page: str | None = None, strip: str | None = None) -> None:
@@ -107,10 +122,6 @@ ENTRIES = (
     _page("Accuracy", "what each approximation saves and costs in this view", "quality", "error", "psnr",
         "pareto", "ladder"),
     _page("Train", "a scene from photos", "train", "training", "photos", "photogrammetry", "recipe"),
-    _strip("History", "every step of editing", "steps", "undo history"),
-    _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
-    _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
-    _strip("Log", "what the window has said", "messages", "console", "errors"),
     _scene("problems", "Problems", "Problems of the scene: select and repair", "repair", "invalid", "health"),
     _scene("cameras", "Cameras", "Cameras that are loaded", "camera list", "colmap"),
     _view("bookmarks", "Bookmarks", "Bookmarks: views that were kept", "saved views"),
@@ -145,6 +156,10 @@ ENTRIES = (
     _accuracy("compare", "Compare", "Compare: split view of the exact and the fast picture", "split view",
         "side by side", "difference", "flip", "before after"),
     _accuracy("effects", "Effects", "Effects: what is computed for this scene, and why", "receipt"),
+    _strip("History", "every step of editing", "steps", "undo history"),
+    _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
+    _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
+    _strip("Log", "what the window has said", "messages", "console", "errors"),
 )
 # fmt: on
 """In the order of the palette."""

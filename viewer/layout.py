@@ -7,7 +7,7 @@ those with the figures were scrolled off it.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +22,7 @@ from splatview.viewer.commands import COMMANDS
 from splatview.viewer.dialogs import FileDialogs
 from splatview.viewer.editing.saving import has_unsaved_edits
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.entries import arrange
+from splatview.viewer.entries import Panel, arrange
 from splatview.viewer.panels import (
     accuracy,
     edit,
@@ -50,20 +50,6 @@ LAYOUT_FILE = "layout.ini"
 
 VIEW = "View"
 """The window that holds the picture."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Panel:
-    """A page of the inspector, or a panel of the bottom strip."""
-
-    name: str
-    """What the user reads, and the preferences keep."""
-    window: str
-    """ImGui's name of it."""
-    icon: str
-    show: Callable[[AppState], None]
-    training: bool = False
-    """Whether it is there only while a scene is in training."""
 
 
 PAGES = (
@@ -375,6 +361,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     dialogs.problem(app)
     dialogs.help_page(app)
     dialogs.screenshot(app)
+    dialogs.recent(app)
     palette.show(app)
     history.show_restore(app)
     start_screen.show(app)

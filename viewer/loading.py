@@ -15,7 +15,7 @@ from splatview.renderers.demo_cache import cached_demo
 from splatview.renderers.gl.scene_buffers import upload_plan
 from splatview.scene import Gaussians, InputError, RenderSettings, concatenate
 from splatview.scene.effects.effect import Effect
-from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.overrides import quick_settings, settings_for
 from splatview.scene.effects.report import scene_effects
 from splatview.scene.errors import printable
 from splatview.scene.first_view import Front
@@ -66,7 +66,8 @@ class LoadedScene:
         """Least and greatest x, y, z of all finite centres, world units; kept, as a panel asks in each frame.
         None where no centre is finite."""
         means = self.gaussians.means
-        means = means[np.isfinite(means).all(axis=1)]
+        if not np.isfinite(means).all():
+            means = means[np.isfinite(means).all(axis=1)]
         return (means.min(axis=0), means.max(axis=0)) if len(means) else None
 
     seconds: float
@@ -142,20 +143,24 @@ class Loading(Reading[LoadedScene]):
 
 
 def _load(
-    name: str, paths: tuple[Path, ...], read: Callable[..., Gaussians], progress: Progress
+    name: str,
+    paths: tuple[Path, ...],
+    read: Callable[..., Gaussians],
+    progress: Progress,
+    like: LoadedScene | None = None,
 ) -> LoadedScene:
     began = time.perf_counter()
     stamps = stamps_of(paths)
     gaussians = read(progress=progress)
     progress.check()
-    centre, radius = robust_bounds(gaussians.means)
+    centre, radius = (like.centre, like.radius) if like else robust_bounds(gaussians.means)
     return LoadedScene(
         gaussians=gaussians,
         paths=paths,
         name=name,
         centre=centre,
         radius=radius,
-        settings=settings_for(gaussians),
+        settings=quick_settings(gaussians) if like else settings_for(gaussians),
         seconds=time.perf_counter() - began,
         front=Front.of(gaussians) if paths else None,
         stamps=stamps,
@@ -220,17 +225,27 @@ class SequenceLoading(Loading):
         raise InputError(f"{self.name}: none of its {count:,} frames can be read; the first: {first}")
 
 
-def load_frame(sequence: SceneSequence, index: int, progress: Progress) -> LoadedScene:
-    """A frame, and ready what the window's thread would have to compute of it.
+def load_frame(
+    sequence: SceneSequence,
+    index: int,
+    progress: Progress,
+    *,
+    like: LoadedScene | None = None,
+    by_gl: bool = False,
+) -> LoadedScene:
+    """A frame. Of one `like` another, which may be gone in a moment, only that is found out without which it
+    cannot be shown; what the window's thread would have to compute is ready, also for a picture `by_gl`.
 
     Raises:
         InputError: it cannot be read.
         Cancelled: nobody waits for it any more.
     """
     path = sequence.paths[index]
-    scene = _load(sequence.name, (path,), partial(load_scene, path), progress)
+    scene = _load(sequence.name, (path,), partial(load_scene, path), progress, like)
     scene = replace(scene, sequence=sequence, frame=index)
-    _ = scene.extent, upload_plan(scene.gaussians)
+    _ = scene.extent
+    if by_gl:
+        upload_plan(scene.gaussians, every_band=True)
     return scene
 
 

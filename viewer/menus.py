@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 
 from splatview.renderers import MODES
 from splatview.viewer import open as opening
-from splatview.viewer.camera import UP_NAMES, set_up, up_name
+from splatview.viewer.camera import UP_NAMES
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
 from splatview.viewer.editing.tool_state import CROPPING, SELECTING, TRANSFORMING
 from splatview.viewer.navigation import AXIS_NAMES
@@ -76,11 +76,8 @@ def axis_views(app: AppState) -> None:
 def up_axes(app: AppState) -> None:
     if not imgui.begin_menu("Up axis"):
         return
-    now = up_name(app.view)
-    for name in UP_NAMES:
-        if imgui.menu_item(name, "", now == name)[0]:
-            app.post(set_up, name)
-    show_entries(app, (None, "next_up", "up_from_view"))
+    show_entries(app, (*(f"up_{name}" for name in UP_NAMES), None, "next_up", "up_from_view", "tool_ground"))
+    show_entries(app, (None, "roll_left", "roll_right", None, *(f"turn_scene_{name}" for name in AXIS_NAMES)))
     imgui.end_menu()
 
 
@@ -100,7 +97,8 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     "Edit": (
         "undo", "redo", None,
         "delete", "hide", "isolate", "lock", "duplicate", "show", "unlock", None,
-        *(f"tool_{tool}" for tool in (*TRANSFORMING, *CROPPING, "measure")),
+        *(f"tool_{tool}" for tool in (*TRANSFORMING, *CROPPING, "measure")), None,
+        "turn_over",
     ),
     "Select": (
         "select_all", "select_none", "select_inverse", None,
@@ -116,7 +114,10 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         "add_bookmark", "next_bookmark", "previous_camera", "next_camera", None,
         "copy_camera", "paste_camera",
     ),
-    "Picture": tuple(f"mode_{mode}" for mode in MODES),
+    "Picture": (
+        *(f"mode_{mode}" for mode in MODES), None,
+        "toggle_grid", "toggle_axes", "toggle_centres", "toggle_rings",
+    ),
     "Sequence": (
         "play", "next_frame", "previous_frame", "first_frame", "last_frame", None,
         "play_loop", "play_bounce", "play_once", None,

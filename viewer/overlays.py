@@ -26,6 +26,7 @@ from splatview.viewer.panels.rendering import MODE_TIP
 from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
+from splatview.viewer.view_aids import show_legend
 
 ARM_EM, BALL_EM = 2.3, 0.62
 """Length of an arm and radius of the ball at its end, in font heights."""
@@ -244,6 +245,9 @@ def over_picture(app: AppState) -> None:
     if text := app.feature(DepthOfField).badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()
         split_view.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
+    show_legend(
+        app, corner.x + width - margin, lowest - 2.5 * margin, imgui.get_window_height() - 10 * margin
+    )
     waiting = recipe.waiting_note(app)
     if waiting:
         note_below(f"{waiting} {keys_of('cancel')} lets go.")

@@ -165,6 +165,10 @@ class Picture:
         if renderer is not None:
             renderer.forget_order()
 
+    def depth_range(self, camera: Camera) -> tuple[float, float] | None:
+        """Depths, world units, of the colours of the visual mode "depth"; None where OpenGL draws nothing."""
+        return None if self._gl is None else self._gl.depth_range(camera)
+
     @property
     def texture(self) -> moderngl.Texture:
         """The latest picture, row 0 on top; of another size than asked for while a better one is made."""

@@ -158,6 +158,13 @@ class FrameCache(Generic[Frame]):
             self._largest = max(self._largest, size)
             self.version += 1
 
+    def forget(self, index: int) -> None:
+        """Gives up a frame whose file has changed."""
+        frame = self._frames.pop(index, None)
+        if frame is not None:
+            self.used -= self._size(frame)
+            self.version += 1
+
     def advance(self, head: Playhead, now: float) -> list[str]:
         """Takes over frames that have come and starts to decode what is needed next; returns the problems of
         frames that cannot be read, each once. `now`: seconds of the clock of `Reading.began`."""

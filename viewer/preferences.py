@@ -56,6 +56,10 @@ class Preferences:
     resolution_scale: float = 1.0
     frame_budget_ms: float = 33.0
     """Budget of a frame in ms while the camera moves, where one is held."""
+    show_grid: bool = False
+    """Whether the ground is drawn as a grid."""
+    show_axes: bool = False
+    """Whether the world's axes are drawn."""
     show_cameras: bool = False
     """Whether loaded cameras are drawn into the view."""
     show_photos: bool = True

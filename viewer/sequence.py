@@ -11,9 +11,11 @@ from functools import partial
 from splatview.scene import InputError
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.formats.sequence import SceneSequence
+from splatview.scene.framing import robust_bounds
 from splatview.viewer import open as opening
 from splatview.viewer.editing.session import Editing, EditSession, session_of
-from splatview.viewer.loading import Examination, LoadedScene, Reading, load_frame
+from splatview.viewer.loading import Examination, LoadedScene, Reading, load_frame, stamps_of
+from splatview.viewer.picture import EMPTY
 from splatview.viewer.playback import FrameCache, Playhead
 from splatview.viewer.preferences import RANGES, PlayMode
 from splatview.viewer.state import AppState, Feature
@@ -28,8 +30,8 @@ SETTLE_SECONDS = 0.3
 STARVED_SECONDS = 2.0
 """Longest wait for a picture of the frame before."""
 
-REACHED_OVER = 2.0
-"""Seconds over which the reached frame rate is measured."""
+REACHED_OVER, LEAST_TIMES = 2.0, 4
+"""Seconds over which the reached frame rate is measured, and frames, where these take longer."""
 
 MEMORY_SHARE = 4
 """A quarter of the free memory is for frames: edits may take half, and decoding takes some too."""
@@ -116,9 +118,10 @@ class Sequences(Feature):
         if scene.sequence is None:
             return
         sequence, preferences, wake = scene.sequence, app.preferences, self.wake
+        like, by_gl = replace(scene, gaussians=EMPTY), not app.picture.draws_anywhere
 
         def read(index: int) -> Reading[LoadedScene]:
-            work = partial(load_frame, sequence, index)
+            work = partial(load_frame, sequence, index, like=like, by_gl=by_gl)
             return Reading(sequence.labels[index], work, on_done=wake)
 
         head = Playhead(len(sequence), fps=preferences.frame_rate, mode=preferences.play_mode)
@@ -167,6 +170,9 @@ class Sequences(Feature):
                 return
             scene = player.cache.get(target[0])
             assert scene is not None
+            if not player.head.playing and stamps_of(scene.paths) != scene.stamps:
+                player.cache.forget(target[0])  # it may be what an edited frame was exported to
+                return
             player.arriving = (*target, scene, app.picture.load_steps(scene.gaussians))
         index, tick, scene, steps = player.arriving
         until = time.perf_counter() + UPLOAD_SECONDS
@@ -183,7 +189,7 @@ class Sequences(Feature):
         player.settled = False
         if player.head.playing:
             player.times.append(now)
-            while now - player.times[0] > REACHED_OVER:
+            while now - player.times[0] > REACHED_OVER and len(player.times) > LEAST_TIMES:
                 player.times.popleft()
         app.feature(Editing).leave()
         app.scene = scene
@@ -191,11 +197,18 @@ class Sequences(Feature):
         app.examination, app.examined = None, True
 
     def _settle(self, app: AppState, player: Player, *, now: bool = False) -> None:
-        """Makes the frame at rest ready to be edited, and looks it through."""
+        """Makes the frame at rest ready to be edited, and looks it through: settings follow what is found."""
+        found = app.examination
+        if player.settled and found is not None and found.settings is not None:
+            same = found.gaussians is app.scene.gaussians
+            if same and app.scene.settings is not found.settings:
+                app.scene = replace(app.scene, settings=found.settings)
         rested = not player.dragging and app.now() - player.shown_at >= SETTLE_SECONDS
         if player.settled or player.shown < 0 or not (rested or now) or player.arriving is not None:
             return
         player.settled = True
+        centre, radius = robust_bounds(app.scene.gaussians.means)
+        app.scene = replace(app.scene, centre=centre, radius=radius)
         editing = app.feature(Editing)
         if editing.session is None:
             editing.on_scene_opened(app, replace(app.scene, name=player.sequence.labels[app.scene.frame]))
@@ -241,7 +254,8 @@ class Sequences(Feature):
     def _may_leave(self, app: AppState) -> bool:
         why = self.held(app)
         if why is not None:
-            app.tell(why)
+            if not app.messages or app.messages[-1].text != why:  # a drag asks in every frame
+                app.tell(why)
             return False
         session = session_of(app)
         if session is not None and session.job is not None:

@@ -168,7 +168,7 @@ class AppState:
     problem: str | None = None
     """An error that waits in a dialog for the user to read it."""
     dialog: str | None = None
-    """Which dialog is open: "help", "screenshot", "palette", "restore" or none."""
+    """Which dialog is open: "help", "screenshot", "palette", "recent", "restore" or none."""
     palette: Palette = field(default_factory=Palette)
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
@@ -14,12 +13,10 @@ from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.editing.tool_state import SELECTING, ToolName
+from splatview.viewer.entries import Panel
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
-
-if TYPE_CHECKING:
-    from splatview.viewer.layout import Panel
 
 HINTS: dict[NavigationMode, tuple[str, ...]] = {
     "orbit": ("Drag: orbit", "Right drag: pan", "Wheel: zoom", "Double click: turn about"),

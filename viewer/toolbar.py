@@ -39,13 +39,13 @@ class Tool(NamedTuple):
     name: ToolName
     label: str
     icon: str
-    """A letter of the icon font, or "lasso" or "sphere", which it lacks."""
+    """A letter of the icon font, or "rectangle", "lasso" or "sphere", which it lacks."""
 
 
 GROUPS: tuple[tuple[Tool, ...], ...] = (
     (Tool("none", "Navigate", icons.ICON_FA_ARROW_POINTER),),
     (
-        Tool("rectangle", "Rectangle", icons.ICON_FA_VECTOR_SQUARE),
+        Tool("rectangle", "Rectangle", "rectangle"),
         Tool("brush", "Brush", icons.ICON_FA_PAINTBRUSH),
         Tool("lasso", "Lasso", "lasso"),
         Tool("polygon", "Polygon", icons.ICON_FA_DRAW_POLYGON),
@@ -152,6 +152,16 @@ def draw_icon(icon: str, middle: ImVec2, colour: ImVec4) -> None:
             ImVec2(middle.x - 0.2 * em, middle.y + 0.52 * em),
         ]
         draw.add_polyline(tail, ink, thick, 0)
+    elif icon == "rectangle":
+        x, y = 0.48 * em, 0.38 * em
+        for start in (-1.0, -0.2, 0.6):
+            for side in (-1, 1):
+                a = ImVec2(middle.x + start * x, middle.y + side * y)
+                draw.add_line(a, ImVec2(a.x + 0.4 * x, a.y), ink, thick)
+        for start in (-1.0, -0.2, 0.6):
+            for side in (-1, 1):
+                a = ImVec2(middle.x + side * x, middle.y + start * y)
+                draw.add_line(a, ImVec2(a.x, a.y + 0.4 * y), ink, thick)
     elif icon == "sphere":
         draw.add_circle(middle, 0.48 * em, ink, 0, thick)
         draw.add_ellipse(middle, ImVec2(0.48 * em, 0.17 * em), ink, 0, 0, thick * 0.8)
@@ -165,16 +175,17 @@ def strip(app: AppState, session: EditSession, low: ImVec2, right: float) -> Non
     room up to `right`, else below each other."""
     groups: list[tuple[str, Callable[[], None]]] = []
     if session.tool != "none":
-        groups.append(("tool", partial(TOOL_OPTIONS[session.tool], app, session)))
+        groups.append(("tool", partial(TOOL_OPTIONS[session.tool], app, session, right)))
     if session.document.counts.selected:
-        groups.append(("selection", partial(selection, app, session)))
-    place, em = ImVec2(low.x, low.y), imgui.get_font_size()
+        groups.append(("selection", partial(selection, app, session, right)))
+    place, em, bottom = ImVec2(low.x, low.y), imgui.get_font_size(), low.y
     storage = imgui.get_state_storage()
     for name, contents in groups:
         key = imgui.get_id(f"{name} {session.tool} width")
-        width = storage.get_float(key, 0.0)
+        # Until it has been seen it gets a line of its own.
+        width = storage.get_float(key, math.inf)
         if place.x > low.x and place.x + width > right:
-            place = ImVec2(low.x, place.y + 2.4 * em)
+            place = ImVec2(low.x, bottom + 0.4 * em)
         imgui.set_cursor_screen_pos(place)
         imgui.push_style_color(imgui.Col_.child_bg, GROUND)
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0.5 * em, 0.2 * em))
@@ -187,18 +198,38 @@ def strip(app: AppState, session: EditSession, low: ImVec2, right: float) -> Non
         imgui.end_child()
         imgui.pop_style_var(2)
         imgui.pop_style_color()
-        storage.set_float(key, imgui.get_item_rect_size().x)
-        place = ImVec2(place.x + imgui.get_item_rect_size().x + 0.4 * em, place.y)
+        size = imgui.get_item_rect_size()
+        storage.set_float(key, size.x)
+        bottom = place.y + size.y
+        place = ImVec2(place.x + size.x + 0.4 * em, place.y)
+
+
+def follow(right: float, width: float) -> None:
+    """Keeps an item `width` px wide on the line of the last one, where it ends before `right`."""
+    spacing = imgui.get_style().item_spacing.x
+    if imgui.get_item_rect_max().x + spacing + width + 0.5 * imgui.get_font_size() <= right:
+        imgui.same_line()
+
+
+def width_of(*labels: str) -> float:
+    """Width of buttons with these labels, side by side."""
+    padding = 2 * imgui.get_style().frame_padding.x
+    return sum(imgui.calc_text_size(label).x + padding + 1 for label in labels)
+
+
+def button(right: float, text: str, id: str, tip: str, pressed: Callable[[], object]) -> None:
+    follow(right, width_of(text))
+    widgets.button(f"{text}###{id}", tip, pressed)
 
 
 def name(text: str) -> None:
     imgui.align_text_to_frame_padding()
     imgui.text_unformatted(text)
-    imgui.same_line()
 
 
-def choices(entries: Sequence[tuple[str, str, str]], chosen: str) -> str | None:
+def choices(right: float, entries: Sequence[tuple[str, str, str]], chosen: str) -> str | None:
     """Buttons side by side, one of them bright: (value, label, tooltip) each. Which was clicked."""
+    follow(right, width_of(*(label for _, label, _ in entries)))
     clicked = None
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 0))
     for number, (value, label, tip) in enumerate(entries):
@@ -229,17 +260,17 @@ DEPTHS: tuple[tuple[Depth, str, str], ...] = (
 )
 
 
-def selecting(app: AppState, session: EditSession) -> None:
+def selecting(app: AppState, session: EditSession, right: float) -> None:
     """Mode, radius or tolerance, and depth of a tool that selects."""
     name(next(tool.label for tool in TOOLS if tool.name == session.tool))
     io = imgui.get_io()
     held = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
-    mode = choices(MODES, held if held != "set" else session.mode)
+    mode = choices(right, MODES, held if held != "set" else session.mode)
     if mode is not None:
         session.mode = next(entry[0] for entry in MODES if entry[0] == mode)
     em = imgui.get_font_size()
     if session.tool == "brush":
-        imgui.same_line()
+        follow(right, 7 * em)
         imgui.set_next_item_width(7 * em)
         log = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
         changed, radius = imgui.slider_float(
@@ -249,20 +280,19 @@ def selecting(app: AppState, session: EditSession) -> None:
         keys = f"{keys_of('smaller_brush')} and {keys_of('larger_brush')}"
         widgets.tooltip(f"Radius of the brush in pixels ({keys}).")
     elif session.tool in ("flood", "colour"):
-        imgui.same_line()
+        follow(right, 7 * em)
         imgui.set_next_item_width(7 * em)
         log = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
         changed, tolerance = imgui.slider_float("##tolerance", session.tolerance, 0.005, 1.0, "%.3f", log)
         session.tolerance = tolerance if changed else session.tolerance
         widgets.tooltip("Tolerance: how far colours may be apart, as the eye sees it; black to white is 1.")
         return
-    imgui.same_line()
-    depth = choices(DEPTHS, session.depth)
+    depth = choices(right, DEPTHS, session.depth)
     if depth is not None:
         session.depth = next(entry[0] for entry in DEPTHS if entry[0] == depth)
 
 
-def transforming(app: AppState, session: EditSession) -> None:
+def transforming(app: AppState, session: EditSession, right: float) -> None:
     """What the handles move, and the way to keep or drop numbers that were typed."""
     name(next(tool.label for tool in TOOLS if tool.name == session.tool))
     if session.document.counts.selected:
@@ -270,76 +300,78 @@ def transforming(app: AppState, session: EditSession) -> None:
             ("selection", "Selection", "The handles are the selection's."),
             ("scene", "Whole scene", "The handles are those of all splats that are not locked."),
         )
-        scope = choices(scopes, session.scope)
+        scope = choices(right, scopes, session.scope)
         if scope is not None:
             session.forms.scope = "selection" if scope == "selection" else "scene"
             post_edit(app, EditSession.cancel_preview)
     else:
+        follow(right, imgui.calc_text_size("whole scene").x)
         imgui.text_colored(theme.QUIET, "whole scene")
         widgets.tooltip("Nothing is selected: select splats to transform them alone.")
     if session.forms.previewing == TRANSFORM and not session.forms.move.dragged:
-        imgui.same_line()
-        widgets.button("Apply", "Keeps the numbers typed as a step.", partial(post_edit, app, finish))
-        imgui.same_line()
-        widgets.button(
-            "Cancel", "Takes the preview back.", partial(post_edit, app, EditSession.cancel_preview)
-        )
+        button(right, "Apply", "apply", "Keeps the numbers typed as a step.", partial(post_edit, app, finish))
+        cancelled = partial(post_edit, app, EditSession.cancel_preview)
+        button(right, "Cancel", "cancel", "Takes the preview back.", cancelled)
 
 
-def cropping(app: AppState, session: EditSession) -> None:
+def cropping(app: AppState, session: EditSession, right: float) -> None:
     """What the handles of the crop do, what it keeps, and deleting what it cuts away."""
     crops = session.document.crops
     name(next(tool.label for tool in TOOLS if tool.name == session.tool))
     if not 0 <= session.forms.crop < len(crops):
-        widgets.button(
-            "Add", "Adds one that fits the scene.", partial(app.post, commands.take_crop, session.tool)
-        )
+        added = partial(app.post, commands.take_crop, session.tool)
+        button(right, "Add", "add", "Adds one that fits the scene.", added)
         return
     tips = ("Handles that move the crop.", "Handles that rotate the crop.", "Handles that size the crop.")
     entries = [(kind, label, tip) for kind, label, tip in zip(KINDS, KIND_NAMES, tips, strict=True)]
-    kind = choices(entries, KINDS[session.forms.crop_handles])
+    kind = choices(right, entries, KINDS[session.forms.crop_handles])
     if kind is not None:
         session.forms.crop_handles = KINDS.index(kind)
-    imgui.same_line()
     crop = crops[session.forms.crop]
     keeps = (
-        ("inside", "Keep inside", "What is outside is cut away."),
-        ("outside", "Keep outside", "What is inside is cut away."),
+        ("inside", "Inside", "Keep what is inside; the rest is cut away."),
+        ("outside", "Outside", "Keep what is outside; the rest is cut away."),
     )
-    keep = choices(keeps, crop.keep)
+    keep = choices(right, keeps, crop.keep)
     if keep is not None and keep != crop.keep:
         changed = replace(crop, keep="inside" if keep == "inside" else "outside")
         post_edit(app, EditSession.apply, ChangeCrop(index=session.forms.crop, crop=changed))
-    imgui.same_line()
     if session.target.at_rest:
-        widgets.button(
-            f"{icons.ICON_FA_TRASH}###delete cropped",
+        button(
+            right,
+            icons.ICON_FA_TRASH,
+            "delete cropped",
             "Deletes what the crops cut away; undo brings it back.",
             partial(post_edit, app, EditSession.apply, DeleteCropped()),
         )
-        imgui.same_line()
-    widgets.button(
-        f"{icons.ICON_FA_XMARK}###remove crop",
+    button(
+        right,
+        icons.ICON_FA_XMARK,
+        "remove crop",
         "Removes this crop; what it cut away is back.",
         partial(post_edit, app, EditSession.apply, RemoveCrop(index=session.forms.crop)),
     )
 
 
-def measuring(app: AppState, session: EditSession) -> None:
+def measuring(app: AppState, session: EditSession, right: float) -> None:
     """The last distance, and the scene scaled so that it is a known one."""
     name("Measure")
     measured = session.measured
     if measured is None or session.picked:
         text = "click two points" if not session.picked else "click the second point"
+        follow(right, imgui.calc_text_size(text).x)
         imgui.text_colored(theme.QUIET, text)
         return
-    imgui.text_unformatted(f"{measured.length:.5g} units")
+    text = f"{measured.length:.5g} units"
+    follow(right, imgui.calc_text_size(text).x)
+    imgui.text_unformatted(text)
     if not session.target.at_rest:
         return
-    imgui.same_line()
+    width = 5 * imgui.get_font_size()
+    follow(right, imgui.calc_text_size("is really").x + width)
     imgui.text_colored(theme.QUIET, "is really")
     imgui.same_line()
-    imgui.set_next_item_width(5 * imgui.get_font_size())
+    imgui.set_next_item_width(width)
     entered, value = imgui.input_double(
         "##known length", measured.length, 0.0, 0.0, "%.5g", imgui.InputTextFlags_.enter_returns_true
     )
@@ -348,12 +380,14 @@ def measuring(app: AppState, session: EditSession) -> None:
         app.post(commands.scale_to_length, value)
 
 
-def ground(app: AppState, session: EditSession) -> None:
+def ground(app: AppState, session: EditSession, right: float) -> None:
     name("Ground")
-    imgui.text_colored(theme.QUIET, f"click point {len(session.picked) + 1} of 3")
+    text = f"click point {len(session.picked) + 1} of 3"
+    follow(right, imgui.calc_text_size(text).x)
+    imgui.text_colored(theme.QUIET, text)
 
 
-TOOL_OPTIONS: dict[ToolName, Callable[[AppState, EditSession], None]] = {
+TOOL_OPTIONS: dict[ToolName, Callable[[AppState, EditSession, float], None]] = {
     **dict.fromkeys(SELECTING, selecting),
     **dict.fromkeys(TRANSFORMING, transforming),
     **dict.fromkeys(CROPPING, cropping),
@@ -372,12 +406,11 @@ ACTIONS = (
 """Commands on the selection."""
 
 
-def selection(app: AppState, session: EditSession) -> None:
+def selection(app: AppState, session: EditSession, right: float) -> None:
     name(f"{session.document.counts.selected:,} selected")
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 0))
-    for number, (id, icon) in enumerate(ACTIONS):
-        if number:
-            imgui.same_line()
+    for id, icon in ACTIONS:
+        follow(right, width_of(icon))
         command = COMMANDS[id]
         lacks = command.lacks(app)
         imgui.begin_disabled(lacks != "")

@@ -20,6 +20,7 @@ from splatview.viewer.panels.split_view import drag_line, draw_split
 from splatview.viewer.preferences import RANGES
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
+from splatview.viewer.view_aids import ViewAids
 
 ORBIT_SPEED = math.pi
 """Radians for a drag across the picture's height."""
@@ -123,6 +124,7 @@ def draw_picture(app: AppState, corner: ImVec2, width: int, height: int) -> None
     imgui.get_window_draw_list().add_image(
         imgui.ImTextureRef(texture.glo), corner, ImVec2(corner.x + width, corner.y + height)
     )
+    app.feature(ViewAids).draw(app, corner, width, height, texture)
 
 
 def steer_by_mouse(

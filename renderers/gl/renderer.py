@@ -13,7 +13,7 @@ import moderngl
 from splatview.renderers.gl.context import describe, held_bytes
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants
-from splatview.renderers.gl.resolve import Resolving, float16_blending_truncates
+from splatview.renderers.gl.resolve import Resolving, depth_range, float16_blending_truncates
 from splatview.renderers.gl.targets import PictureTargets
 from splatview.renderers.gl.uniforms import check_rays
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
@@ -129,6 +129,10 @@ class GLRenderer(Renderer):
     @abstractmethod
     def _visible(self, wait: bool) -> int:
         """Splats that were visible in a recent frame, or in the last one."""
+
+    def depth_range(self, camera: Camera) -> tuple[float, float]:
+        """Depths, world units, of the ends of the colours of the mode "depth" from `camera`."""
+        return depth_range(self._edits.placement, camera)
 
     def memory(self) -> int:
         return held_bytes(self)

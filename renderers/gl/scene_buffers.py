@@ -245,6 +245,10 @@ class SceneBuffers:
 def finite_box(means: np.ndarray) -> np.ndarray:
     """(2, 3) float64: least and greatest finite coordinates of means (N, 3); a point where there are none."""
     with np.errstate(invalid="ignore"):
+        if len(means):
+            box = np.stack([means.min(axis=0), means.max(axis=0)]).astype(np.float64)
+            if np.isfinite(box).all():
+                return box
         finite = means[np.isfinite(means).all(axis=1)]
     if not len(finite):
         return np.zeros((2, 3))
@@ -265,13 +269,14 @@ class UploadPlan:
 _plans: WeakKeyDictionary[Gaussians, UploadPlan] = WeakKeyDictionary()
 
 
-def upload_plan(gaussians: Gaussians) -> UploadPlan:
+def upload_plan(gaussians: Gaussians, *, every_band: bool = False) -> UploadPlan:
     """The plan of a scene, found once, as its arrays never change. A thread that calls it first spares the
-    one of the OpenGL context half of the upload's time on the processor."""
+    one of the OpenGL context the better half of the upload's time on the processor. `every_band`: bands that
+    cannot be seen are uploaded too, which is sooner decided."""
     known = _plans.get(gaussians)
     if known is None:
         known = _plans[gaussians] = UploadPlan(
-            harmonics=stored_harmonics(gaussians, every_band=False),
+            harmonics=stored_harmonics(gaussians, every_band=every_band),
             placement=placement_of(gaussians.means, gaussians.log_scales),
             box=finite_box(gaussians.means),
         )

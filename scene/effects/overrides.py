@@ -7,7 +7,14 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from splatview.scene.edits import Adjustment
-from splatview.scene.effects.appearance import ANTIALIASED, FLAT, antialiasing, early_stop_for, is_flat
+from splatview.scene.effects.appearance import (
+    ANTIALIASED,
+    FLAT,
+    antialiasing,
+    early_stop_for,
+    is_flat,
+    quick_early_stop,
+)
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.sh_bands import band_name, used_sh_degree
 from splatview.scene.gaussians import Gaussians
@@ -46,6 +53,16 @@ def settings_for(
         model=replace(model, antialiased=forced.get(ANTIALIASED, antialiased)),
         sh_degree=used if used < stored else None,
         early_stop=early_stop_for(gaussians, palette),
+    )
+
+
+def quick_settings(gaussians: Gaussians) -> RenderSettings:
+    """Settings that show the scene as those of `settings_for` do, found without looking at every splat's
+    colour: all bands, and pixels that end no sooner."""
+    antialiased, blur, _ = antialiasing(gaussians.comments)
+    model = ImageModel(blur=blur).with_footprint("disc" if is_flat(gaussians) else "ellipsoid")
+    return RenderSettings(
+        model=replace(model, antialiased=antialiased), early_stop=quick_early_stop(gaussians)
     )
 
 

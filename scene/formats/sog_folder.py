@@ -101,7 +101,8 @@ def save_streamed(
     """
     levels = [gaussians.take(storable(gaussians))]
     if len(levels[0]):
-        levels += [fewer for fewer, _ in levels_and_cells(levels[0], levels=COARSER_LEVELS)]
+        coarser = levels_and_cells(levels[0], levels=COARSER_LEVELS)
+        levels += [fewer.take(storable(fewer)) for fewer, _ in coarser]
     progress.step(0.15)
     tree = _split(levels[0].means, np.arange(len(levels[0])), leaf)
     for number, level in enumerate(levels[1:], 1):

@@ -214,7 +214,7 @@ def test_stats_are_one_json_object(splatview, scene, gaussians, tmp_path, render
     assert psnr(np.load(tmp_path / "a.npy"), truth) > 45, "the last frame is written"
 
 
-@pytest.mark.parametrize("mode", ["points", "ellipsoids", "depth", "overdraw"])
+@pytest.mark.parametrize("mode", ["points", "ellipsoids", "depth", "overdraw", "normals"])
 def test_visual_modes_differ_from_the_picture(rendered, mode):
     picture, image = rendered(*VIEW, "--renderer", "quads"), rendered(*VIEW, "--mode", mode)
     assert image.shape == picture.shape

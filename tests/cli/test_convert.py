@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from splatview.cli.main import main
-from splatview.scene.formats import load_scene, save_scene
+from splatview.scene import look_at
+from splatview.scene.formats import load_scene, save_camera, save_scene
 
 COMMENTS = ("SplatRenderMode: mip", "a note")
 
@@ -68,3 +69,56 @@ def test_nothing_is_written_where_the_scene_does_not_fit(splatview, tmp_path, ra
     code, _, err = splatview("convert", tmp_path / "far.ply", tmp_path / "out.spz")
     assert code == 2 and "move the scene to the origin" in err
     assert (tmp_path / "out.spz").read_bytes() == b"older"
+
+
+def test_a_target_is_searched_for(splatview, scene, tmp_path):
+    out = tmp_path / "out.spz"
+    code, text, err = splatview("convert", scene, out, "--target", "30 dB", "--json")
+    report = json.loads(text)
+    assert code == 0 and report["psnr"] >= 30 and report["bytes"] == out.stat().st_size
+    assert "position bits" in err and report["knobs"]["position_bits"] < 24
+    code, _, err = splatview("convert", scene, tmp_path / "no.splat", "--target", "120dB")
+    assert code == 2 and "at most" in err and err.count("\n") == 1 and not (tmp_path / "no.splat").exists()
+    code, _, err = splatview("convert", scene, tmp_path / "no.spz", "--target", "much")
+    assert code == 2 and "40dB" in err
+
+
+def test_a_folder_is_written_for_a_name_without_suffix(splatview, scene, tmp_path):
+    assert splatview("convert", scene, tmp_path / "sogs")[0] == 0
+    assert len(load_scene(tmp_path / "sogs")) == 60
+    lods = tmp_path / "lods" / "lod-meta.json"
+    assert splatview("convert", tmp_path / "sogs", lods, "--sh-degree", 0)[0] == 0
+    assert load_scene(lods).sh_degree == 0
+
+
+def test_turning_over_twice_is_nothing(splatview, scene, tmp_path):
+    once, twice = tmp_path / "once.ply", tmp_path / "twice.ply"
+    assert splatview("convert", scene, once, "--turn", "over")[0] == 0
+    assert splatview("convert", once, twice, "--turn", "X90,x90")[0] == 0
+    before, turned, after = (load_scene(path) for path in (scene, once, twice))
+    assert np.allclose(turned.means, before.means * np.float32([1, -1, -1]))
+    assert np.allclose(after.means, before.means, atol=1e-6) and np.allclose(after.sh, before.sh, atol=1e-5)
+    code, _, err = splatview("convert", scene, once, "--turn", "x45")
+    assert code == 2 and "steps of 90" in err
+
+
+def test_cameras_can_be_given(splatview, scene, tmp_path):
+    camera = look_at(np.array([0, 0, -4.0]), np.zeros(3), fov_y=40, width=64, height=64)
+    save_camera(camera, tmp_path / "camera.json")
+    out = tmp_path / "out.spz"
+    assert splatview("convert", scene, out, "--target", "25dB", "--cameras", tmp_path / "camera.json")[0] == 0
+    assert 0 < len(load_scene(out)) <= 60
+
+
+def test_an_interrupted_search_leaves_nothing(splatview, scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+
+    def interrupted(*_: object, **__: object) -> None:
+        assert list((tmp_path / "temporary").iterdir())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("splatview.renderers.rate_distortion.measure_curves", interrupted)
+    code, out, _ = splatview("convert", scene, tmp_path / "out.spz", "--target", "30dB")
+    assert code == 130 and out == "" and not (tmp_path / "out.spz").exists()
+    assert not list((tmp_path / "temporary").iterdir())

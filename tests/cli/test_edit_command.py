@@ -242,7 +242,7 @@ def test_recipes_for_other_scenes(scene, splatview, tmp_path, random_gaussians):
     ("argv", "message"),
     [
         (("edit", "SCENE"), "--recipe"),
-        (("edit", "SCENE", "--recipe", "R"), "give -o OUT.ply or --dry-run"),
+        (("edit", "SCENE", "--recipe", "R"), "give -o OUT or --dry-run"),
         (("edit", "SCENE", "--recipe", "R", "-o", "DIR/nowhere/out.ply"), "does not exist"),
         (("edit", "SCENE", "--recipe", "R", "-o", "DIR/out.xyz"), "saved as .ply"),
         (("edit", "SCENE", "--recipe", "R", "-o", "DIR"), "saved as .ply"),

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.scene import RenderSettings, look_at, reference
-from splatview.scene.frames import FRAMES, OURS, frame_matrix, reframed
+from splatview.scene import InputError, RenderSettings, look_at, reference
+from splatview.scene.frames import FRAMES, OURS, frame_matrix, reframed, turn_matrix
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -43,3 +43,17 @@ def test_a_picture_does_not_depend_on_the_frame(frame, random_gaussians):
     before = reference.render(scene, camera, settings)
     after = reference.render(reframed(scene, OURS, frame), turned, settings)
     np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_turns_are_exact_rotations():
+    assert np.array_equal(turn_matrix("over"), frame_matrix("RUB", "RDF"))
+    assert np.array_equal(turn_matrix("z90") @ [1, 0, 0], [0, 1, 0])
+    assert np.array_equal(turn_matrix("y90,x-90"), turn_matrix("x270") @ turn_matrix("Y+450"))
+    for text in ("x180", "y90", "z-90", "x90,y90,z90"):
+        assert np.linalg.det(turn_matrix(text)) == 1
+
+
+@pytest.mark.parametrize("text", ["", "x", "x45", "w90", "180", "x90;y90", "x9999999", "nan"])
+def test_what_is_no_turn_is_refused(text):
+    with pytest.raises(InputError, match="x180"):
+        turn_matrix(text)

@@ -72,7 +72,7 @@ def test_a_plugin_can_replace_the_photo_loss(make_trainer) -> None:
     trainer: Trainer = make_trainer(iterations=100, resolution=())
     trainer.loss = LossPlugin(lambda step: (step.image[..., :3] - step.photo / 255).square().mean())
     losses = [trainer.step().loss for _ in range(100)]
-    assert trainer.loss.replaces and np.mean(losses[-20:]) < 0.5 * np.mean(losses[:20])
+    assert trainer.loss.replaces and np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
     assert "loss" not in trainer.clock.milliseconds, "the photo loss was not even computed"
 
 

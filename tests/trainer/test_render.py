@@ -16,6 +16,7 @@ from splatview import raster
 from splatview.scene import Camera, Gaussians, ImageModel, Lens, RenderSettings, look_at, reference
 from splatview.scene.lens import COUNTS
 from splatview.scene.projection import project
+from splatview.trainer import functional
 from splatview.trainer.functional import (
     GRADIENT_EARLY_STOP,
     Visibility,
@@ -375,25 +376,20 @@ def test_gradients_that_are_held_are_not_overwritten(random_gaussians):
     """Memory of gradients goes round, but only where nobody has it any more."""
     inputs, camera = tensors_of(random_gaussians(50), torch.float32), look_at((0, 0, -2), (0, 0, 0))
     camera = camera.resized(20, 20)
-    held, places = [], set()
-    for factor in (1.0, 2.0, 3.0):
-        image, _ = picture(inputs, camera)
-        (factor * image).sum().backward()
-        held.append(gradient(inputs["means"]))
-        inputs["means"].grad = None
-        places.add(gradient(inputs["sh"]).data_ptr())
+
+    def differentiated(factor: float) -> tuple[torch.Tensor, int]:
+        """The gradient by the means, and which of the pool's arrays that by SH went into."""
         for value in inputs.values():
             value.grad = None
+        image, _ = picture(inputs, camera)
+        (factor * image).sum().backward()
+        return gradient(inputs["means"]), id(functional._pictures._free[-1].gradients[4])
+
+    held = [differentiated(factor)[0] for factor in (1.0, 2.0, 3.0)]
     torch.testing.assert_close(held[1], 2 * held[0])
     torch.testing.assert_close(held[2], 3 * held[0])
-    place = held[0].data_ptr()
-    del held, image
-    picture(inputs, camera)[0].sum().backward()
-    first = gradient(inputs["means"]).data_ptr()
-    for value in inputs.values():
-        value.grad = None
-    picture(inputs, camera)[0].sum().backward()
-    assert gradient(inputs["means"]).data_ptr() == first != place
+    held.clear()
+    assert differentiated(1.0)[1] == differentiated(1.0)[1]
 
 
 @pytest.mark.parametrize("antialiased", [False, True])

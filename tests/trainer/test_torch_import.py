@@ -25,7 +25,7 @@ import splatview.viewer.panels.recipe, splatview.viewer.panels.photos, splatview
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.trainer.settings import TrainSettings
 scene, capture, out = sys.argv[1:]
-Path(out, "r.json").write_text(json.dumps({"version": 1, "steps": []}))
+Path(out, "r.json").write_text(json.dumps({"splatview_recipe": 1, "scene": {}, "steps": []}))
 codes = [
     main(["info", scene]),
     main(["render", scene, "-o", f"{out}/a.png", "--size", "32x24", "--renderer", "cpu"]),

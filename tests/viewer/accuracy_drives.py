@@ -50,7 +50,10 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["evaluations"] = accuracy.bill.evaluations if accuracy.bill else None
     hand.shoot(options.get("shot_prices"))
 
-    hand.ctx.item_click("**/###sh-degree 0")
+    x, y = accuracy.marks["sh-degree", "0"]
+    hand.ctx.mouse_teleport_to_pos(ImVec2(x, y))
+    hand.frames(2)
+    hand.ctx.mouse_click(0)
     hand.frames(3)
     hand.settle()
     found["choices"] = dict(accuracy.choices)
@@ -83,6 +86,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["back"] = float(np.abs(seen(hand, app) - exact).max())
     found["choices_after"] = dict(accuracy.choices)
 
+    hand.ctx.item_open("###all")
     reduced(app, hand, found, exact)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")

@@ -30,6 +30,7 @@ class RecordingPicture:
 
     name, backend = "recording", "quads"
     busy = False
+    is_current = True
     draws_anywhere = False
     budget_ms = None
     sharp = False

@@ -93,7 +93,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["exported_after_crop"] = len(bake(session.document.gaussians, session.document.edits, hidden=True))
 
     open_section(hand, "Clean up")
-    hand.ctx.item_click("Clean up/Look for them")
+    hand.ctx.item_click("Clean up/detectors/###clusters")
     settle(hand)
     hand.ctx.item_input_value("Clean up/##Threshold", float(options["threshold"]))
     settle(hand)

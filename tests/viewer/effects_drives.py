@@ -23,7 +23,7 @@ def receipt(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     effects.rounds = options.get("rounds")
     exact = hand.picture()
     hand.page("Accuracy")
-    hand.ctx.item_close("Frame limit")
+    hand.ctx.item_close("###Frame limit")
     hand.ctx.item_close("Compare")
     hand.ctx.item_open("Effects")
     found["receipt"] = [[e.name, e.on, e.in_force, e.why] for e in effects.receipt(app)]

@@ -14,6 +14,7 @@ from editing_drives import counts, settle
 from imgui_bundle import imgui
 
 from splatview.scene.formats import FORMATS
+from splatview.viewer.camera import shown_sample
 from splatview.viewer.editing.exporting import SCOPES, WRITTEN, Exporting, contents_of, title_of
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels.export import GOAL_NAMES
@@ -120,6 +121,29 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     shoot(hand, "export-refused")
     write_to(folder / "sogs" / "meta.json")
     found["folder"] = sorted(os.listdir(folder / "sogs"))
+    turn_over(app, hand, found)
+
+
+def turn_over(app: AppState, hand: Hand, found: dict[str, Any]) -> None:
+    """Upside down by the menu, and back by undo; the step is one of recipes."""
+
+    def middle() -> list[float]:
+        settle(hand)
+        sample = shown_sample(app)
+        assert sample is not None
+        return sample.means.mean(axis=0).tolist()
+
+    session = session_of(app)
+    assert session is not None
+    found["upright"] = middle()
+    hand.ctx.set_ref("##MainMenuBar")
+    hand.ctx.menu_click("Edit/Turn over")
+    hand.frames(3)
+    found["turned"] = middle()
+    found["step"] = session.document.history.done[-1].operation.to_json()
+    shoot(hand, "turned-over")
+    hand.press("Ctrl+Z")
+    found["undone"] = middle()
 
 
 if __name__ == "__main__":

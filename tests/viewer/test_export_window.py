@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from splatview.scene.formats import load_scene, save_scene
@@ -15,7 +17,8 @@ TOTAL = 300
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, random_gaussians) -> Path:
     folder: Path = tmp_path_factory.mktemp("export")
-    save_scene(random_gaussians(TOTAL, sh_degree=1, seed=4), folder / "scene.sog")
+    scene = random_gaussians(TOTAL, sh_degree=1, seed=4)
+    save_scene(replace(scene, log_scales=scene.log_scales - np.float32(1.5)), folder / "scene.sog")
     (folder / "foreign").mkdir()
     (folder / "foreign" / "letter.txt").write_text("dear")
     return folder
@@ -60,3 +63,10 @@ def test_only_the_selection_is_exported_where_that_is_asked_for(found, folder):
 
 def test_a_folder_of_something_else_is_refused(found, folder):
     assert not found["foreign"] and (folder / "foreign" / "letter.txt").read_text() == "dear"
+
+
+def test_a_scene_is_turned_over_and_back(found):
+    x, y, z = found["upright"]
+    assert found["turned"] == pytest.approx([x, -y, -z], abs=1e-5)
+    assert found["undone"] == [x, y, z]
+    assert found["step"]["op"] == "transform" and found["step"]["scope"] == "scene"

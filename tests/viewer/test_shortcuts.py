@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import pytest
 
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, chord, keys_of
 from splatview.viewer.dialogs import HELP_COLUMNS, help_rows
-from splatview.viewer.menus import MENUS, matching
+from splatview.viewer.menus import MENUS
+from splatview.viewer.palette import matching
+from splatview.viewer.sequence import Sequences
 
 
 def test_every_command_has_a_title_and_is_found_by_it():
     assert all(command.title and command.id == id for id, command in COMMANDS.items())
     assert keys_of("undo") == "Ctrl+Z" and keys_of("find_needles") == ""
-    assert [command.id for command in matching("needles")] == ["find_needles"]
+    assert matching("needles")[0].id == "find_needles"
 
 
 def test_menus_name_commands_of_the_table():
@@ -20,9 +24,13 @@ def test_menus_name_commands_of_the_table():
     assert set(named) <= set(COMMANDS) and len(named) == len(set(named))
 
 
-def test_no_key_means_two_things():
-    chords = [chord(key) for entry in (*COMMANDS.values(), *HELD_KEYS) for key in entry.keys]
+@pytest.mark.parametrize("in_sequence", [False, True])
+def test_no_key_means_two_things(app, in_sequence):
+    app.feature(Sequences).player = cast(Any, object()) if in_sequence else None
+    entries = [*HELD_KEYS, *(command for command in COMMANDS.values() if command.when(app))]
+    chords = [chord(key) for entry in entries for key in entry.keys]
     assert len(chords) == len(set(chords))
+    assert chord("Space") in chords
 
 
 def test_every_key_is_on_the_help_page():

@@ -8,14 +8,16 @@ No times are compared; the files written for each search are counted.
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
+from typing import Any
 
 from harness import load_scenes, make_parser
 
 from splatview.measure.machine import write_results
 from splatview.renderers.conversion import measure, sample_views
 from splatview.renderers.rate_distortion import Target
-from splatview.scene import InputError
+from splatview.scene import Gaussians, InputError
 from splatview.scene.demo import demo_scene
 
 SUFFIXES = (".spz", ".sog")
@@ -24,55 +26,56 @@ QUALITIES = (35.0, 40.0, 45.0)
 """dB"""
 
 
+def row_of(found: list[dict[str, Any]]) -> list[str]:
+    """The row of one scene and format."""
+    first = found[0]
+    row = [
+        f"{first['scene']}, `{first['format']}`",
+        f"{first['usual_bytes'] / 1e6:.2f} ({first['usual_psnr']:.1f} dB)",
+    ]
+    for result in found:
+        kept = f"{result['splats'] / result['of']:.0%}" if "bytes" in result else ""
+        row.append(f"{result['bytes'] / 1e6:.2f} ({kept})" if "bytes" in result else "not reached")
+    return row
+
+
+def results_of(name: str, scene: Gaussians, suffix: str) -> list[dict[str, Any]]:
+    """One result for each of QUALITIES."""
+    views, path, results = sample_views(scene), Path(f"scene{suffix}"), []
+    with measure(scene, path, cameras=views) as plain:
+        usual = plain.found
+    for quality in QUALITIES:
+        result: dict[str, Any] = {"scene": name, "format": suffix, "target": quality, "of": len(scene)}
+        result |= {"usual_bytes": usual.bytes, "usual_psnr": usual.psnr}
+        try:
+            with measure(scene, path, target=Target(psnr=quality), cameras=views) as measured:
+                found = measured.found
+        except InputError as error:
+            result["refused"] = str(error)
+        else:
+            result |= {"bytes": found.bytes, "psnr": found.psnr, "max_error": found.max_error}
+            result |= {"splats": found.splats, "knobs": dict(found.knobs), "lost": list(found.lost)}
+        print(result, flush=True)
+        results.append(result)
+    return results
+
+
 def main() -> None:
     parser = make_parser(__doc__, "targets.json", scenes=True)
     options = parser.parse_args()
-    results, rows = [], []
-    for name, scene in load_scenes(options.scenes, lambda: {"the demo": demo_scene()}).items():
-        views = sample_views(scene)
-        for suffix in SUFFIXES:
-            path = Path(f"scene{suffix}")
-            with measure(scene, path, cameras=views) as plain:
-                usual = plain.found
-            row = [f"{name}, `{suffix}`", f"{usual.bytes / 1e6:.2f} ({usual.psnr:.1f} dB)"]
-            for quality in QUALITIES:
-                try:
-                    with measure(scene, path, target=Target(psnr=quality), cameras=views) as measured:
-                        found = measured.found
-                except InputError as error:
-                    results.append(
-                        {"scene": name, "format": suffix, "target": quality, "refused": str(error)}
-                    )
-                    row.append("-")
-                    continue
-                results.append(
-                    {
-                        "scene": name,
-                        "format": suffix,
-                        "target": quality,
-                        "bytes": found.bytes,
-                        "psnr": found.psnr,
-                        "max_error": found.max_error,
-                        "splats": found.splats,
-                        "of": len(scene),
-                        "knobs": dict(found.knobs),
-                        "lost": list(found.lost),
-                        "usual_bytes": usual.bytes,
-                        "usual_psnr": usual.psnr,
-                    }
-                )
-                row.append(f"{found.bytes / 1e6:.2f} ({found.splats / len(scene):.0%})")
-                print(results[-1], flush=True)
-            rows.append(row)
+    results: list[list[dict[str, Any]]] = []
     columns = [
         "scene, format",
         "MB as usual",
         *(f"MB for {quality:g} dB (splats kept)" for quality in QUALITIES),
     ]
     note = "Pictures of six views from around the scene, by the CPU renderer."
-    write_results(
-        options.output, {"results": results, "table": {"columns": columns, "rows": rows, "note": note}}
-    )
+    for name, scene in load_scenes(options.scenes, lambda: {"the demo": demo_scene()}).items():
+        for suffix in SUFFIXES:
+            results.append(results_of(name, scene, suffix))
+            table = {"columns": columns, "rows": [row_of(found) for found in results], "note": note}
+            # After each, as a search of a large scene takes minutes.
+            write_results(options.output, {"results": list(itertools.chain(*results)), "table": table})
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 python tools/readme/readme_pictures.py [NAME ...]
 
-Names: landscape, modes, window, editing, accuracy, effects, training. None: all.
+Names: landscape, modes, window, timeline, editing, accuracy, effects, training. None: all.
 """
 
 from __future__ import annotations
@@ -106,6 +106,27 @@ def window(folder: Path) -> None:
     grab([SPLATVIEW], folder / "window.png", SECONDS_TO_SETTLE)
 
 
+def timeline(folder: Path) -> None:
+    """The window on a sequence, frames of the demo in a wind, one of them damaged."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from splatview.scene.demo import demo_scene
+    from splatview.scene.formats import save_scene
+
+    scene = demo_scene()
+    with tempfile.TemporaryDirectory() as name:
+        frames = Path(name) / "wind"
+        frames.mkdir()
+        for i in range(24):
+            means = scene.means.copy()
+            means[:, 0] += (0.1 * np.sin(0.26 * i + means[:, 2])).astype(means.dtype)
+            save_scene(replace(scene, means=means), frames / f"frame_{i + 1}.splat")
+        (frames / "frame_9.splat").write_bytes(b"damaged")
+        grab([SPLATVIEW, frames], folder / "timeline.png", SECONDS_TO_SETTLE)
+
+
 def editing(folder: Path) -> None:
     """The window on the demo while it is cleaned up."""
     drive = Path(__file__).with_name("readme_windows.py")
@@ -134,6 +155,7 @@ MAKERS = {
     "landscape": landscape,
     "modes": modes,
     "window": window,
+    "timeline": timeline,
     "editing": editing,
     "accuracy": accuracy,
     "effects": effects,

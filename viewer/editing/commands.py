@@ -16,7 +16,7 @@ from splatview.edit.operations.select import Grow, Shrink
 from splatview.edit.operations.transform import Transform
 from splatview.scene.edits import Crop
 from splatview.scene.framing import bulk, robust_box
-from splatview.viewer.camera import shown_sample
+from splatview.viewer.camera import frame_all, shown_sample
 from splatview.viewer.editing.session import (
     TRANSFORM,
     EditSession,
@@ -132,6 +132,14 @@ def grow_or_shrink(app: AppState, session: EditSession, operation: Grow | Shrink
         session.apply_slowly(operation, "Grow" if isinstance(operation, Grow) else "Shrink")
     else:
         session.news = SELECT_FIRST
+
+
+@editing_command
+def turn_over(app: AppState, session: EditSession) -> None:
+    """Half a turn about x through the origin, as between the frames RDF and RUB; the view follows."""
+    if session.apply(Transform(scope="scene", rotation=(0.0, 1.0, 0.0, 0.0))):
+        session.news = "Turned over, by half a turn about x; Ctrl+Z takes it back"
+        frame_all(app)
 
 
 @editing_command

@@ -331,8 +331,7 @@ class EditSession:
 
 
 class LiveScene(Protocol):
-    """A scene that changes while it is shown, such as one in training or a sequence that plays: it is edited
-    by way of snapshots."""
+    """A scene that changes while it is shown, in training or as a sequence: edited by way of snapshots."""
 
     at_rest: bool
     """Whether every edit of a snapshot can be done and kept."""

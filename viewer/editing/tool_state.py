@@ -192,6 +192,10 @@ class CleanForm:
     count: int = 0
     price: Impact | None = None
     """Impact of deleting `mask`; None: not measured."""
+    counts: dict[str, tuple[object, int]] = field(default_factory=dict)
+    """Number of splats that each detector finds at its usual threshold, after the versions that it is of."""
+    prices: dict[str, tuple[object, Impact]] = field(default_factory=dict)
+    """Impact of deleting those, likewise."""
     keep: int = 0
     """Number of splats that decimation leaves; 0: not filled in yet."""
     kept_price: tuple[object, Impact] | None = None

@@ -244,7 +244,7 @@ def show(app: AppState) -> None:
         recipe.show_rules(app, training)
     if session is not None:
         sections(app, session, SECTIONS if training is None else SECTIONS_IN_TRAINING)
-    if training is not None and imgui.collapsing_header(RULES, imgui.TreeNodeFlags_.default_open):
+    if training is not None and widgets.header(RULES, opened=True):
         imgui.push_id(RULES)
         recipe.in_force(app, training)
         imgui.pop_id()
@@ -263,7 +263,7 @@ def sections(
     for title, contents in entries:
         is_open = forms.section == title
         imgui.set_next_item_open(is_open)
-        shown = imgui.collapsing_header(title)
+        shown = widgets.header(title)
         if shown != is_open:
             forms.section = title if shown else ""
         if asked == title:

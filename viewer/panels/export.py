@@ -116,12 +116,8 @@ def _result(app: AppState, exporting: Exporting, session: EditSession) -> None:
         if imgui.button("Cancel"):
             session.job.cancel()
         return
-    widgets.button(
-        "Measure",
-        "Writes a file to a place of its own, reads it back and compares pictures. None of your files is "
-        "touched.",
-        lambda: app.post(measure_export),
-    )
+    # No tooltip: it would cover what comes of it.
+    widgets.button("Measure", "", lambda: app.post(measure_export))
     measured = exporting.measured
     if measured is None or not exporting.is_current(session):
         imgui.same_line()

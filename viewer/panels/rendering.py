@@ -12,7 +12,7 @@ from splatview.renderers import MODES
 from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
 from splatview.viewer.commands import set_mode
-from splatview.viewer.panels import camera, statistics, widgets
+from splatview.viewer.panels import camera, statistics, view_aids, widgets
 from splatview.viewer.preferences import RANGES, BackgroundKind
 from splatview.viewer.state import AppState
 
@@ -122,6 +122,7 @@ def picture(app: AppState) -> None:
     )
     if scale is not None:
         app.prefer(resolution_scale=scale)
+    view_aids.show(app)
 
 
 def sh_degree(app: AppState) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from itertools import groupby
+from itertools import pairwise
 
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
@@ -30,6 +30,12 @@ COLOURS: dict[FrameState, ImVec4] = {
 BAR_EM = 1.15
 """Height of the slider, in font heights."""
 
+NARROW_EM = 38
+"""Width of the strip, in font heights, below which its controls take two rows."""
+
+TIP_EM = 24
+"""Width of the slider's tooltip at most, in font heights."""
+
 LEAST_MARK = 2.0
 """px: width of a mark at least, so that one damaged frame among a thousand is seen."""
 
@@ -41,9 +47,14 @@ def height(app: AppState) -> float:
     """Height of the strip; 0 where no sequence is open."""
     if app.feature(Sequences).player is None:
         return 0.0
-    style = imgui.get_style()
-    rows = imgui.get_font_size() * BAR_EM + imgui.get_frame_height()
-    return rows + style.item_spacing.y + 2 * style.window_padding.y
+    style, rows = imgui.get_style(), 2 if is_narrow() else 1
+    controls = rows * (imgui.get_frame_height() + style.item_spacing.y)
+    return imgui.get_font_size() * BAR_EM + controls + 2 * style.window_padding.y
+
+
+def is_narrow() -> bool:
+    """Whether the controls need two rows, as far as the room right of the cursor tells."""
+    return imgui.get_content_region_avail().x < NARROW_EM * imgui.get_font_size()
 
 
 @contextmanager
@@ -69,7 +80,7 @@ def show(app: AppState) -> None:
     player = app.feature(Sequences).player
     if player is None:
         return
-    style = imgui.get_style()
+    style, narrow = imgui.get_style(), is_narrow()
     background = imgui.get_style_color_vec4(imgui.Col_.window_bg)
     imgui.push_style_color(imgui.Col_.child_bg, background)
     flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
@@ -81,6 +92,8 @@ def show(app: AppState) -> None:
     try:
         slider(app, player)
         buttons(app, player)
+        if not narrow:
+            imgui.same_line()
         settings(app, player)
     finally:
         imgui.end_child()
@@ -92,15 +105,15 @@ def slider(app: AppState, player: Player) -> None:
     tall, count = imgui.get_font_size() * BAR_EM, len(player.sequence)
     imgui.invisible_button("frames", ImVec2(width, tall))
     draw = imgui.get_window_draw_list()
-    first = 0
-    for state, run in groupby(map(player.cache.state, range(count))):
-        last = first + sum(1 for _ in run)
+    states = [player.cache.state(index) for index in range(count)]
+    starts = [index for index in range(count) if index == 0 or states[index] != states[index - 1]]
+    for first, last in pairwise((*starts, count)):
+        state = states[first]
         left, right = (corner.x + width * place / count for place in (first, last))
         if state == "failed":
             right = max(right, left + LEAST_MARK)
         ink = imgui.get_color_u32(COLOURS[state])
         draw.add_rect_filled(ImVec2(left, corner.y + 0.3 * tall), ImVec2(right, corner.y + 0.7 * tall), ink)
-        first = last
     under = min(max(int((imgui.get_mouse_pos().x - corner.x) / width * count), 0), count - 1)
     player.dragging = imgui.is_item_active()
     if player.dragging:
@@ -115,7 +128,11 @@ def slider(app: AppState, player: Player) -> None:
     draw.add_rect_filled(*head, imgui.get_color_u32(theme.ERROR if failed else ImVec4(*theme.ACCENT, 1)), 2)
     if imgui.is_item_hovered():
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
-        imgui.set_tooltip(described(player, under))
+        if imgui.begin_tooltip():
+            imgui.push_text_wrap_pos(imgui.get_font_size() * TIP_EM)
+            imgui.text_unformatted(described(player, under))
+            imgui.pop_text_wrap_pos()
+            imgui.end_tooltip()
 
 
 def described(player: Player, index: int) -> str:
@@ -125,10 +142,10 @@ def described(player: Player, index: int) -> str:
     if index in cache.problems:
         lines.append(cache.problems[index])
     lines.append(
-        f"{len(cache):,} frames are decoded (lighter blue): {bytes_in_words(cache.used)} of"
+        f"{len(cache):,} frames are decoded (blue), {bytes_in_words(cache.used)} of at most"
         f" {bytes_in_words(cache.budget)}"
     )
-    return "\n".join(lines).replace("%", "%%")
+    return "\n".join(lines)
 
 
 def buttons(app: AppState, player: Player) -> None:
@@ -162,7 +179,6 @@ def settings(app: AppState, player: Player) -> None:
     """On the right frame rate, repeat and memory; in the room that is left the name of the frame."""
     em, style = imgui.get_font_size(), imgui.get_style()
     rate, combo, gear = 5.2 * em, 5.6 * em, imgui.get_frame_height() * 1.2
-    imgui.same_line()
     left, right = imgui.get_cursor_pos_x(), imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
     start = max(right - rate - combo - gear - 2 * style.item_spacing.x, left)
     name(app, player, start - left - style.item_spacing.x)
