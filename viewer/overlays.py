@@ -307,7 +307,7 @@ def view_buttons(app: AppState, corner: ImVec2) -> None:
         if i:
             imgui.same_line()
         chosen = app.preferences.navigation == mode
-        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else theme.OVERLAY
+        fill = theme.CHOSEN if chosen else theme.OVERLAY
         imgui.push_style_color(imgui.Col_.button, fill)
         if imgui.button(f"{NAVIGATION_ICONS[mode]}###{NAVIGATION_NAMES[mode]}", ImVec2(side, 1.6 * em)):
             app.post(COMMANDS[f"navigate_{mode}"].run)
@@ -321,9 +321,9 @@ def view_buttons(app: AppState, corner: ImVec2) -> None:
 def mode_chooser(app: AppState, width: float) -> None:
     """A small list of the visual modes; bright where it is not the picture itself."""
     usual = app.mode == "splats"
-    fill = theme.OVERLAY if usual else ImVec4(*theme.ACCENT, 0.75)
+    fill = theme.OVERLAY if usual else theme.CHOSEN
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
-    imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
+    imgui.push_style_color(imgui.Col_.button, fill)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0.35 * imgui.get_font_size(), 3))
     imgui.set_next_item_width(width)
     modes = list(MODES.values())

@@ -117,7 +117,7 @@ def switches(app: AppState, strip: Sequence[Panel], side: float) -> None:
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 0))
     for panel in strip:
         open_now = app.strip == panel.name and not app.panels_hidden
-        colour = ImVec4(*theme.ACCENT, 0.75) if open_now else ImVec4(0, 0, 0, 0)
+        colour = theme.CHOSEN if open_now else ImVec4(0, 0, 0, 0)
         imgui.push_style_color(imgui.Col_.button, colour)
         id = f"strip_{panel.name.lower()}"
         if imgui.button(f"{panel.icon}###{panel.name}", ImVec2(side * 1.15, side)):

@@ -27,6 +27,8 @@ QUIET = ImVec4(0.60, 0.62, 0.66, 1)
 """Text that explains rather than states."""
 OVERLAY = ImVec4(0.1, 0.1, 0.11, 0.75)
 """Ground of texts and buttons on the picture."""
+CHOSEN = ImVec4(0.36, 0.66, 0.92, 0.75)
+"""Ground of a button that is chosen; texts on it are as on others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,7 @@ class Scheme:
     error: tuple[float, float, float]
     quiet: tuple[float, float, float]
     overlay: tuple[float, float, float, float]
+    chosen: tuple[float, float, float, float]
     border: float = 0.0
     """Width of the lines around controls and windows."""
 
@@ -208,6 +211,7 @@ SCHEMES: dict[Theme, Scheme] = {
         error=(0.95, 0.45, 0.42),
         quiet=(0.60, 0.62, 0.66),
         overlay=(0.1, 0.1, 0.11, 0.75),
+        chosen=(0.36, 0.66, 0.92, 0.75),
     ),
     "light": Scheme(
         greys=LIGHT,
@@ -218,6 +222,7 @@ SCHEMES: dict[Theme, Scheme] = {
         error=(0.76, 0.12, 0.10),
         quiet=(0.36, 0.38, 0.42),
         overlay=(0.97, 0.97, 0.98, 0.82),
+        chosen=(0.55, 0.76, 0.98, 0.95),
     ),
     "contrast": Scheme(
         greys=CONTRAST,
@@ -228,6 +233,7 @@ SCHEMES: dict[Theme, Scheme] = {
         error=(1.0, 0.5, 0.5),
         quiet=(0.85, 0.85, 0.85),
         overlay=(0.0, 0.0, 0.0, 0.9),
+        chosen=(0.50, 0.40, 0.0, 1.0),
         border=1.0,
     ),
 }
@@ -242,6 +248,7 @@ def set_colours(name: Theme) -> None:
     for vector, colour in ((WARNING, scheme.warning), (ERROR, scheme.error), (QUIET, scheme.quiet)):
         vector.x, vector.y, vector.z = colour
     OVERLAY.x, OVERLAY.y, OVERLAY.z, OVERLAY.w = scheme.overlay
+    CHOSEN.x, CHOSEN.y, CHOSEN.z, CHOSEN.w = scheme.chosen
     for colour, value in scheme.greys.items():
         style.set_color_(colour, ImVec4(value, value, min(value * scheme.tint, 1.0), 1))
     for colour, share in SHARES.items():

@@ -131,11 +131,13 @@ def tool_button(app: AppState, tool: Tool, place: ImVec2, side: float, *, chosen
     widgets.command_tooltip(app, command.id, name=tool.label)
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     if chosen or hovered:
-        fill = ImVec4(*theme.ACCENT, 0.85) if chosen else ImVec4(1, 1, 1, 0.12)
+        fill = theme.CHOSEN if chosen else imgui.get_style_color_vec4(imgui.Col_.button_hovered)
         low, high = ImVec2(place.x + 1, place.y + 1), ImVec2(place.x + side - 1, place.y + side - 1)
         draw.add_rect_filled(low, high, imgui.get_color_u32(fill), em * 0.25)
     strength = 0.35 if lacks else 1.0 if chosen or hovered else 0.85
-    draw_icon(tool.icon, ImVec2(place.x + side / 2, place.y + side / 2), ImVec4(1, 1, 1, strength))
+    ink = imgui.get_style_color_vec4(imgui.Col_.text)
+    middle = ImVec2(place.x + side / 2, place.y + side / 2)
+    draw_icon(tool.icon, middle, ImVec4(ink.x, ink.y, ink.z, strength))
 
 
 def draw_icon(icon: str, middle: ImVec2, colour: ImVec4) -> None:
@@ -237,7 +239,7 @@ def choices(right: float, entries: Sequence[tuple[str, str, str]], chosen: str) 
             imgui.same_line()
         bright = value == chosen
         if bright:
-            imgui.push_style_color(imgui.Col_.button, ImVec4(*theme.ACCENT, 0.75))
+            imgui.push_style_color(imgui.Col_.button, theme.CHOSEN)
         if imgui.button(f"{label}###{value}"):
             clicked = value
         if bright:
