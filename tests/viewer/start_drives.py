@@ -291,10 +291,10 @@ def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     hand.frames(3)
     shoot(hand, "help_contrast")
     hand.press("F1")
-    heights = [hand.on_gl_thread(imgui.get_font_size)]
+    heights = [imgui.get_style().font_scale_main]
     app.prefer(font_size=24.0)
     hand.frames(3)
-    heights.append(hand.on_gl_thread(imgui.get_font_size))
+    heights.append(imgui.get_style().font_scale_main)
     found["heights"] = heights
     app.prefer(theme="light")
     hand.press("Ctrl+Comma")

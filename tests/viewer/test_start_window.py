@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 
+from splatview.raster import render
+from splatview.scene.captures.demo import demo_capture
+from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene, save_scene
 
 
@@ -52,3 +58,59 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
     assert found["closed"]
     assert found["missing"].endswith("none.ply: there is no such file")
     assert found["replace"] == "deep.ply exists; Replace writes over it"
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    """Ten small photos of the demo scene in a folder."""
+    folder = tmp_path_factory.mktemp("captures") / "pond"
+    save_capture(demo_capture(render, photos=10, width=96, height=72, splats=4000), folder)
+    return folder
+
+
+def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
+    output = tmp_path / "trained.ply"
+    found = drive(
+        "starts",
+        script="start_drives.py",
+        capture=str(capture),
+        output=str(output),
+        steps=5,
+        size=(1000, 700),
+    )
+    assert found["open"] == found["again"] == "start" and found["demo_behind"] == "Demo"
+    assert found["after_escape"] is None and found["after_click"] is None
+    assert found["photos"] == 10 and found["proposed"] == str(capture.parent / "pond.ply")
+    assert found["scene"] == "pond (training)" and found["steps"] >= 5
+    assert len(load_scene(output)), "saved when the window closed"
+
+
+def test_captures_that_are_dropped(drive, scene_file, capture, tmp_path):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    found = drive(
+        "asks_about_captures", scene_file, script="start_drives.py", capture=str(capture), empty=str(empty)
+    )
+    assert found["asked"] == "capture" and found["cameras"] == 10
+    assert "pip install" in found["lacks"] and found["closed"] is None
+    assert found["problem"].startswith(f"{empty}: holds no capture")
+
+
+def test_settings(drive, scene_file, tmp_path):
+    found = drive("settings", scene_file, script="start_drives.py", size=(1000, 700))
+    assert found["open"] == "settings"
+    assert (found["light"], found["contrast"]) == ("light", "contrast")
+    assert found["heights"] == [1.0, 1.5]
+    nothing, orbit, pan, look = [False, False], [True, False], [True, True], [False, True]
+    assert found["drags"] == {
+        "splatview": [orbit, pan, pan],
+        "supersplat": [orbit, pan, orbit],
+        "blender": [orbit, nothing, orbit],
+        "unreal": [pan, look, pan],
+    }, "of the left, right and middle button: whether the eye and its target move"
+    assert found["two_fingers"] == orbit and found["wheel"] == orbit
+    assert found["blender_b"] == "rectangle" and found["own_b"] == 1
+    assert found["blender_a"] == [1500, nothing], "A selects, and flies no more"
+    assert found["reset"] == ["splatview", "dark"]
+    kept = json.loads((tmp_path / "config" / "preferences.json").read_text())
+    assert (kept["theme"], kept["font_size"], kept["keys"]) == ("light", 18.0, "unreal")
