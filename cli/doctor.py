@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splatview.cli.arguments import Parser
-from splatview.cli.window import no_window
+from splatview.cli.main import no_window
 from splatview.measure.machine import available_cores
 from splatview.renderers import FrameRequest, automatic_choice
 from splatview.renderers.headless import make_headless

@@ -164,6 +164,18 @@ def make_console(*, stderr: bool = True, quiet: bool = False) -> Console:
     return PlainConsole(file=file, quiet=quiet, markup=False, emoji=False, highlight=False)
 
 
+def no_window() -> str | None:
+    """One line on why no window can be opened, or None."""
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        # Known without loading the window's libraries.
+        return "no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
+    from splatview.viewer.platform import display_problem
+
+    return display_problem()
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The end of a message about a `word` that is none of `known`; "" where none is like it."""
     like = difflib.get_close_matches(word, list(known), n=1)

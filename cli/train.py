@@ -19,9 +19,8 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from splatview.cli.arguments import Parser, count, index, positive
-from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console
+from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console, no_window
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
-from splatview.cli.window import no_window
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
 from splatview.scene.effects.effect import Effect
@@ -45,6 +44,7 @@ if TYPE_CHECKING:  # torch is imported while photos are read
 
 if TYPE_CHECKING:
     from splatview.viewer.training.live import LiveTraining
+    from splatview.viewer.training.start import StartedTraining
 
 
 def make_bar(console: Console) -> Bar:
@@ -170,7 +170,6 @@ def save_run(console: Console, ready: Run, thread: BackgroundTraining) -> None:
 
 
 def _watch(ready: Run, thread: BackgroundTraining, options: dict[str, Any]) -> int:
-    from splatview.cli.train_from_window import start_from_window
     from splatview.viewer.app import run_window
     from splatview.viewer.platform import give_way
 
@@ -188,6 +187,43 @@ def watched(ready: Run, thread: BackgroundTraining) -> LiveTraining:
         name=ready.capture.name,
         photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
         settings=ready.trainer.render_settings,
+    )
+
+
+class ReportingConsole:
+    """Console of a run that a window shows: the work under way goes to `report`, whole lines to `lines`."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self.lines: list[str] = []
+        self._report = report
+
+    def print(self, text: str, **_: Any) -> None:
+        self.lines.append(text)
+
+    @contextmanager
+    def status(self, title: str) -> Iterator[ReportingConsole]:
+        self.update(title)
+        yield self
+
+    def update(self, title: str) -> None:
+        self._report(title)
+
+
+def start_from_window(arguments: Sequence[str], report: Callable[[str], None]) -> StartedTraining:
+    """What the window calls to train on photos: a `viewer.training.start.Starter`."""
+    from splatview.viewer.training.start import StartedTraining
+
+    started = time.perf_counter()
+    options = make_parser().parse(arguments)
+    if options is None:
+        raise InputError("the window asked for help on training")
+    warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
+    console: Any = ReportingConsole(report)
+    ready, thread = background_training(options, console, started, opening_lines)
+    return StartedTraining(
+        training=watched(ready, thread),
+        notes=tuple(console.lines),
+        finish=lambda: save_run(make_console(), ready, thread),
     )
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from splatview.cli.arguments import DEFAULT_SIZE, Parser
+from splatview.cli.main import no_window
 from splatview.cli.render import check_output, write_picture
 from splatview.renderers import FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
@@ -15,6 +18,9 @@ from splatview.scene import first_view as framing
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import check_opening, load_scene
 from splatview.scene.formats.sequence import SceneSequence, is_glob, read_ahead, resolve_all
+
+if TYPE_CHECKING:
+    from splatview.viewer.training.start import StartedTraining
 
 DEFAULT_PREVIEW = Path("splatview-preview.png")
 
@@ -39,10 +45,9 @@ def run(arguments: list[str]) -> int:
             check_opening(path)
     problem = no_window()
     if problem is None:
-        from splatview.cli.train_from_window import start_from_window
         from splatview.viewer.app import run_window
 
-        return run_window(args.scenes, renderer=args.renderer, merge=args.merge, starter=start_from_window)
+        return run_window(args.scenes, renderer=args.renderer, merge=args.merge, starter=start_training)
     check_output(args.output, (".png",))
     gaussians, camera = first_view(found)
     print(f"splatview: {problem}; writing a preview to {args.output} instead", file=sys.stderr)
@@ -53,16 +58,11 @@ def run(arguments: list[str]) -> int:
     return 0
 
 
-def no_window() -> str | None:
-    """One line on why no window can be opened, or None."""
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
-        # Known without loading the window's libraries.
-        return "no display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
-    from splatview.viewer.platform import display_problem
+def start_training(arguments: Sequence[str], report: Callable[[str], None]) -> StartedTraining:
+    """A `viewer.training.start.Starter`."""
+    from splatview.cli.train import start_from_window  # torch and numba come with it
 
-    return display_problem()
+    return start_from_window(arguments, report)
 
 
 def first_view(paths: list[Path] | SceneSequence) -> tuple[Gaussians, Camera]:

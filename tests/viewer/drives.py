@@ -25,7 +25,7 @@ from PIL import ImageGrab
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
-from splatview.cli.train_from_window import start_from_window
+from splatview.cli.window import start_training
 from splatview.renderers.request import FrameRequest
 from splatview.viewer import app as dropping
 from splatview.viewer import commands as keys
@@ -420,7 +420,7 @@ def main(drives: dict[str, Any]) -> int:
         [Path(path) for path in paths],
         size=tuple(given.get("size", (800, 500))),
         renderer=given.get("renderer", "quads"),
-        starter=start_from_window,
+        starter=start_training,
         drive=act,
     )
     Path(result).write_text(json.dumps(found))
