@@ -198,7 +198,7 @@ class ReportingConsole:
         self._report = report
 
     def print(self, text: str, **_: Any) -> None:
-        self.lines.append(text)
+        self.lines += text.split("\n")
 
     @contextmanager
     def status(self, title: str) -> Iterator[ReportingConsole]:

@@ -57,7 +57,12 @@ def _begin(app: AppState, paths: Sequence[Path], added_to: LoadedScene | None = 
 
 
 def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) -> None:
-    """Starts to load the first frame from `start` on that can be read; the others follow once it is shown."""
+    """Starts to load the first frame from `start` on that can be read; the others follow once it is shown.
+    Where the open scene has unsaved edits the user is asked first."""
+    app.leave(partial(_begin_sequence, sequence=sequence, start=start))
+
+
+def _begin_sequence(app: AppState, sequence: SceneSequence, start: int) -> None:
     cancel_loading(app, quiet=True)
     app.loading = SequenceLoading(sequence, start)
 

@@ -116,13 +116,15 @@ def test_names_are_shown_as_they_are(opened, frame, tmp_path, monkeypatch):
         and app.problem.isprintable()
         and "\\x1b[31m\\u202e\\udce9\\x00" in app.problem
     )
-    assert layout.title(app) == "%s%n [b]##a###b \\x1b[31m\\u202e\\udce9.ply - splatview"
+    assert layout.title(app) == "• %s%n [b]##a###b \\x1b[31m\\u202e\\udce9.ply - splatview"
     assert all(message.text.isprintable() for message in app.messages)
     assert Path(path).exists()
 
 
 def test_a_load_and_a_dialog_of_such_files(app, frame, tmp_path):
-    opening.open_paths(app, [tmp_path / f"{BROKEN[:-1]}.ply"])
+    broken = tmp_path / f"{BROKEN[:-1]}.ply"
+    broken.write_bytes(b"ply")
+    opening.open_paths(app, [broken])
     assert app.loading is not None
     app.loading.began -= 100
     frame(lambda: loading_dialog(app))
