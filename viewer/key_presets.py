@@ -169,7 +169,8 @@ ACTION_TEXTS: dict[Action, str] = {
 
 def action_of(preset: Preset, button: Button, held: frozenset[str]) -> Action | None:
     """What a drag with `button` does; with modifiers that the preset does not know, what it does without."""
-    drags: dict[tuple[Button, frozenset[str]], Action] = {
-        (drag.button, drag.held): drag.action for drag in MOUSE[preset]
-    }
-    return drags.get((button, held), drags.get((button, frozenset())))
+    drags: dict[tuple[Button, frozenset[str]], Action] = {}
+    for drag in MOUSE[preset]:
+        drags[drag.button, drag.held] = drag.action
+    found = drags.get((button, held))
+    return drags.get((button, frozenset())) if found is None else found
