@@ -121,6 +121,11 @@ def available_threads() -> int:
         return os.cpu_count() or 1
 
 
+def threads_for(size: int) -> int:
+    """Threads for work on so many bytes: less than a mebibyte is done before another thread has begun."""
+    return available_threads() if size >= 1 << 20 else 1
+
+
 def niceness() -> int:
     """Niceness of the calling thread; 0 where threads have none of their own (they do on Linux only)."""
     return os.getpriority(os.PRIO_PROCESS, 0) if sys.platform == "linux" else 0

@@ -14,18 +14,30 @@ import math
 import os
 import re
 import struct
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from splatview.scene.edits import quat_product
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write, excerpt, open_regular
-from splatview.scene.formats.packing import check_room, logits_of, too_short, unit_quats
-from splatview.scene.frames import OURS, reframed, turned
-from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
+from splatview.scene.formats.packing import (
+    SLICE,
+    check_expansion,
+    check_room,
+    empty_arrays,
+    logits_of,
+    parsed_json,
+    slices,
+    too_short,
+    unit_quats,
+)
+from splatview.scene.frames import OURS, axis_flips, frame_matrix, turn_in_place
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.projection import sigmoid
 
@@ -41,7 +53,12 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 MAX_JSON_BYTES = 1 << 26
 
+MOST_STRIDE = 252
+"""Bytes of interleaved numbers of one splat that the specification allows."""
+
 LINEAR = "lin_rec709_display"
+
+MOST_PRIMITIVES = 1 << 12
 
 MOST_DEPTH = 64
 """Nodes below one another."""
@@ -62,11 +79,12 @@ def read_glb(file: io.BufferedReader, path: Path, progress: Progress, room: floa
         raise InputError(f"{path}: is no .glb of version 2; export it again")
     if length > min(size - 20, MAX_JSON_BYTES):
         raise too_short(path, "its description does")
-    text, binary = file.read(length), b""
-    chunk = file.read(8)
+    text, chunk = file.read(length), file.read(8)
+    binary = _Buffer(file, file.tell(), 0)
     if len(chunk) == 8 and struct.unpack("<2I", chunk)[1] == BINARY_CHUNK:
-        binary = file.read(min(struct.unpack("<2I", chunk)[0], size))
-    return _Document(text, binary, path).read(progress, room)
+        binary = _Buffer(file, file.tell(), min(struct.unpack("<2I", chunk)[0], size - file.tell()))
+    with ExitStack() as opened:
+        return _Document(text, binary, path, opened).read(progress, room)
 
 
 def read_gltf(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
@@ -74,7 +92,47 @@ def read_gltf(file: io.BufferedReader, path: Path, progress: Progress, room: flo
     text = file.read(MAX_JSON_BYTES + 1)
     if len(text) > MAX_JSON_BYTES:
         raise InputError(f"{path}: is too large for the text of a scene")
-    return _Document(text, b"", path).read(progress, room)
+    with ExitStack() as opened:
+        return _Document(text, _Buffer(file, 0, 0), path, opened).read(progress, room)
+
+
+@dataclass(frozen=True)
+class _Buffer:
+    """A run of bytes of a file, read piece by piece."""
+
+    file: IO[bytes]
+    start: int
+    size: int
+
+    def read(self, start: int, size: int) -> bytes:
+        self.file.seek(self.start + start)
+        return self.file.read(size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Accessor:
+    """Where the numbers of an attribute lie."""
+
+    buffer: _Buffer
+    start: int
+    stride: int
+    dtype: np.dtype
+    count: int
+    width: int
+
+    def fill(self, rows: np.ndarray, path: Path, progress: Progress) -> None:
+        """Writes them to `rows` (count, width), float32. Raises InputError and Cancelled."""
+        size = self.dtype.itemsize * self.width
+        for start in range(0, self.count, SLICE):
+            progress.check()
+            count = min(SLICE, self.count - start)
+            data = self.buffer.read(self.start + start * self.stride, (count - 1) * self.stride + size)
+            if len(data) < (count - 1) * self.stride + size:
+                raise InputError(f"{path}: became shorter while it was read")
+            found = np.ndarray((count, self.width), self.dtype, data, 0, (self.stride, self.dtype.itemsize))
+            if self.dtype.kind != "f":
+                found = np.maximum(found / np.float32(np.iinfo(self.dtype).max), -1)
+            rows[start : start + count] = found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,26 +143,38 @@ class _Placed:
 
 
 class _Document:
-    def __init__(self, text: bytes, binary: bytes, path: Path) -> None:
-        self.path, self._binary = path, binary
-        self._buffers: dict[int, bytes] = {}
-        try:
-            self.json = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: its description is no JSON ({error}); export it again") from None
+    def __init__(self, text: bytes, binary: _Buffer, path: Path, opened: ExitStack) -> None:
+        self.path, self._binary, self._opened = path, binary, opened
+        self._buffers: dict[int, _Buffer] = {}
+        self.json = parsed_json(text, path, "its description")
 
     def read(self, progress: Progress, room: float) -> Gaussians:
         try:
             placed = self._placed()
             if not placed:
                 raise InputError(f"{self.path}: has no splats ({EXTENSION}): it is a scene of something else")
-            parts = []
-            for one in placed:
-                count = self.json["accessors"][_index(one.primitive["attributes"]["POSITION"])]["count"]
-                check_room(self.path, sum(map(len, parts)) + _index(count), 3, room)
-                parts.append(self._moved(self._splats(one.primitive), one.matrix))
-                progress.step(len(parts) / len(placed))
-            return reframed(concatenate(parts), FRAME)
+            if len(placed) > MOST_PRIMITIVES:
+                raise InputError(
+                    f"{self.path}: {len(placed):,} primitives of splats, and {MOST_PRIMITIVES:,} are read: "
+                    "put them together elsewhere first"
+                )
+            found = [self._attributes(one.primitive) for one in placed]
+            counts = [attributes["POSITION"].count for attributes in found]
+            degree = max(map(_degree, found))
+            # Primitives may share their numbers, so that a small file is many splats.
+            check_expansion(self.path, 56 * sum(counts), sum(each.size for each in self._buffers.values()))
+            check_room(self.path, sum(counts), degree, room)
+            arrays, start = empty_arrays(sum(counts), degree), 0
+            for one, attributes, count in zip(placed, found, counts, strict=True):
+                part = {name: values[start : start + count] for name, values in arrays.items()}
+                start += count
+                self._fill(part, attributes, progress)
+                self._move(part, one.matrix)
+                progress.step(start / max(sum(counts), 1))
+            turn_in_place(arrays, frame_matrix(FRAME))
+            linear = any(one.primitive["extensions"][EXTENSION].get("colorSpace") == LINEAR for one in placed)
+            note = "splatview: the file's colours are linear light, and shown as they are"
+            return Gaussians(**arrays, comments=(note,) if linear else ())
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -141,60 +211,66 @@ class _Document:
             waiting += [(child, matrix, depth + 1) for child in node.get("children", [])]
         return found
 
-    def _splats(self, primitive: dict[str, Any]) -> Gaussians:
-        extension, attributes = primitive["extensions"][EXTENSION], primitive["attributes"]
-        kernel = extension.get("kernel", "ellipse")
+    def _attributes(self, primitive: dict[str, Any]) -> dict[str, _Accessor]:
+        """Accessors by name, without the extension's own. Raises InputError, KeyError and ValueError."""
+        kernel = primitive["extensions"][EXTENSION].get("kernel", "ellipse")
         if kernel != "ellipse":
             raise InputError(
                 f"{self.path}: its splats have the kernel {excerpt(str(kernel))}; ellipse is read"
             )
-        means = self._values(attributes["POSITION"], 3)
-        n = len(means)
-        comments: tuple[str, ...] = ()
-        if extension.get("colorSpace") == LINEAR:
-            comments = ("splatview: the file's colours are linear light, and shown as they are",)
-
-        def values(name: str, width: int) -> np.ndarray:
-            found = self._values(attributes[f"{EXTENSION}:{name}"], width)
-            if len(found) != n:
-                raise InputError(
-                    f"{self.path}: {name} of {len(found):,} splats, and there are {n:,}: damaged"
-                )
-            return found
-
-        sh = [values("SH_DEGREE_0_COEF_0", 3)]
+        attributes = primitive["attributes"]
+        found = {"POSITION": self._accessor(attributes["POSITION"], 3)}
+        widths = {"SH_DEGREE_0_COEF_0": 3, "SCALE": 3, "ROTATION": 4, "OPACITY": 1}
         for degree in range(1, 4):
-            names = [f"SH_DEGREE_{degree}_COEF_{i}" for i in range(2 * degree + 1)]
-            if f"{EXTENSION}:{names[0]}" not in attributes:
+            if f"{EXTENSION}:SH_DEGREE_{degree}_COEF_0" not in attributes:
                 break
-            sh += [values(name, 3) for name in names]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log_scales = np.log(values("SCALE", 3))
-        return Gaussians(
-            means=means,
-            quats=values("ROTATION", 4)[:, [3, 0, 1, 2]],
-            log_scales=log_scales,
-            opacity_logits=logits_of(values("OPACITY", 1)[:, 0]),
-            sh=np.stack(sh, axis=1),
-            comments=comments,
-        )
+            widths |= {f"SH_DEGREE_{degree}_COEF_{i}": 3 for i in range(2 * degree + 1)}
+        for name, width in widths.items():
+            found[name] = self._accessor(attributes[f"{EXTENSION}:{name}"], width)
+        n = found["POSITION"].count
+        for name, accessor in found.items():
+            if accessor.count != n:
+                raise InputError(
+                    f"{self.path}: {name} of {accessor.count:,} splats, and there are {n:,}: damaged"
+                )
+        return found
 
-    def _moved(self, gaussians: Gaussians, matrix: np.ndarray) -> Gaussians:
+    def _fill(
+        self, arrays: dict[str, np.ndarray], attributes: dict[str, _Accessor], progress: Progress
+    ) -> None:
+        """Reads a primitive into its part of the scene's arrays."""
+        attributes["POSITION"].fill(arrays["means"], self.path, progress)
+        attributes["ROTATION"].fill(arrays["quats"], self.path, progress)
+        attributes["SCALE"].fill(arrays["log_scales"], self.path, progress)
+        attributes["OPACITY"].fill(arrays["opacity_logits"][:, None], self.path, progress)
+        sh = arrays["sh"]
+        for degree in range(_degree(attributes) + 1):
+            for i in range(2 * degree + 1):
+                accessor = attributes[f"SH_DEGREE_{degree}_COEF_{i}"]
+                accessor.fill(sh[:, degree**2 + i], self.path, progress)
+        sh[:, SH_COEFFICIENTS[_degree(attributes)] :] = 0
+        for at in slices(len(sh)):
+            progress.check()
+            arrays["quats"][at] = arrays["quats"][at, [3, 0, 1, 2]]
+            arrays["opacity_logits"][at] = logits_of(arrays["opacity_logits"][at])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                np.log(arrays["log_scales"][at], out=arrays["log_scales"][at])
+
+    def _move(self, arrays: dict[str, np.ndarray], matrix: np.ndarray) -> None:
+        """Moves a primitive to where its node is. Raises InputError."""
         if np.array_equal(matrix, np.eye(4)):
-            return gaussians
+            return
         linear, offset = matrix[:3, :3], matrix[:3, 3]
         scale = float(np.cbrt(np.linalg.det(linear)))
         if not scale != 0 or not np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-5 * scale**2):
             raise InputError(f"{self.path}: a node is stretched, which splats cannot be; apply it first")
-        gaussians = turned(gaussians, linear / scale)
-        return replace(
-            gaussians,
-            means=(gaussians.means * scale + offset).astype(np.float32),
-            log_scales=gaussians.log_scales + np.float32(math.log(abs(scale))),
-        )
+        turn_in_place(arrays, linear / scale)
+        for at in slices(len(arrays["means"])):
+            arrays["means"][at] = arrays["means"][at] * scale + offset
+        arrays["log_scales"] += np.float32(math.log(abs(scale)))
 
-    def _values(self, number: int, width: int) -> np.ndarray:
-        """(N, width) float32 of an accessor. Raises InputError where it is outside of its buffer."""
+    def _accessor(self, number: int, width: int) -> _Accessor:
+        """Raises InputError where it is outside of its buffer."""
         accessor = self.json["accessors"][_index(number)]
         if "sparse" in accessor or "bufferView" not in accessor:
             raise InputError(
@@ -205,37 +281,42 @@ class _Document:
             raise InputError(
                 f"{self.path}: {excerpt(str(accessor['type']))} where {width} numbers belong: damaged"
             )
-        view = self.json["bufferViews"][_index(accessor["bufferView"])]
-        data = self._buffer(_index(view.get("buffer", 0)))
-        start = _index(view.get("byteOffset", 0)) + _index(accessor.get("byteOffset", 0))
-        stride = _index(view.get("byteStride", 0)) or dtype.itemsize * width
-        if stride < dtype.itemsize * width or (
-            count and start + stride * (count - 1) + dtype.itemsize * width > len(data)
-        ):
-            raise too_short(self.path, f"{count:,} values of an accessor")
-        rows = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
-        if dtype.kind == "f":
-            return rows.astype(np.float32)
-        if not accessor.get("normalized"):
+        if dtype.kind != "f" and not accessor.get("normalized"):
             raise InputError(
                 f"{self.path}: whole numbers that are not normalised are not read; export it again"
             )
-        return np.maximum(rows / np.float32(np.iinfo(dtype).max), -1).astype(np.float32)
+        view = self.json["bufferViews"][_index(accessor["bufferView"])]
+        buffer = self._buffer(_index(view.get("buffer", 0)))
+        start = _index(view.get("byteOffset", 0)) + _index(accessor.get("byteOffset", 0))
+        stride = _index(view.get("byteStride", 0)) or dtype.itemsize * width
+        if stride > MOST_STRIDE:
+            raise InputError(f"{self.path}: rows of {stride:,} bytes, and 252 are most: it is damaged")
+        if stride < dtype.itemsize * width or (
+            count and start + stride * (count - 1) + dtype.itemsize * width > buffer.size
+        ):
+            raise too_short(self.path, f"{count:,} values of an accessor")
+        return _Accessor(buffer=buffer, start=start, stride=stride, dtype=dtype, count=count, width=width)
 
-    def _buffer(self, number: int) -> bytes:
+    def _buffer(self, number: int) -> _Buffer:
         if number not in self._buffers:
             uri = self.json["buffers"][number].get("uri")
             if uri is None:
-                content = self._binary
+                found = self._binary
             elif embedded := re.match(r"data:[^,]*;base64,", uri):
                 content = base64.b64decode(uri[embedded.end() :], validate=True)
+                found = _Buffer(io.BytesIO(content), 0, len(content))
             elif re.search(r"[/\\:%\0]", uri) or uri in ("", ".", ".."):
                 raise InputError(f"{self.path}: names {excerpt(uri)}: only files beside it are read")
             else:
-                with open_regular(self.path.parent / uri) as file:
-                    content = file.read()
-            self._buffers[number] = content
+                file = self._opened.enter_context(open_regular(self.path.parent / uri))
+                found = _Buffer(file, 0, os.fstat(file.fileno()).st_size)
+            self._buffers[number] = found
         return self._buffers[number]
+
+
+def _degree(attributes: Mapping[str, _Accessor]) -> int:
+    """The highest SH degree of a primitive."""
+    return max(degree for degree in range(4) if f"SH_DEGREE_{degree}_COEF_0" in attributes)
 
 
 def _index(value: Any) -> int:
@@ -264,34 +345,39 @@ def _matrix_of(node: dict[str, Any]) -> np.ndarray:
 
 def save_glb(gaussians: Gaussians, path: Path, progress: Progress) -> None:
     """Writes one primitive of points. Raises InputError and Cancelled."""
-    gaussians = reframed(gaussians, OURS, FRAME)
-    with np.errstate(over="ignore"):
-        arrays = {
-            "POSITION": gaussians.means,
-            "ROTATION": unit_quats(gaussians.quats)[:, [1, 2, 3, 0]],
-            "SCALE": np.exp(gaussians.log_scales),
-            "OPACITY": sigmoid(gaussians.opacity_logits),
-        }
+    flips = axis_flips(OURS, FRAME)
+    assert flips is not None
+    axes, turn, signs = flips
+
+    def turned_quats(at: slice) -> np.ndarray:
+        quats = gaussians.quats[at]
+        return unit_quats(quat_product(np.broadcast_to(turn, quats.shape), quats))[:, [1, 2, 3, 0]]
+
+    columns: dict[str, tuple[int, Callable[[slice], np.ndarray]]] = {
+        "POSITION": (3, lambda at: gaussians.means[at] * axes),
+        "ROTATION": (4, turned_quats),
+        "SCALE": (3, lambda at: np.exp(gaussians.log_scales[at])),
+        "OPACITY": (1, lambda at: sigmoid(gaussians.opacity_logits[at])),
+    }
     for degree in range(gaussians.sh_degree + 1):
-        first = SH_COEFFICIENTS[degree - 1] if degree else 0
         for i in range(2 * degree + 1):
-            arrays[f"SH_DEGREE_{degree}_COEF_{i}"] = gaussians.sh[:, first + i]
+            k = degree**2 + i
+            columns[f"SH_DEGREE_{degree}_COEF_{i}"] = (3, lambda at, k=k: gaussians.sh[at, k] * signs[k])
+    n = len(gaussians)
     views, accessors, attributes, at = [], [], {}, 0
-    for name, array in arrays.items():
-        width = 1 if array.ndim == 1 else array.shape[1]
+    for name, (width, _) in columns.items():
         accessor = {
             "bufferView": len(views),
             "componentType": FLOAT,
-            "count": len(array),
+            "count": n,
             "type": {count: kind for kind, count in WIDTHS.items()}[width],
         }
-        if name == "POSITION" and len(array):
-            stored = array.astype(np.float32)
-            accessor |= {"min": stored.min(axis=0).tolist(), "max": stored.max(axis=0).tolist()}
+        if name == "POSITION" and n:
+            accessor |= _bounds(gaussians.means, axes)
         attributes[name if name == "POSITION" else f"{EXTENSION}:{name}"] = len(views)
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": 4 * array.size, "target": ARRAY_BUFFER})
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": 4 * width * n, "target": ARRAY_BUFFER})
         accessors.append(accessor)
-        at += 4 * array.size
+        at += 4 * width * n
     extension = {
         "kernel": "ellipse",
         "colorSpace": "srgb_rec709_display",
@@ -319,6 +405,15 @@ def save_glb(gaussians: Gaussians, path: Path, progress: Progress) -> None:
     with atomic_write(path) as file:
         file.write(struct.pack("<4s2I", GLB, 2, total) + struct.pack("<2I", len(text), JSON_CHUNK) + text)
         file.write(struct.pack("<2I", at, BINARY_CHUNK))
-        for done, array in enumerate(arrays.values()):
-            file.write(np.ascontiguousarray(array, "<f4").data)
-            progress.step((done + 1) / len(arrays))
+        for done, (_, values) in enumerate(columns.values()):
+            for part in slices(n):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    file.write(np.ascontiguousarray(values(part), "<f4").data)
+                progress.step((done + part.stop / n) / len(columns))
+
+
+def _bounds(means: np.ndarray, axes: np.ndarray) -> dict[str, list[float]]:
+    """The least and the largest positions, as they are stored."""
+    parts = [(means[part] * axes).astype(np.float32) for part in slices(len(means))]
+    low, high = [part.min(axis=0) for part in parts], [part.max(axis=0) for part in parts]
+    return {"min": np.min(low, axis=0).tolist(), "max": np.max(high, axis=0).tolist()}

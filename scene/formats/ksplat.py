@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.packing import check_room, logits_of, too_short
-from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
+from splatview.scene.formats.packing import LOGITS, check_room, empty_arrays, slices, too_short
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.sh import rgb_to_sh
 
@@ -68,16 +68,21 @@ def read_ksplat(file: io.BufferedReader, path: Path, progress: Progress, room: f
     if sections > (size - HEADER) // SECTION:
         raise too_short(path, f"the headers of its {sections:,} sections")
     headers = [_section(file.read(SECTION), path) for _ in range(sections)]
-    check_room(path, sum(one.count for one in headers), max((one.degree for one in headers), default=0), room)
-    parts = []
+    count, degree = sum(one.count for one in headers), max((one.degree for one in headers), default=0)
+    if not count or count < total:
+        raise InputError(f"{path}: promises {total:,} splats, and its sections hold {count:,}: it is damaged")
+    # What is not there is found out before memory is taken.
+    if count * _row(level, 0).itemsize > size:
+        raise too_short(path, f"its {count:,} splats")
+    check_room(path, count, degree, room)
+    arrays, start = empty_arrays(count, degree), 0
     for section in headers:
         if section.count:
-            parts.append(_read_section(file, section, level, sh_range, size, path))
-        progress.step(sum(map(len, parts)) / max(total, 1))
-    found = sum(map(len, parts))
-    if not parts or found < total:
-        raise InputError(f"{path}: promises {total:,} splats, and its sections hold {found:,}: it is damaged")
-    return concatenate(parts)
+            part = {name: values[start : start + section.count] for name, values in arrays.items()}
+            piece = progress.part(start / count, (start + section.count) / count)
+            _read_section(file, section, part, level, sh_range, size, path, piece)
+        start += section.count
+    return Gaussians(**arrays)
 
 
 def _section(header: bytes, path: Path) -> _Section:
@@ -117,11 +122,14 @@ def _row(level: int, degree: int) -> np.dtype:
 def _read_section(
     file: io.BufferedReader,
     section: _Section,
+    arrays: dict[str, np.ndarray],
     level: int,
     sh_range: tuple[float, float],
     size: int,
     path: Path,
-) -> Gaussians:
+    progress: Progress,
+) -> None:
+    """Fills the section's part of the scene's arrays. Raises InputError and Cancelled."""
     row = _row(level, section.degree)
     before = 4 * section.partial + section.bucket_bytes * section.buckets
     # Space that is not filled is there all the same, but for the end of the file.
@@ -129,37 +137,42 @@ def _read_section(
         raise too_short(path, f"{section.count:,} splats of a section")
     partial = np.frombuffer(file.read(4 * section.partial), "<u4")
     centres = np.frombuffer(file.read(section.bucket_bytes * section.buckets), np.uint8)
-    rows = np.frombuffer(file.read(row.itemsize * section.count), row)
-    file.seek(row.itemsize * (section.room - section.count), io.SEEK_CUR)
-    n = len(rows)
-    if level == 0:
-        means = rows["mean"].astype(np.float32)
-    else:
-        bucket = _buckets_of(section, partial, n, path)
+    bucket = points = None
+    if level:
+        bucket = _buckets_of(section, partial, section.count, path)
         if section.bucket_bytes < 12:
             raise InputError(f"{path}: its buckets have no centres; the file is damaged")
         points = centres.reshape(section.buckets, -1)[:, :12].copy().view("<f4")
-        step = np.float32(section.side / 2 / section.steps)
-        means = (rows["mean"].astype(np.float32) - section.steps) * step + points[bucket]
-    sh = np.zeros((n, SH_COEFFICIENTS[section.degree], 3), np.float32)
+    for at in slices(section.count):
+        rows = np.frombuffer(file.read(row.itemsize * (at.stop - at.start)), row)
+        if len(rows) < at.stop - at.start:
+            raise InputError(f"{path}: became shorter while it was read")
+        if bucket is None or points is None:
+            arrays["means"][at] = rows["mean"]
+        else:
+            step = np.float32(section.side / 2 / section.steps)
+            offsets = (rows["mean"].astype(np.float32) - section.steps) * step
+            arrays["means"][at] = offsets + points[bucket[at]]
+        _put_sh(rows, arrays["sh"][at], level, section.degree, sh_range)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            arrays["log_scales"][at] = np.log(rows["scale"].astype(np.float32))
+        arrays["quats"][at] = rows["quat"]
+        arrays["opacity_logits"][at] = LOGITS[rows["rgba"][:, 3]]
+        progress.step(at.stop / section.count)
+    file.seek(row.itemsize * (section.room - section.count), io.SEEK_CUR)
+
+
+def _put_sh(rows: np.ndarray, sh: np.ndarray, level: int, degree: int, sh_range: tuple[float, float]) -> None:
     sh[:, 0] = rgb_to_sh(rows["rgba"][:, :3] / np.float32(255))
     rest = rows["sh"].astype(np.float32)
     if level == 2:
         rest = sh_range[0] + rest / 255 * (sh_range[1] - sh_range[0])
     # Band by band, and within it channel by channel.
-    for band in range(1, section.degree + 1):
+    for band in range(1, degree + 1):
         first, stop = SH_COEFFICIENTS[band - 1], SH_COEFFICIENTS[band]
-        own = rest[:, 3 * (first - 1) : 3 * (stop - 1)].reshape(n, 3, stop - first)
+        own = rest[:, 3 * (first - 1) : 3 * (stop - 1)].reshape(len(rows), 3, stop - first)
         sh[:, first:stop] = own.transpose(0, 2, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        log_scales = np.log(rows["scale"].astype(np.float32))
-    return Gaussians(
-        means=means,
-        quats=rows["quat"].astype(np.float32),
-        log_scales=log_scales,
-        opacity_logits=logits_of(rows["rgba"][:, 3] / 255),
-        sh=sh,
-    )
+    sh[:, SH_COEFFICIENTS[degree] :] = 0
 
 
 def _buckets_of(section: _Section, partial: np.ndarray, n: int, path: Path) -> np.ndarray:

@@ -8,9 +8,9 @@ playcanvas/splat-transform, read-sog.ts, read-sog-v1.ts and read-lod.ts (MIT), r
 from __future__ import annotations
 
 import io
-import json
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,12 +22,12 @@ import numpy as np
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.formats.packing import (
-    ALWAYS_ALLOWED,
     LOGITS,
     SQRT_HALF,
     check_expansion,
     check_room,
     empty_arrays,
+    parsed_json,
 )
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
@@ -71,14 +71,42 @@ def is_sog_folder(path: Path) -> bool:
     return os.path.isdir(path) and any(os.path.isfile(path / name) for name in (META, LOD_META))
 
 
+DAMAGED_ZIP = (
+    *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error),
+    *(NotImplementedError, RuntimeError, EOFError, UnicodeDecodeError),
+)
+"""What zipfile raises."""
+
+
 def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of a zip. Raises InputError and Cancelled."""
+    _check_directory(file, path)
     try:
         with zipfile.ZipFile(file) as archive:
-            source = _Zip(archive, path)
+            source = _Zip(archive, path, os.fstat(file.fileno()).st_size)
             return _read_unit(source, _meta_of(source, META), progress, room)
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+    except DAMAGED_ZIP as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
+
+
+MOST_DIRECTORY = 1 << 20
+"""Bytes of a zip's list of its files, which zipfile makes ten times as many of Python's objects of: there are
+eight files, of some 60 bytes each."""
+
+
+def _check_directory(file: io.BufferedReader, path: Path) -> None:
+    """Raises InputError where a zip lists more than it can hold of a scene. Source: APPNOTE.TXT, 4.3.14 and
+    4.3.16."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(max(0, size - 2**16 - 128))
+    tail = file.read()
+    file.seek(0)
+    end, wide_end = tail.rfind(b"PK\5\6"), tail.rfind(b"PK\6\6")
+    sizes = [int.from_bytes(tail[end + 12 : end + 16], "little")] if end >= 0 else []
+    if sizes == [2**32 - 1]:
+        sizes = [int.from_bytes(tail[wide_end + 40 : wide_end + 48], "little")] if wide_end >= 0 else []
+    if any(size > MOST_DIRECTORY for size in sizes):
+        raise InputError(f"{path}: lists more files than a scene has: it is damaged; export it again")
 
 
 def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
@@ -92,20 +120,27 @@ def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
 
 
 class _Zip:
-    def __init__(self, archive: zipfile.ZipFile, path: Path) -> None:
-        self.name, self._archive = path, archive
-        self.held = sum(entry.compress_size for entry in archive.infolist())
+    def __init__(self, archive: zipfile.ZipFile, path: Path, held: int) -> None:
+        self.name, self._archive, self.held = path, archive, held
 
     def read(self, name: str, most: int) -> bytes:
         try:
             entry = self._archive.getinfo(_plain(name, self.name))
         except KeyError:
             raise InputError(f"{self.name}: has no {excerpt(name)}; export it again") from None
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            # Dictionaries of others are as large as the file says, before a byte of it is unpacked.
+            raise InputError(
+                f"{self.name}: its {name} is packed in a way that .sog does not have; export it again"
+            )
         with self._archive.open(entry) as file:
             # An entry may lie about its size.
             data = file.read(most + 1)
         if len(data) > most:
-            raise InputError(f"{self.name}: its {name} is larger than {most:,} bytes: it is damaged")
+            raise InputError(
+                f"{self.name}: its {name} is larger than {most:,} bytes: it is damaged, or made to fill the "
+                "memory"
+            )
         return data
 
 
@@ -137,12 +172,7 @@ def _plain(name: Any, where: Path) -> str:
 
 
 def _meta_of(source: Source, name: str) -> dict[str, Any]:
-    try:
-        meta = json.loads(source.read(name, MAX_META_BYTES))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{source.name}: its {name} is no JSON ({error}); export it again") from None
+    meta = parsed_json(source.read(name, MAX_META_BYTES), source.name, f"its {name}")
     if not isinstance(meta, dict):
         raise InputError(f"{source.name}: its {name} holds no object; export it again")
     return meta
@@ -183,36 +213,58 @@ class _Pictures:
     def __init__(self, source: Source, n: int) -> None:
         self.source, self._n = source, n
 
-    def texels(self, name: Any) -> np.ndarray:
-        """(N, 4) uint8: one per splat."""
-        pixels = self.pixels(name, self._n)
-        return pixels.reshape(-1, 4)[: self._n]
+    def texels(self, name: Any, *, alpha: bool = False) -> np.ndarray:
+        """(N, 4) uint8, one per splat; (N, 3) where the picture has no `alpha` and none is needed."""
+        pixels = self.pixels(name, self._n, alpha=alpha)
+        return pixels.reshape(-1, pixels.shape[2])[: self._n]
 
-    def pixels(self, name: Any, least: int) -> np.ndarray:
-        """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
-        from PIL import Image
+    def pixels(self, name: Any, least: int, *, alpha: bool = False) -> np.ndarray:
+        """(H, W, 3 or 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
+        from PIL import WebPImagePlugin
 
         source = self.source
-        data = source.read(name, max(ALWAYS_ALLOWED, source.held))
+        # A WebP is packed already: a zip makes it no smaller.
+        data = source.read(name, 2 * source.held + MAX_META_BYTES)
+        # Before the library is asked, which makes room for whatever size is said.
+        width, height = _size_of_webp(data)
+        if width * height < least:
+            raise InputError(
+                f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is of "
+                "another scene, damaged, or no WebP"
+            )
+        if width * height > 2 * least + 2**20:
+            raise InputError(
+                f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
+            )
         try:
-            with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
-                width, height = image.size
-                if width * height < least:
-                    raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels, and {least:,} are needed: it is "
-                        "of another scene, or damaged"
-                    )
-                if width * height > 2 * least + 2**20:
-                    raise InputError(
-                        f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
-                    )
-                return np.asarray(image.convert("RGBA"))
-        except InputError:
-            raise
-        except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+            # Not Image.open, which warns of large pictures and refuses larger ones.
+            with WebPImagePlugin.WebPImageFile(io.BytesIO(data)) as image:
+                if image.size != (width, height):
+                    raise ValueError("its size is not what it says")
+                pixels = np.asarray(image if image.mode == "RGBA" or not alpha else image.convert("RGBA"))
+                # Kernels are compiled for arrays that can be written to and for others: once is enough.
+                pixels.setflags(write=False)
+                return pixels
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
             raise InputError(
                 f"{source.name}: {name} is no WebP that can be read ({error}); export it again"
             ) from None
+
+
+def _size_of_webp(data: bytes) -> tuple[int, int]:
+    """Width and height that a WebP says to have; (0, 0) of what is none. Source: the container's
+    specification, of which the first chunk is enough."""
+    kind, body = data[12:16], data[20:30]
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(body) < 10:
+        return 0, 0
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")
+    if kind == b"VP8L":
+        bits = int.from_bytes(body[1:5], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8 ":
+        return int.from_bytes(body[6:8], "little") & 0x3FFF, int.from_bytes(body[8:10], "little") & 0x3FFF
+    return 0, 0
 
 
 def _decoded(
@@ -223,8 +275,8 @@ def _decoded(
 
     names = [*_names(meta["means"], 2), *(_names(meta[entry], 1)[0] for entry in ("quats", "scales", "sh0"))]
     texels = []
-    for name in names:
-        texels.append(pictures.texels(name))
+    for name, alpha in zip(names, (False, False, True, False, True), strict=True):
+        texels.append(pictures.texels(name, alpha=alpha))
         progress.step(0.1 * len(texels))
     shn = meta.get("shN") or None
     palette = _palette(pictures, shn, version) if shn else NO_PALETTE
@@ -232,8 +284,12 @@ def _decoded(
     texels.append(pictures.texels(_names(shn, 2)[1]) if shn else texels[0])
     progress.step(0.7)
     low, high = (_numbers(meta["means"][end], 3)[:, None] for end in ("mins", "maxs"))
-    logs = _between(low, high, np.arange(2**16)[None], 65535)
-    means = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+    words = np.arange(2**16)
+    if n < len(words) // 4:
+        words = np.unique(texels[1][:, :3].astype(np.uint16) << 8 | texels[0][:, :3])
+    logs = _between(low, high, words[None], 65535)
+    means = np.zeros((3, 2**16), np.float32)
+    means[:, words] = np.sign(logs) * np.expm1(np.abs(logs))
     if version == 2:
         log_scales, colours = (np.tile(_codebook(meta[entry]), (3, 1)) for entry in ("scales", "sh0"))
         logits = LOGITS
@@ -280,6 +336,7 @@ class _Palette:
 NO_PALETTE = _Palette(
     pixels=np.zeros((1, 1, 4), np.uint8), entries=0, per_channel=0, levels=np.zeros(256, np.float32)
 )
+NO_PALETTE.pixels.setflags(write=False)
 
 
 def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> _Palette:

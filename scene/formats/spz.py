@@ -130,8 +130,7 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     start = file.read(8)
     file.seek(0)
     if start.startswith(GZIP):
-        packed = io.BytesIO(gunzipped(file, path, 16, progress))
-        header = _read_header(packed, path)
+        header = _read_header(io.BytesIO(gunzipped(file, path, 16, progress).tobytes()), path)
         file.seek(0)
         _check_size(header, size, room, path)
         # Extension records are few: a mebibyte is more than any of them needs.
@@ -140,7 +139,9 @@ def read_spz(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     elif struct.unpack_from("<I", start.ljust(8, b"\0"), 4)[0] < 4:
         header = _read_header(file, path)
         _check_size(header, size, room, path)
-        blocks, records = _plain_blocks(header, file.read(), path)
+        content = np.empty(min(sum(header.sizes.values()) + 2**20, size), np.uint8)
+        content = content[: file.readinto(content.data)]
+        blocks, records = _plain_blocks(header, content, path)
     else:
         header, blocks, records = _read_streams(file, path, size, progress, room)
     progress.step(0.5)
@@ -175,11 +176,11 @@ def _plain_blocks(header: Header, content: bytes, path: Path) -> tuple[dict[str,
     """Blocks by name, and what follows them. Raises InputError."""
     blocks, at = {}, 0
     for name, size in header.sizes.items():
-        blocks[name] = np.frombuffer(content[at : at + size], np.uint8)
+        blocks[name] = content[at : at + size]
         at += size
         if len(blocks[name]) < size:
             raise too_short(path, f"the {name} of its {header.count:,} splats")
-    return blocks, content[at:]
+    return blocks, content[at:].tobytes()
 
 
 def _read_streams(
@@ -214,10 +215,10 @@ def _read_streams(
                 f"{path}: {table[2 * i + 1]:,} bytes of {name}, and {length:,} belong there: damaged"
             )
         tasks.append((file.read(table[2 * i]), length, name))
-    from splatview.scene.compiling import available_threads, run
+    from splatview.scene.compiling import run, threads_for
 
     # The largest is the last.
-    done = run(_unpacked, tasks[::-1], (path, progress), available_threads())[::-1]
+    done = run(_unpacked, tasks[::-1], (path, progress), threads_for(size))[::-1]
     return header, dict.fromkeys(header.sizes, NOTHING) | dict(zip(wanted, done, strict=True)), records
 
 
@@ -288,14 +289,13 @@ def _arrays(
     from splatview.scene.formats.kernels.decoding import decode_spz
 
     n, halves, three_bytes = header.count, header.version == 1, header.version < 3
-    blocks = [
-        np.frombuffer(content[name], np.uint8).reshape(n, -1) if n else NO_ROWS for name in header.sizes
-    ]
+    blocks = [content[name].reshape(n, -1) if n else NO_ROWS for name in header.sizes]
     if not three_bytes:
-        blocks[4] = blocks[4].view("<u4")
+        # In a plain file words of four bytes may begin anywhere.
+        blocks[4] = np.require(blocks[4].view("<u4"), np.uint32, "A")
     arrays = empty_arrays(n, min(header.degree, 3))
-    if halves:
-        arrays["means"][:] = blocks[0].view("<f2")
+    if halves and n:
+        arrays["means"][:] = blocks[0].reshape(-1).view("<f2").reshape(n, 3)
     flips = axis_flips(frame)
     axes, turn, signs = flips or NO_FLIPS
     units = axes if halves else np.ldexp(axes, -header.fraction_bits)
@@ -369,11 +369,12 @@ def save_spz(
     encoded = _encoded(gaussians, order, header, sh_bits, progress.part(0.1, 0.2))
     blocks = {name: block for name, block in encoded.items() if block.size}
     records = struct.pack("<III", FRAME, 4, NUMBERED_FRAMES.index(DEFAULT_FRAME) + 1)
-    from splatview.scene.compiling import available_threads, run
+    from splatview.scene.compiling import run, threads_for
 
     # The largest is the last.
     tasks = list(blocks.items())[::-1]
-    streams = run(_frame, tasks, (progress,), available_threads())[::-1]
+    size = sum(header.sizes.values())
+    streams = run(_frame, tasks, (progress,), threads_for(size))[::-1]
     progress.step(0.9)
     with atomic_write(path) as file:
         file.write(
