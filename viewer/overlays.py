@@ -228,7 +228,10 @@ def over_picture(app: AppState) -> None:
     width = imgui.get_window_width()
     right = corner.x + width - margin
     show_axis_gizmo(app, ImVec2(right, corner.y + margin))
-    view_buttons(app, ImVec2(right, corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size()))
+    with theme.on_picture():
+        view_buttons(
+            app, ImVec2(right, corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size())
+        )
     left = corner.x + margin + TOOLS_EM * imgui.get_font_size()
     if app.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(left, corner.y + 5 * margin + imgui.get_font_size()))

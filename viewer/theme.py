@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,6 +128,21 @@ OFFSETS = {
     imgui.Col_.table_border_strong: 0.125,
 }
 """How far from the ground a colour is, towards the text."""
+
+
+@contextmanager
+def on_picture() -> Iterator[None]:
+    """Within, controls are as in the dark theme: they lie on the picture, on a dark ground."""
+    dark = THEMES["dark"]
+    greys = {imgui.Col_.text: dark.text} | {
+        colour: dark.ground + offset for colour, offset in OFFSETS.items()
+    }
+    for colour, value in greys.items():
+        imgui.push_style_color(colour, ImVec4(value, value, min(value * 1.06, 1.0), 1))
+    try:
+        yield
+    finally:
+        imgui.pop_style_color(len(greys))
 
 
 def set_colours(style: imgui.Style, theme: Theme) -> None:

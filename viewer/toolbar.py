@@ -84,7 +84,8 @@ def over_picture(app: AppState) -> None:
     right = bar(app, low, size.y - 2 * MARGIN_EM * em)
     session = session_of(app)
     if session is not None:
-        strip(app, session, ImVec2(right + MARGIN_EM * em, low.y), corner.x + size.x - CORNER_EM * em)
+        with theme.on_picture():
+            strip(app, session, ImVec2(right + MARGIN_EM * em, low.y), corner.x + size.x - CORNER_EM * em)
 
 
 CORNER_EM = 7.0
