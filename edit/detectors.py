@@ -130,8 +130,8 @@ class IsolatedClusters(Detector):
     """A cluster's mass is the sum of its opacities. Two neighbours are linked where they are no further apart
     than `reach` typical distances, or than each of them is wide."""
 
-    label: ClassVar[str] = "Isolated clusters"
-    what: ClassVar[str] = "Floaters: small groups of splats with nothing around them."
+    label: ClassVar[str] = "Floaters"
+    what: ClassVar[str] = "Small groups of splats with nothing around them."
     unit: ClassVar[str] = "times lighter than the main cluster"
     threshold: ClassVar[float] = 3000.0
     slider: ClassVar[tuple[float, float]] = (10.0, 1e6)
@@ -161,7 +161,7 @@ class SparseSplats(Detector):
     that is more: a coarse sky is no floater."""
 
     label: ClassVar[str] = "Low density"
-    what: ClassVar[str] = "Floaters: splats with few others around them."
+    what: ClassVar[str] = "Splats with few others around them, such as haze."
     unit: ClassVar[str] = "times the usual distance"
     threshold: ClassVar[float] = 4.0
     slider: ClassVar[tuple[float, float]] = (1.0, 1000.0)

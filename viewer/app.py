@@ -114,10 +114,15 @@ class Window:
         self.training = training
         self.app.prefer(background=preferences.background, blend=preferences.blend)
         self.app.prefer(fov_y=preferences.fov_y)
+        if training is None:
+            self.app.page, self.app.strip = preferences.page, preferences.strip
+        else:
+            self.app.page, self.app.strip = "Train", "Curves"
         self.dialogs = FileDialogs()
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
         self._title = ""
+        self._look = preferences.theme, preferences.font_size
         self._is_software = False
         self._ctx: moderngl.Context | None = None
         self._paths = [Path(path) for path in paths]
@@ -210,7 +215,10 @@ class Window:
         if (title := layout.title(app)) != self._title:
             self._title = title
             glfw.set_window_title(glfw_window_hello_imgui(), title)
-        layout.hide_or_show_panels(app)
+        look = app.preferences.theme, app.preferences.font_size
+        if look != self._look:
+            self._look = look
+            theme.follow(*look)
         flying = commands.held_step() is not None
         # There the pictures pace the frames, not a clock: see above.
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
@@ -240,8 +248,9 @@ class Window:
         return app.now() - self._touched > ATTENDED_SECONDS
 
     def frame(self) -> None:
-        """Drawn over the docks: dialogs, and the keys that work everywhere."""
+        """All that is drawn, dialogs last, and the keys that work everywhere."""
         commands.post_pressed(self.app)
+        layout.show(self.app)
         layout.show_floating(self.app, self.dialogs)
         if self._ctx is not None:
             # ImGui draws next, into whatever is bound.
@@ -252,7 +261,6 @@ class Window:
         app = self.app
         app.attempt(opening.cancel_loading, app, quiet=True)
         # What is to be kept comes first: what is released may fail, and nobody would miss it.
-        app.attempt(lambda: app.prefer(closed_panels=layout.closed_panels(app)))
         self.keep()
         app.attempt(self.dialogs.close)
         for feature in app.features.values():
@@ -320,11 +328,12 @@ def run_window(
     params.fps_idling.time_active_after_last_event = ACTIVE_SECONDS
     callbacks = params.callbacks
     callbacks.load_additional_fonts = theme.load_fonts
-    callbacks.setup_imgui_style = theme.apply
+    start = window.app.preferences
+    callbacks.setup_imgui_style = partial(theme.apply, start.theme, start.font_size)
     callbacks.setup_imgui_config = configure_imgui
     callbacks.post_init = window.start
     callbacks.pre_new_frame = partial(window.app.attempt, window.before_frame)
-    callbacks.post_render_dockable_windows = guarded(window.app, window.frame)
+    callbacks.show_gui = guarded(window.app, window.frame)
     callbacks.before_exit = window.stop
     run = _Driven(params, window.app, drive) if drive else None
     implot.create_context()

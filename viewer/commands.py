@@ -19,10 +19,12 @@ from splatview.renderers import MODES, VisualMode
 from splatview.viewer import background, camera, depth_of_field
 from splatview.viewer import open as opening
 from splatview.viewer import save as saving
+from splatview.viewer.command import Command, needs
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing import cleanup, exporting, files
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
+from splatview.viewer.entries import ENTRIES, reset_panels, toggle_panels
 from splatview.viewer.navigation import AXIS_NAMES, level
 from splatview.viewer.preferences import NavigationMode
 from splatview.viewer.state import AppState
@@ -54,14 +56,6 @@ def toggle_dialog(app: AppState, name: str) -> None:
     app.dialog = None if app.dialog == name else name
 
 
-def toggle_panels(app: AppState) -> None:
-    app.panels_hidden = not app.panels_hidden
-
-
-def reset_panels(app: AppState) -> None:
-    app.panels_hidden, app.open_panels, app.panels_reset = False, None, True
-
-
 def cancel(app: AppState) -> None:
     """Ends whatever is open or under way, one thing at a time."""
     if app.problem:
@@ -78,33 +72,6 @@ def quit_window(app: AppState) -> None:
     app.quitting = True
 
 
-@dataclass(frozen=True, kw_only=True)
-class Command:
-    """One thing that the user can ask for by name."""
-
-    id: str
-    title: str
-    """Description for the palette, tooltips and the help page."""
-    group: str
-    """Heading on the help page."""
-    run: Callable[[AppState], object]
-    keys: tuple[str, ...] = ()
-    """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
-    menu: str = ""
-    """Title in a menu, where `title` would be too long."""
-    words: str = ""
-    """Further words that the palette finds it by."""
-    lacks: Callable[[AppState], str] = lambda app: ""
-    """What must be there first, as a sentence; "" where it can be done. Menus and buttons are grey without it
-    and say so; keys and the palette run the command all the same, which then says why it does nothing."""
-    checked: Callable[[AppState], bool] = lambda app: False
-    """Whether menus show it as chosen."""
-
-
-def _needs(check: Callable[[AppState], bool], otherwise: str) -> Callable[[AppState], str]:
-    return lambda app: "" if check(app) else otherwise
-
-
 def _has(part: Literal["counts", "history"], name: str, otherwise: str) -> Callable[[AppState], str]:
     """Whether the document has any `name` in a part of it."""
 
@@ -112,27 +79,48 @@ def _has(part: Literal["counts", "history"], name: str, otherwise: str) -> Calla
         session = session_of(app)
         return session is not None and bool(getattr(getattr(session.document, part), name))
 
-    return _needs(check, otherwise)
+    return needs(check, otherwise)
 
 
-_a_scene = _needs(can_edit, "Open a scene first")
-_a_scene_at_rest = _needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
+_a_scene = needs(can_edit, "Open a scene first")
+_a_scene_at_rest = needs(at_rest, "Open a scene first; one in training has to be stopped and saved")
 _a_selection = _has("counts", "selected", editing.SELECT_FIRST)
-_cameras = _needs(lambda app: bool(app.cameras), "Load cameras first")
+_cameras = needs(lambda app: bool(app.cameras), "Load cameras first")
 
 
-def _tool(group: str, name: editing.ToolName, keys: str, title: str) -> Command:
+DETECTOR_WORDS = {
+    "clusters": ("floaters", "isolated clusters"),
+    "sparse": ("density", "density outliers"),
+    "needles": ("spikes", "long splats"),
+    "giants": ("large splats", "big splats"),
+    "faint": ("low opacity", "transparent splats"),
+    "unseen": ("invisible", "occluded"),
+    "broken": ("nan", "undrawable"),
+    "duplicates": ("doubles",),
+}
+"""What else people call what a detector finds."""
+
+
+def _tool(
+    group: str,
+    name: editing.ToolName,
+    keys: str,
+    title: str,
+    *words: str,
+    lacks: Callable[[AppState], str] = _a_scene,
+) -> Command:
     def in_hand(app: AppState) -> bool:
         session = session_of(app)
-        return session is not None and session.tool == name
+        return session.tool == name if session is not None else name == "none"
 
     return Command(
         id=f"tool_{name}",
         title=title,
         group=group,
-        run=partial(editing.take_tool, tool=name),
+        run=editing.put_tool_back if name == "none" else partial(editing.take_tool, tool=name),
         keys=tuple(keys.split()),
-        lacks=_a_scene,
+        words=words,
+        lacks=lacks,
         checked=in_hand,
     )
 
@@ -181,18 +169,25 @@ def _navigation_mode(mode: NavigationMode, keys: str, title: str) -> Command:
 COMMANDS: dict[str, Command] = {
     command.id: command
     for command in (
-        _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open..."),
-        _file("add", "Ctrl+Shift+O", "Add another scene to this one", files.choose_addition,
-            "Add to the scene...", lacks=_needs(lambda app: app.is_open, "Open a scene first")),
+        _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open...",
+            words=("open", "load")),
+        _file("add", "Ctrl+Shift+O", "Import: add another scene to this one", files.choose_addition,
+            "Import...", words=("append",), lacks=needs(lambda app: app.is_open, "Open a scene first")),
+        _file("recent", "", "Recent: open a scene that was open before",
+            partial(toggle_dialog, name="recent"),
+            words=("open recent", "last files"),
+            lacks=needs(lambda app: bool(app.preferences.recent), "No scene was opened before")),
         _file("reload", "F5", "Read the scene's files again", opening.reload,
-            lacks=_needs(lambda app: app.scene_path is not None, "Open a file first")),
+            lacks=needs(lambda app: app.scene_path is not None, "Open a file first")),
         _file("open_cameras", "Ctrl+L", "Load a list of cameras", camera.choose_cameras, "Load cameras..."),
-        _file("screenshot", "F12", "Save a picture beside the scene", saving.screenshot, "Save a picture"),
+        _file("screenshot", "F12", "Save a picture beside the scene", saving.screenshot, "Save a picture",
+            words=("screenshot", "snapshot", "png")),
         _file("screenshot_as", "Ctrl+F12", "Save a picture, choosing size and place",
             partial(toggle_dialog, name="screenshot"), "Save a picture as..."),
         _file("quit", "Ctrl+Q", "Quit", quit_window),
         _file("export", "Ctrl+E", "Export the edited scene", exporting.open_dialog,
-            "Export the edited scene...", lacks=_a_scene),
+            "Export the edited scene...", words=("export", "save", "save as", "write", "convert"),
+            lacks=_a_scene),
         _file("save_recipe", "Ctrl+S", "Save what was done as a recipe", files.choose_recipe_to_save,
             "Save recipe...", lacks=_a_scene_at_rest),
         _file("replay_recipe", "Ctrl+R", "Do the steps of a recipe", files.choose_recipe_to_replay,
@@ -201,7 +196,8 @@ COMMANDS: dict[str, Command] = {
             files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
             "Selection to its own file...", lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
-        _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene"),
+        _file("demo", "", "Open the demo scene", opening.begin_demo, "Demo scene",
+            words=("demo", "example", "sample")),
         _camera("frame_selection", "F", "Show what is selected, else the whole scene",
             camera.frame_selection),
         _camera("frame_all", "Home", "Show the whole scene", camera.frame_all),
@@ -211,7 +207,8 @@ COMMANDS: dict[str, Command] = {
             for name, key in zip(AXIS_NAMES, AXIS_KEYS, strict=True)
         ),
         _camera("level", "L", "Make the horizon level", camera.make_level),
-        _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next"),
+        _camera("next_up", "U", "Next up axis: +Y, -Y, +Z, -Z, +X, -X", camera.next_up, "Next",
+            words=("up", "up axis", "upside down")),
         _camera("up_from_view", "Shift+U", "Take what is up in the picture as the up axis",
             camera.up_from_view,
             "What is up in the picture"),
@@ -220,13 +217,13 @@ COMMANDS: dict[str, Command] = {
             checked=lambda app: app.destination.lens.orthographic),
         _camera("toggle_lenses", "Shift+L", "Look through the lenses of loaded cameras, or without",
             camera.toggle_lenses, "Camera lenses",
-            lacks=_needs(lambda app: any(camera.lens is not None for camera in app.cameras),
+            lacks=needs(lambda app: any(camera.lens is not None for camera in app.cameras),
                 "Load cameras with lenses first"),
             checked=lambda app: app.through_lenses),
         _camera("depth_of_field", "Shift+B", "Depth of field on or off", depth_of_field.switch,
-            "Depth of field", checked=lambda app: app.feature(DepthOfField).on),
+            "Depth of field", words=("dof",), checked=lambda app: app.feature(DepthOfField).on),
         _camera("focus_by_click", "Shift+C", "Depth of field: click what shall be sharp",
-            depth_of_field.focus_by_click, "Focus by click"),
+            depth_of_field.focus_by_click, "Focus by click", words=("focus", "sharp")),
         _camera("narrower", "]", "Narrower field of view", partial(camera.change_fov,
             factor=1 / camera.FOV_STEP)),
         _camera("wider", "[", "Wider field of view", partial(camera.change_fov, factor=camera.FOV_STEP)),
@@ -237,7 +234,7 @@ COMMANDS: dict[str, Command] = {
         _camera("add_bookmark", "B", "Bookmark this view", camera.add_bookmark),
         _camera("next_bookmark", "N", "Next bookmark",
             lambda app: camera.go_to_bookmark(app, app.bookmark_index + 1),
-            lacks=_needs(lambda app: bool(app.bookmarks), "Bookmark a view first")),
+            lacks=needs(lambda app: bool(app.bookmarks), "Bookmark a view first")),
         _camera("copy_camera", "Ctrl+C", "Copy the camera as JSON", camera.copy_camera),
         _camera("paste_camera", "Ctrl+V", "Go to the camera on the clipboard", camera.paste_camera),
         _navigation_mode("orbit", "F2", "turn about a point, horizon level"),
@@ -249,22 +246,23 @@ COMMANDS: dict[str, Command] = {
                 partial(set_mode, mode=mode.name), checked=lambda app, name=mode.name: app.mode == name)
             for mode in MODES.values()
         ),
-        _picture("open_background", "", "Background: open an equirectangular picture",
+        _picture("open_background", "", "Panorama: open an equirectangular picture behind the scene",
             background.ask_for_picture),
-        _edit("duplicate", "Ctrl+D", "Make a copy of the selected splats",
-            editing.operation_on_selection("duplicate"),
+        _edit("duplicate", "Ctrl+D", "Duplicate the selected splats",
+            editing.operation_on_selection("duplicate"), "Duplicate", words=("copy splats", "clone"),
             lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
         _edit("undo", "Ctrl+Z", "Undo", editing.undo, lacks=_has("history", "can_undo", "Nothing to undo")),
         _edit("redo", "Ctrl+Shift+Z Ctrl+Y", "Redo", editing.redo,
             lacks=_has("history", "can_redo", "Nothing to redo")),
         _edit("delete", "Delete Backspace", "Delete the selected splats",
-            editing.operation_on_selection("delete"), lacks=_a_selection),
-        _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"),
-            lacks=_a_selection),
+            editing.operation_on_selection("delete"), "Delete",
+            words=("remove", "erase"), lacks=_a_selection),
+        _edit("hide", "J", "Hide the selected splats", editing.operation_on_selection("hide"), "Hide",
+            words=("hide",), lacks=_a_selection),
         _edit("show", "Shift+J", "Show all hidden splats again", editing.operation("show"),
             lacks=_has("counts", "hidden", "Nothing is hidden")),
-        _edit("isolate", "Shift+I", "Hide all but the selected splats",
-            editing.operation_on_selection("isolate"), lacks=_a_selection),
+        _edit("isolate", "Shift+I", "Isolate: hide all but the selected splats",
+            editing.operation_on_selection("isolate"), "Isolate", words=("solo",), lacks=_a_selection),
         _edit("lock", "K", "Lock the selected splats: seen, but not to be changed",
             editing.operation_on_selection("lock"), lacks=_a_selection),
         _edit("unlock", "Shift+K", "Unlock all locked splats", editing.operation("unlock"),
@@ -274,19 +272,32 @@ COMMANDS: dict[str, Command] = {
             lacks=_has("counts", "selected", "Nothing is selected")),
         _select("select_inverse", "Ctrl+I", "Invert the selection", editing.operation("select_inverse"),
             lacks=_a_scene),
-        _tool("Select", "rectangle", "R", "Rectangle: select what is inside"),
-        _tool("Select", "brush", "C", "Brush: paint a selection"),
-        _tool("Select", "lasso", "O", "Lasso: draw around what to select"),
+        _tool("Select", "none", "Shift+0", "Navigate: put the tool back", "cursor", "no tool"),
+        _tool("Select", "rectangle", "R", "Rectangle: select what is inside", "box select", "marquee"),
+        _tool("Select", "brush", "C", "Brush: paint a selection", "paint"),
+        _tool("Select", "lasso", "O", "Lasso: draw around what to select", "freehand"),
         _tool("Select", "polygon", "P", "Polygon: click corners around what to select"),
-        _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour"),
-        _tool("Select", "colour", "I", "Eyedropper: select everything of one colour"),
+        _tool("Select", "flood", "G", "Magic wand: select what hangs together and has one colour",
+            "wand", "flood fill"),
+        _tool("Select", "colour", "I", "Eyedropper: select everything of one colour", "pipette",
+            "colour picker"),
+        _tool("Edit", "move", "Shift+1", "Move: drag arrows on the picture", "gizmo", "translate", "handles",
+            "position", lacks=_a_scene_at_rest),
+        _tool("Edit", "rotate", "Shift+2", "Rotate: drag rings on the picture", "rotate", "turn",
+            "rotation", lacks=_a_scene_at_rest),
+        _tool("Edit", "scale", "Shift+3", "Scale: drag handles on the picture", "scale", "resize",
+            lacks=_a_scene_at_rest),
+        _tool("Edit", "crop_box", "Shift+4", "Crop box: show only what is inside a box", "crop", "box",
+            "clip"),
+        _tool("Edit", "crop_sphere", "Shift+5", "Crop sphere: show only what is inside a sphere", "sphere"),
         _select("next_depth", "T", "Screen tools: through everything, or the front surface only",
             editing.next_depth, "Only the front surface", lacks=_a_scene, checked=_selects_front),
         _select("larger_brush", "Shift+]", "Larger brush",
             partial(editing.scale_brush, factor=editing.BRUSH_STEP)),
         _select("smaller_brush", "Shift+[", "Smaller brush",
             partial(editing.scale_brush, factor=1 / editing.BRUSH_STEP)),
-        _tool("Edit", "measure", "M", "Measure the distance between two points"),
+        _tool("Edit", "measure", "M", "Measure the distance between two points", "measure",
+            "ruler", "distance", "tape measure"),
         _select("grow", "", "Grow the selection by its neighbours",
             partial(editing.grow_or_shrink, operation=Grow(neighbours=editing.NEIGHBOURS)),
             lacks=_a_selection),
@@ -299,12 +310,12 @@ COMMANDS: dict[str, Command] = {
             lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
         _edit("turn_over", "", "Turn the scene over: upside down, as files of another frame are",
-            editing.turn_over, "Turn over", words="flip upside down frame y up RUB RDF rotate 180",
+            editing.turn_over, "Turn over", words=("turn over", "flip", "upside down", "y up", "rub", "rdf"),
             lacks=_a_scene_at_rest),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
-            _edit(f"find_{name}", "", f"Clean up: find {detector.label.lower()}",
-                partial(cleanup.find, detector=name), words=detector.what, lacks=_a_scene)
+            _edit(f"find_{name}", "", f"Find {detector.label.lower()}", partial(cleanup.find, detector=name),
+                tip=detector.what, words=DETECTOR_WORDS.get(name, ()), lacks=_a_scene)
             for name, detector in DETECTORS.items()
         ),
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",
@@ -318,12 +329,16 @@ COMMANDS: dict[str, Command] = {
             "Save a checkpoint"),
         _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
         _training("show_training", "", "Show the scene in training", training.show_training,
-            lacks=_needs(_shows_something_else, "It is what is shown")),
-        _window("toggle_panels", "H", "Hide or show the panels", toggle_panels, "Only the picture",
+            lacks=needs(_shows_something_else, "It is what is shown")),
+        *ENTRIES,
+        _window("toggle_panels", "H", "Only the picture, or the panels again", toggle_panels,
+            "Only the picture", words=("hide panels", "clean view"),
             checked=lambda app: app.panels_hidden),
-        _window("reset_panels", "", "Put the panels back", reset_panels),
-        _window("toggle_help", "F1", "Show or hide this page", partial(toggle_dialog, name="help"),
-            "Keys and mouse"),
+        _window("reset_panels", "", "Reset layout: inspector and strip as in a new window", reset_panels,
+            "Reset layout", words=("reset", "layout", "panels")),
+        _window("toggle_help", "F1", "Keys and mouse: show or hide this page",
+            partial(toggle_dialog, name="help"), "Keys and mouse",
+            words=("help", "keys", "shortcuts", "hotkeys")),
         _window("cancel", "Escape", "Cancel loading, close what is open", cancel),
     )
 }

@@ -13,6 +13,7 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from splatview.scene.formats import name_patterns
+from splatview.viewer import open as opening
 from splatview.viewer import save as saving
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, HELD_KEYS, MOUSE
@@ -69,6 +70,24 @@ def problem(app: AppState) -> None:
             imgui.close_current_popup()
         imgui.set_item_default_focus()
         imgui.end_popup()
+
+
+def recent(app: AppState) -> None:
+    """The scenes that were open before, to choose from."""
+    if app.dialog != "recent":
+        return
+    centred(30)
+    opened = imgui.begin("Recent scenes", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
+    if not app.preferences.recent:
+        widgets.note("None yet.")
+    for name in app.preferences.recent:
+        if imgui.selectable(widgets.item(Path(name).name, name), False)[0]:
+            app.dialog = None
+            app.post(opening.open_paths, [Path(name)])
+        widgets.tooltip(name)
+    imgui.end()
+    if not opened and app.dialog == "recent":
+        app.dialog = None
 
 
 HELP_COLUMNS = (

@@ -1,18 +1,17 @@
-"""The menu bar and the command palette, both over the table of commands."""
+"""The menu bar, over the table of commands."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import imgui
 
 from splatview.renderers import MODES
 from splatview.viewer import open as opening
-from splatview.viewer import theme
 from splatview.viewer.camera import UP_NAMES, set_up, up_name
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, Command
-from splatview.viewer.dialogs import DIALOG_FLAGS, centred
+from splatview.viewer.editing.tool_state import CROPPING, SELECTING, TRANSFORMING
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState
@@ -87,14 +86,6 @@ def pause_or_resume(app: AppState) -> None:
     item(app, COMMANDS["pause_training"], "Pause" if running else "Resume")
 
 
-def panels(app: AppState) -> None:
-    """An entry for each panel."""
-    params = hello_imgui.get_runner_params()
-    for window in params.docking_params.dockable_windows:
-        if window.can_be_closed and imgui.menu_item(window.label, "", window.is_visible)[0]:
-            window.is_visible = not window.is_visible
-
-
 # fmt: off
 MENUS: dict[str, tuple[Entry, ...]] = {
     "File": (
@@ -105,11 +96,11 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     "Edit": (
         "undo", "redo", None,
         "delete", "hide", "isolate", "lock", "duplicate", "show", "unlock", None,
-        "turn_over", "tool_measure",
+        "turn_over", *(f"tool_{tool}" for tool in (*TRANSFORMING, *CROPPING, "measure")),
     ),
     "Select": (
         "select_all", "select_none", "select_inverse", None,
-        *(f"tool_{tool}" for tool in ("rectangle", "brush", "lasso", "polygon", "flood", "colour")), None,
+        *(f"tool_{tool}" for tool in SELECTING), None,
         "next_depth",
     ),
     "Camera": (
@@ -125,84 +116,11 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         pause_or_resume, "step_training", "stop_training", None,
         "export_training", "save_checkpoint", None, "evaluate_training", "show_training",
     ),
-    "Window": ("toggle_panels", None, panels, None, "reset_panels"),
+    "Window": (
+        *(f"page_{page}" for page in ("scene", "edit", "view", "accuracy", "train")), None,
+        *(f"strip_{name}" for name in ("history", "curves", "compare", "log")), None,
+        "toggle_panels", "reset_panels",
+    ),
     "Help": ("toggle_help", "toggle_palette"),
 }
 # fmt: on
-
-
-ROWS = 14
-"""Seen at once."""
-
-
-def matching(query: str) -> list[Command]:
-    """Commands that have every word of `query` in title, group, keys or further words, the likeliest first: a
-    word that begins one of the title counts more than one within."""
-    words = query.casefold().split()
-    scored = []
-    for place, command in enumerate(COMMANDS.values()):
-        if (score := _score(words, command)) is not None:
-            scored.append((score, place, command))
-    return [command for _, _, command in sorted(scored, key=lambda entry: entry[:2])]
-
-
-def _score(words: list[str], command: Command) -> int | None:
-    text = f"{command.title} {command.group}".casefold()
-    parts = text.replace(":", " ").split()
-    keys = [key.casefold() for key in command.keys]
-    total = 0
-    for word in words:
-        if parts[0].startswith(word) or word in keys:
-            continue
-        if any(part.startswith(word) for part in parts):
-            total += 1
-        elif word in text:
-            total += 3
-        elif any(part.startswith(word) for part in command.words.casefold().split()):
-            total += 9
-        else:
-            return None
-    return total
-
-
-def show_palette(app: AppState) -> None:
-    """The palette, while it is open."""
-    palette = app.palette
-    if app.dialog != "palette":
-        palette.query, palette.chosen, palette.fresh = "", 0, True
-        return
-    centred(34)
-    opened = imgui.begin("Commands", True, DIALOG_FLAGS | imgui.WindowFlags_.no_resize)[1]
-    if palette.fresh:
-        imgui.set_keyboard_focus_here()
-    imgui.set_next_item_width(-1)
-    changed, palette.query = imgui.input_text_with_hint("##query", "What do you want to do?", palette.query)
-    if changed:
-        palette.chosen = 0
-    found = matching(palette.query)
-    down, up = (imgui.is_key_pressed(key) for key in (imgui.Key.down_arrow, imgui.Key.up_arrow))
-    palette.chosen = min(max(palette.chosen + down - up, 0), max(len(found) - 1, 0))
-    run = found[palette.chosen] if found and imgui.is_key_pressed(imgui.Key.enter) else None
-    height = imgui.get_text_line_height_with_spacing() * ROWS
-    imgui.begin_child("##found", ImVec2(0, height))
-    for number, command in enumerate(found):
-        clicked, _ = imgui.selectable(f"{command.title}##{command.id}", number == palette.chosen)
-        if clicked:
-            run = command
-        if number == palette.chosen and not palette.fresh:
-            imgui.set_scroll_here_y(0.5) if changed or down or up else None
-        side = f"{command.group}   {', '.join(command.keys)}"
-        imgui.same_line(imgui.get_content_region_avail().x - imgui.calc_text_size(side).x)
-        imgui.text_colored(theme.QUIET, side)
-    if not found:
-        imgui.text_colored(theme.QUIET, "No command has these words")
-    imgui.end_child()
-    imgui.end()
-    if not palette.fresh and imgui.is_key_pressed(imgui.Key.escape):
-        opened = False
-    palette.fresh = False
-    if run is not None:
-        app.dialog = None
-        app.post(run.run)
-    elif not opened:
-        app.dialog = None

@@ -1,4 +1,4 @@
-"""Overlays of the picture (axis cross, cameras, mode chooser, badges) and the status bar under it."""
+"""Overlays of the picture: axis cross, cameras, navigation and visual mode, badges."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.renderers import MODES
 from splatview.scene import Camera
@@ -17,7 +18,6 @@ from splatview.viewer.camera import go_to_camera
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, keys_of, set_mode
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.editing.tool_state import ToolName
 from splatview.viewer.navigation import AXIS_NAMES
 from splatview.viewer.navigation.controllers import axis
 from splatview.viewer.panels import recipe, split_view, widgets
@@ -219,69 +219,31 @@ def picture_corners(camera: Camera, size: float) -> np.ndarray:
     return np.array([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
 
 
-HINTS: dict[NavigationMode, str] = {
-    "orbit": "Drag: orbit   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
-    "fly": "Drag: look   W A S D E Q: move   Wheel: speed   Shift: fast   F1: keys",
-    "trackball": "Drag: turn   Right drag: pan   Wheel: zoom   Double click: turn about   F1: keys",
-}
-
-TOOL_HINTS: dict[ToolName, str] = {
-    "rectangle": "Drag: select",
-    "lasso": "Drag: draw around",
-    "brush": "Drag: paint   Shift + [ ]: radius",
-    "polygon": "Click: corner   Double click: close",
-    "flood": "Click: select what hangs together",
-    "colour": "Click: select the colour",
-    "measure": "Click: two points",
-    "ground": "Click: three points of the ground",
-}
-
-SELECTING = "Shift: add   Ctrl: remove   Both: keep common"
-
-
-def hint(app: AppState) -> str:
-    """What the mouse does on the picture now."""
-    session = session_of(app)
-    if app.feature(DepthOfField).picking:
-        return "Click: what shall be sharp   Esc: done"
-    if session is None or session.tool == "none":
-        return HINTS[app.preferences.navigation]
-    selects = () if session.tool in ("measure", "ground") else (SELECTING,)
-    return "   ".join((TOOL_HINTS[session.tool], *selects, "Alt + drag: turn   Esc: done"))
-
-
 def over_picture(app: AppState) -> None:
     """The tools in the picture's corner, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
     if shows_cameras(app):
         show_frusta(app, corner)
     margin = imgui.get_font_size() * 0.6
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + margin))
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 2))
-    for i, mode in enumerate(NAVIGATION_MODES):
-        if i:
-            imgui.same_line()
-        chosen = app.preferences.navigation == mode
-        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
-        imgui.push_style_color(imgui.Col_.button, fill)
-        widgets.command_button(app, NAVIGATION_NAMES[mode], f"navigate_{mode}")
-        imgui.pop_style_color()
-    imgui.pop_style_var()
-    imgui.same_line()
-    mode_chooser(app)
     width = imgui.get_window_width()
-    show_axis_gizmo(app, ImVec2(corner.x + width - margin, corner.y + margin))
+    right = corner.x + width - margin
+    show_axis_gizmo(app, ImVec2(right, corner.y + margin))
+    with theme.on_picture():
+        view_buttons(
+            app, ImVec2(right, corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size())
+        )
+    left = corner.x + margin + TOOLS_EM * imgui.get_font_size()
     if app.picture.status:
-        imgui.set_cursor_screen_pos(ImVec2(corner.x + margin, corner.y + 4 * margin + imgui.get_font_size()))
+        imgui.set_cursor_screen_pos(ImVec2(left, corner.y + 5 * margin + imgui.get_font_size()))
         imgui.begin_group()
         imgui.text_colored(theme.WARNING, app.picture.status)
         imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(app.picture.status).x, margin), "")
         imgui.end_group()
     if app.picture.note:
-        badge(app.picture.note, ImVec2(corner.x + margin, corner.y + imgui.get_window_height() - margin))
+        badge(app.picture.note, ImVec2(left, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin
     moving = bool(app.picture.note)
-    split_view.badges(app, ImVec2(corner.x + margin, lowest - moving * 2 * imgui.get_font_size()))
+    split_view.badges(app, ImVec2(left, lowest - moving * 2 * imgui.get_font_size()))
     if text := app.feature(DepthOfField).badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()
         split_view.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
@@ -323,33 +285,50 @@ def badge(note: str, at: ImVec2) -> None:
     draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
 
 
-def mode_chooser(app: AppState) -> None:
+NAVIGATION_ICONS: dict[NavigationMode, str] = {
+    "orbit": icons.ICON_FA_ARROWS_SPIN,
+    "fly": icons.ICON_FA_PAPER_PLANE,
+    "trackball": icons.ICON_FA_GLOBE,
+}
+
+TOOLS_EM = 2.7
+"""Width that the tool bar takes at the left edge, in font heights."""
+
+
+def view_buttons(app: AppState, corner: ImVec2) -> None:
+    """The navigation mode and the visual mode, as wide as the axes above them; top right at `corner`."""
+    em = imgui.get_font_size()
+    wide = 2 * (ARM_EM + BALL_EM) * em
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 2))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x - wide, corner.y))
+    side = (wide - len(NAVIGATION_MODES) + 1) / len(NAVIGATION_MODES)
+    for i, mode in enumerate(NAVIGATION_MODES):
+        if i:
+            imgui.same_line()
+        chosen = app.preferences.navigation == mode
+        fill = ImVec4(*theme.ACCENT, 0.75) if chosen else ImVec4(0.1, 0.1, 0.11, 0.7)
+        imgui.push_style_color(imgui.Col_.button, fill)
+        if imgui.button(f"{NAVIGATION_ICONS[mode]}###{NAVIGATION_NAMES[mode]}", ImVec2(side, 1.6 * em)):
+            app.post(COMMANDS[f"navigate_{mode}"].run)
+        imgui.pop_style_color()
+        widgets.command_tooltip(app, f"navigate_{mode}")
+    imgui.set_cursor_screen_pos(ImVec2(corner.x - wide, corner.y + 1.8 * em))
+    mode_chooser(app, wide)
+    imgui.pop_style_var()
+
+
+def mode_chooser(app: AppState, width: float) -> None:
     """A small list of the visual modes; bright where it is not the picture itself."""
     usual = app.mode == "splats"
     fill = ImVec4(0.1, 0.1, 0.11, 0.7) if usual else ImVec4(*theme.ACCENT, 0.75)
     imgui.push_style_color(imgui.Col_.frame_bg, fill)
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
-    imgui.set_next_item_width(imgui.get_font_size() * 7)
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0.35 * imgui.get_font_size(), 3))
+    imgui.set_next_item_width(width)
     modes = list(MODES.values())
     changed, index = imgui.combo("##mode", list(MODES).index(app.mode), [mode.label for mode in modes])
+    imgui.pop_style_var()
     imgui.pop_style_color(2)
     widgets.tooltip(MODE_TIP)
     if changed:
         app.post(set_mode, modes[index].name)
-
-
-def status_bar(app: AppState) -> None:
-    if app.messages:
-        latest = app.messages[-1]
-        if latest.error:
-            imgui.text_colored(theme.ERROR, latest.text)
-        else:
-            imgui.text_unformatted(latest.text)
-    imgui.same_line()
-    text = hint(app)
-    start = imgui.get_window_width() - imgui.calc_text_size(text).x - imgui.get_font_size()
-    if start < imgui.get_cursor_pos_x():
-        imgui.new_line()
-        return
-    imgui.same_line(start)
-    imgui.text_colored(theme.QUIET, text)

@@ -23,6 +23,7 @@ NavigationMode = Literal["orbit", "fly", "trackball"]
 BackgroundKind = Literal["colour", "gradient", "panorama"]
 BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
+Theme = Literal["dark", "light", "high contrast"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -65,7 +66,17 @@ class Preferences:
     """How often the growing scene is shown."""
     edit_memory_gib: float = 0.0
     """Memory for edits and undo beyond the open scene; 0: half of what is free when it is opened."""
-    closed_panels: tuple[str, ...] = ()
+    page: str = "Scene"
+    """Page of the inspector that is open; "" for none."""
+    strip: str = ""
+    """Panel of the bottom strip that is open; "" for none."""
+    inspector_width: float = 20.0
+    """Font heights, without the rail."""
+    strip_height: float = 12.0
+    """Font heights."""
+    theme: Theme = "dark"
+    font_size: float = 16.0
+    """px on a screen of 96 dpi."""
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
 
@@ -77,6 +88,9 @@ RANGES = {
     "resolution_scale": (0.125, 2.0),
     "frame_budget_ms": (4.0, 200.0),
     "edit_memory_gib": (0.0, 1024.0),
+    "inspector_width": (17.0, 60.0),
+    "strip_height": (6.0, 60.0),
+    "font_size": (10.0, 32.0),
     "training_share": (0.05, 1.0),
 }
 """Inclusive limits of the numbers; the panels' sliders read them too."""
@@ -86,6 +100,7 @@ CHOICES = {
     "background_kind": get_args(BackgroundKind),
     "blend": get_args(BlendPrecision),
     "training_updates": get_args(TrainingUpdates),
+    "theme": get_args(Theme),
 }
 """Values of the fields that are one of a few words."""
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -55,6 +55,27 @@ class Palette:
     chosen: int = 0
     fresh: bool = True
     """Just opened: takes the keyboard."""
+
+
+@dataclass
+class Rate:
+    """Pictures drawn a second."""
+
+    seen: deque[tuple[float, int]] = field(default_factory=deque)
+    """Seconds, and number of pictures drawn until then, of the last SECONDS."""
+
+    SECONDS: ClassVar[float] = 1.0
+
+    def at(self, now: float, drawn: int) -> float | None:
+        """The rate at `now`; None where nothing is drawn."""
+        seen = self.seen
+        if not seen or seen[-1][1] != drawn:
+            seen.append((now, drawn))
+        while seen and now - seen[0][0] > self.SECONDS:
+            seen.popleft()
+        if len(seen) < 2 or not (span := seen[-1][0] - seen[0][0]) > 0:
+            return None
+        return (seen[-1][1] - seen[0][1]) / span
 
 
 class Feature:
@@ -133,6 +154,7 @@ class AppState:
 
     picture_size: tuple[int, int] = (1, 1)
     """Px of the visible area; the rendered picture is `preferences.resolution_scale` times that."""
+    rate: Rate = field(default_factory=Rate)
     frame_history: deque[dict[str, float]] = field(default_factory=lambda: deque(maxlen=120))
     """Stage times in ms of the latest drawn frames."""
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=MESSAGES_KEPT))
@@ -141,7 +163,7 @@ class AppState:
     problem: str | None = None
     """An error that waits in a dialog for the user to read it."""
     dialog: str | None = None
-    """Which dialog is open: "help", "screenshot", "palette", "restore" or none."""
+    """Which dialog is open: "help", "screenshot", "palette", "recent", "restore" or none."""
     palette: Palette = field(default_factory=Palette)
     screenshot_size: tuple[int, int] | None = None
     """Px, as the screenshot dialog has it; None: the size that is seen."""
@@ -153,11 +175,14 @@ class AppState:
     clipboard_read: Callable[[], str] = str
     choose_files: Callable[..., None] = lambda *args, **kwargs: None
     """Opens a file dialog; set by the window. (title, done(paths), kind)"""
+    page: str = "Scene"
+    """Page of the inspector that is open; "" for none."""
+    strip: str = ""
+    """Panel of the bottom strip that is open; "" for none."""
     panels_hidden: bool = False
-    panels_reset: bool = False
-    """Whether all panels are to be opened and put back in their places."""
-    open_panels: set[str] | None = None
-    """While panels are hidden: those to show again."""
+    """Whether only the picture is shown."""
+    reveal: str = ""
+    """Title of a section of the open page that is to be opened and scrolled to, once."""
     quitting: bool = False
     now: Callable[[], float] = time.monotonic
     _failures: set[str] = field(default_factory=set)

@@ -27,8 +27,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     accuracy = app.feature(Accuracy)
     accuracy.rounds = options.get("rounds")
     exact = hand.picture()
-    hand.ctx.window_focus("//Accuracy")
-    hand.ctx.set_ref("//Accuracy")
+    hand.page("Accuracy")
     hand.frames(3)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the measurement to begin")
@@ -51,7 +50,10 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["evaluations"] = accuracy.bill.evaluations if accuracy.bill else None
     hand.shoot(options.get("shot_prices"))
 
-    hand.ctx.item_click("**/###sh-degree 0")
+    x, y = accuracy.marks["sh-degree", "0"]
+    hand.ctx.mouse_teleport_to_pos(ImVec2(x, y))
+    hand.frames(2)
+    hand.ctx.mouse_click(0)
     hand.frames(3)
     hand.settle()
     found["choices"] = dict(accuracy.choices)
@@ -77,14 +79,14 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["eye_moved"] = float(np.abs(app.camera.eye - eye).max())
     accuracy.comparing.right = "off"
 
-    hand.ctx.window_focus("//Accuracy")
-    hand.ctx.set_ref("//Accuracy")
+    hand.page("Accuracy")
     hand.ctx.item_click("**/###exact")
     hand.frames(3)
     hand.settle()
     found["back"] = float(np.abs(seen(hand, app) - exact).max())
     found["choices_after"] = dict(accuracy.choices)
 
+    hand.ctx.item_open("###all")
     reduced(app, hand, found, exact)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")

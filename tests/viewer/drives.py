@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import ImVec2, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
@@ -77,6 +77,19 @@ class Hand:
             ImVec2(view.min.x + x * (view.max.x - view.min.x), view.min.y + y * (view.max.y - view.min.y))
         )
         self.frames(2)
+
+    def page(self, name: str) -> None:
+        """Opens a page of the inspector by the rail; items are looked for in it from now on."""
+        if self.app.page != name or self.app.panels_hidden:
+            self.ctx.item_click(f"//##rail/{name}")
+        self.frames(3)
+        self.ctx.set_ref(f"//{next(page.window for page in layout.PAGES if page.name == name)}")
+
+    def strip(self, name: str) -> None:
+        """Opens a panel of the bottom strip by the status bar."""
+        if self.app.strip != name or self.app.panels_hidden:
+            self.ctx.item_click(f"//##status/###{name}")
+        self.frames(3)
 
     def drop(self, *paths: str) -> None:
         """As GLFW does when files are dropped: calls the C callback that the window has installed."""
@@ -251,17 +264,20 @@ def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["picture_size"] = list(app.picture_size)
 
     found["panels"] = []
-    for name, _, _ in layout.PANELS:
-        ctx.window_focus(f"//{name}")
-        hand.frames(2)
-        if ctx.get_window_by_ref(f"//{name}").active:
-            found["panels"].append(name)
-    ctx.window_focus("//Picture")
-    hand.frames(4)
-    ctx.item_click("//Picture/##Antialiased")
+    for panel in layout.available(app, layout.STRIP):
+        hand.strip(panel.name)
+        if ctx.get_window_by_ref(f"//{panel.window}").active:
+            found["panels"].append(panel.name)
+    for panel in layout.PAGES:
+        hand.page(panel.name)
+        if ctx.get_window_by_ref(f"//{panel.window}").active:
+            found["panels"].append(panel.name)
+    hand.page("View")
+    ctx.item_open("Advanced")
+    ctx.item_click("##Antialiased")
     hand.settle()
     found["antialiased"] = app.settings.model.antialiased
-    ctx.item_click("//Picture/As the scene calls for")
+    ctx.item_click("###reset image model")
     hand.settle()
     found["antialiased_after"] = app.settings.model.antialiased
 
@@ -271,13 +287,16 @@ def menus(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("H")
     hand.frames(4)
     found["widths"] = [wide, app.picture_size[0]]
-    hand.press("H")  # ends with the panels hidden: the next run must have them
+    hand.press("H")  # ends with only the picture: the next run must have the panels
 
 
 def second_look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     hand.settle()
-    windows = hello_imgui.get_runner_params().docking_params.dockable_windows
-    found["visible"] = [window.label for window in windows if window.is_visible]
+    found["visible"] = [
+        panel.name
+        for panel in (*layout.PAGES, *layout.STRIP)
+        if hand.ctx.window_info(f"//{panel.window}", imgui.test_engine.TestOpFlags_.no_error).id_
+    ]
     found["navigation"] = app.preferences.navigation
 
 

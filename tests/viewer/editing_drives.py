@@ -14,17 +14,15 @@ from imgui_bundle import ImVec2, imgui
 from splatview.scene.edits import SELECTED, bake
 from splatview.viewer.editing import files
 from splatview.viewer.editing.files import Restoring
-from splatview.viewer.editing.gizmos import guizmo
+from splatview.viewer.editing.gizmos import angles_of, guizmo
 from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.state import AppState
 
 
 def open_section(hand: Hand, title: str) -> None:
-    """Of the Edit panel; the others are shut, so that everything in it can be reached."""
-    hand.ctx.window_focus("//Edit")
-    hand.ctx.set_ref("//Edit")
-    for name in ("Select", "Clean up", "Crop", "Move", "Look"):
-        (hand.ctx.item_open if name == title else hand.ctx.item_close)(name)
+    """Of the Edit page, which shuts the others."""
+    hand.page("Edit")
+    hand.ctx.item_open(title)
     hand.frames(3)
 
 
@@ -82,7 +80,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     settle(hand)
 
     open_section(hand, "Crop")
-    hand.ctx.item_click("Crop/Add a box")
+    hand.ctx.item_click("Crop/Add box")
     settle(hand)
     box = session.document.crops[0]
     for number, value in enumerate(options["half_extents"]):
@@ -95,7 +93,7 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["exported_after_crop"] = len(bake(session.document.gaussians, session.document.edits, hidden=True))
 
     open_section(hand, "Clean up")
-    hand.ctx.item_click("Clean up/Look for them")
+    hand.ctx.item_click("Clean up/detectors/###clusters")
     settle(hand)
     hand.ctx.item_input_value("Clean up/##Threshold", float(options["threshold"]))
     settle(hand)
@@ -164,36 +162,36 @@ def by_words(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["selected"] = counts(app)["selected"]
     found["palette_shut"] = app.dialog is None
 
-    open_section(hand, "Look")
+    open_section(hand, "Colour & opacity")
     seen = hand.picture_of_edits()
-    hand.ctx.item_input_value("Look/##Brightness", 0.25)
+    hand.ctx.item_input_value("Colour & opacity/##Brightness", 0.25)
     settle(hand)
     found["previewed"] = session.document.previewed is not None
     found["brighter"] = float((hand.picture_of_edits() - seen)[..., :3].mean())
-    hand.ctx.item_click("Look/Cancel##look")
+    hand.ctx.item_click("Colour & opacity/Cancel##look")
     settle(hand)
     found["cancelled"] = float(np.abs(hand.picture_of_edits() - seen).max())
-    hand.ctx.item_input_value("Look/##Saturation", 0.0)
+    hand.ctx.item_input_value("Colour & opacity/##Saturation", 0.0)
     settle(hand)
-    hand.ctx.item_click("Look/Apply##look")
+    hand.ctx.item_click("Colour & opacity/Apply##look")
     settle(hand)
     grey = hand.picture_of_edits()[..., :3]
     found["colourfulness"] = float((grey.max(axis=-1) - grey.min(axis=-1)).max())
 
     session.forms.how = "set"
     hand.frames(2)
-    hand.ctx.item_input_value("Look/##Opacity", 0.25)
+    hand.ctx.item_input_value("Colour & opacity/##Opacity", 0.25)
     settle(hand)
-    hand.ctx.item_click("Look/Apply##look")
+    hand.ctx.item_click("Colour & opacity/Apply##look")
     settle(hand)
     found["opacity_row"] = list(session.document.palette[-1].opacity)
     hand.press("Ctrl+Z")
     settle(hand)
 
-    open_section(hand, "Move")
-    hand.ctx.item_input_value("Move/##Turn/$$1", 30.0)
+    open_section(hand, "Transform")
+    hand.ctx.item_input_value("Transform/##Rotation/$$1", 30.0)
     settle(hand)
-    hand.ctx.item_click("Move/Apply##move")
+    hand.ctx.item_click("Transform/Apply##Transform")
     settle(hand)
     rotation = session.document.palette[-1].rotation
     found["turned"] = [round(float(v), 6) for v in rotation]
@@ -211,8 +209,7 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     session = session_of(app)
     assert session is not None
     hand.wait(lambda: app.examination is not None and app.examination.done, "the health check")
-    hand.ctx.window_focus("//Scene")
-    hand.ctx.set_ref("//Scene")
+    hand.page("Scene")
     hand.frames(3)
     seen = hand.picture_of_edits()
     hand.ctx.item_click("**/What would repairs cost?")
@@ -234,8 +231,7 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.wait(lambda: app.feature(Editing).examining is None, "the health of the scene as it was")
     hand.frames(2)
     found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
-    hand.ctx.window_focus("//Scene")
-    hand.ctx.set_ref("//Scene")
+    hand.page("Scene")
     hand.ctx.item_click("**/rods")
     settle(hand)
     found["selected"] = counts(app)["selected"]
@@ -268,25 +264,28 @@ def by_handles(app: AppState, hand: Hand, options: dict[str, Any], found: dict[s
     app.prefer(smooth=False)
     session = session_of(app)
     assert session is not None
+
+    def done() -> Any:
+        """The transform that the last drag was."""
+        return session.document.history.done[-1].operation
+
     hand.press("Ctrl+A")
     settle(hand)
     found["camera"] = [pose(app)]
-    open_section(hand, "Move")
-    hand.ctx.item_check("Move/##Handles")
+    hand.ctx.item_click("//View/tool Move")
     drag_handle(hand, "mt_move_x")
-    found["moved"] = session.forms.move.translation
+    found["moved"] = done().translation
     hand.shoot(options.get("panel"))
-    hand.ctx.item_click("Move/Apply##move")
-    settle(hand)
-    hand.ctx.item_check("Move/##Turn by them")
+    hand.press("Shift+2")
     drag_handle(hand, "mt_rotate_y")
-    found["turned"] = session.forms.move.rotation
-    hand.ctx.item_click("Move/Apply##move")
-    settle(hand)
-    hand.ctx.item_uncheck("Move/##Handles")
+    found["turned"] = angles_of(done().rotation)
+    hand.press("Shift+3")
+    drag_handle(hand, "mt_scale_x")
+    found["scaled"] = done().scale
+    hand.press("Escape")
 
     open_section(hand, "Crop")
-    hand.ctx.item_click("Crop/Add a box")
+    hand.ctx.item_click("Crop/Add box")
     settle(hand)
     start = session.document.crops[0].centre
     drag_handle(hand, "mt_move_x")

@@ -22,9 +22,10 @@ def receipt(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     effects = app.feature(Effects)
     effects.rounds = options.get("rounds")
     exact = hand.picture()
-    hand.ctx.window_focus("//Effects")
-    hand.ctx.set_ref("//Effects")
-    hand.frames(3)
+    hand.page("Accuracy")
+    hand.ctx.item_close("###Frame limit")
+    hand.ctx.item_close("Compare")
+    hand.ctx.item_open("Effects")
     found["receipt"] = [[e.name, e.on, e.in_force, e.why] for e in effects.receipt(app)]
     hand.shoot(options.get("shot"))
 

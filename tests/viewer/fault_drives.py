@@ -114,7 +114,7 @@ def capture_goes(app: AppState, hand: Hand, options: dict[str, Any], found: dict
     training.thread.evaluate()
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = len(training.scores)
-    hand.ctx.window_focus("//Compare")
+    hand.strip("Compare")
     hand.wait(lambda: training.comparer.latest is not None, "the comparison")
     training.thread.change(iterations=training.status.iteration + 20)
     hand.wait(lambda: training.status.state == "done", "the end", 120)

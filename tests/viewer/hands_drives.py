@@ -12,14 +12,14 @@ from typing import Any
 import drives
 from drives import Hand
 from editing_drives import counts, open_section, settle
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import ImVec2, imgui
 
 from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import PREVIEW
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import EditSession, session_of
-from splatview.viewer.overlays import TOOL_HINTS, hint
 from splatview.viewer.state import AppState
+from splatview.viewer.status_bar import TOOL_HINTS, hint
 
 SHOTS = os.environ.get("SPLATVIEW_SHOTS")
 """Folder for pictures of the window, to be looked at."""
@@ -94,10 +94,13 @@ def tools_and_jobs(app: AppState, session: EditSession, hand: Hand, found: dict[
     open_section(hand, "Select")
     places = [place()]
     found["hints"] = {"none": hint(app)}
+    sizes = [app.picture_size]
     for tool in TOOL_HINTS:
         hand.on_gl_thread(lambda tool=tool: session.take_tool(tool))
         places.append(place())
+        sizes.append(app.picture_size)
         found["hints"][tool] = hint(app)
+    found["sizes"] = sizes
     shoot(hand, "tool")
     hand.press("Escape")
     go_on = threading.Event()
@@ -135,44 +138,49 @@ def grading(app: AppState, session: EditSession, hand: Hand, found: dict[str, An
         image = hand.on_gl_thread(lambda: picture.read(replace(shown, highlight=app.highlight)))[..., :3]
         return float((image.max(axis=-1) - image.min(axis=-1)).max())
 
-    open_section(hand, "Look")
+    open_section(hand, "Colour & opacity")
     hand.press("Ctrl+A")
     found["before"] = colourfulness()
-    hand.ctx.item_input_value("Look/##Saturation", 0.0)
+    hand.ctx.item_input_value("Colour & opacity/##Saturation", 0.0)
     found["preview"] = colourfulness()
     shoot(hand, "grey")
-    hand.ctx.item_click("Look/Apply##look")
+    hand.ctx.item_click("Colour & opacity/Apply##look")
     found["after"] = colourfulness()
     hand.press("Ctrl+Z")
     settle(hand)
 
 
 def layout_reset(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
-    """A closed panel, then all hidden, then all put back."""
+    """A wider inspector, another page, the strip; then only the picture, then all as in a new window."""
 
-    def visible() -> list[str]:
+    def arranged() -> list[Any]:
         hand.frames(4)
-        windows = hello_imgui.get_runner_params().docking_params.dockable_windows
-        return [window.label for window in windows if window.is_visible]
+        em = imgui.get_font_size()
+        return [app.page, app.strip, app.panels_hidden, round(app.preferences.inspector_width * em)]
 
     def click(entry: str) -> None:
         hand.ctx.set_ref("##MainMenuBar")
         hand.ctx.menu_click(entry)
 
-    found["all"] = visible()
-    click("Window/Views")
-    found["closed"] = visible()
+    click("Window/Reset layout")
+    found["new"] = arranged()
+    hand.page("View")
+    hand.strip("History")
+    hand.ctx.mouse_move("//##inspector edge/##drag")
+    hand.ctx.mouse_drag_with_delta(ImVec2(-80, 0), 0)
+    found["changed"] = arranged()
+    shoot(hand, "layout")
+    hand.ctx.item_click("//##rail/View")
+    found["shut"] = arranged()
     hand.press("H")
-    found["hidden"] = visible()
-    click("Window/Put the panels back")
-    found["back"] = visible()
-    hand.press("H")
-    hand.press("H")
-    found["again"] = visible()
+    found["hidden"] = arranged()
+    click("Window/Reset layout")
+    found["back"] = arranged()
 
 
 def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, Any]) -> None:
-    """Highlight and handles are seen with their sections only; what a detector has found is selected."""
+    """Highlight and handles are seen with their tools and sections only; what a detector has found is
+    selected."""
 
     def seen() -> tuple[bool, str]:
         hand.frames(3)
@@ -180,27 +188,33 @@ def sections(app: AppState, session: EditSession, hand: Hand, found: dict[str, A
 
     hand.press("Ctrl+A")
     settle(hand)
-    open_section(hand, "Move")
-    hand.ctx.item_check("Move/##Handles")
+    hand.page("View")
+    hand.press("Shift+1")
     found["moving"] = seen()
-    hand.ctx.window_focus("//Camera")
-    found["other_tab"] = seen()
+    hand.press("Escape")
+    found["put_back"] = seen()
     hand.on_gl_thread(lambda: COMMANDS["add_box"].run(app))
     settle(hand)
     found["crop"] = seen()
-    hand.ctx.item_close("Move")
-    found["crop_alone"] = seen()
+    found["page"] = app.page
+    hand.page("Edit")
     hand.ctx.item_close("Crop")
     found["shut"] = seen()
-    hand.ctx.item_open("Move")
-    hand.ctx.item_uncheck("Move/##Handles")
+    hand.page("Scene")
+    hand.press("Shift+4")
+    found["crop_tool"] = [*seen(), len(session.document.crops)]
+    hand.press("Shift+5")
+    settle(hand)
+    found["sphere_tool"] = [*seen(), len(session.document.crops)]
+    hand.press("Escape")
+    hand.press("Ctrl+Z")
     hand.press("Ctrl+Z")
 
-    hand.ctx.window_focus("//Camera")
-    hand.frames(3)
+    hand.page("View")
     hand.on_gl_thread(lambda: COMMANDS["find_faint"].run(app))
     settle(hand)
     found["looking"] = seen()
+    hand.page("Edit")
     hand.ctx.item_close("Clean up")
     found["looked"] = seen()
     hand.ctx.item_open("Clean up")

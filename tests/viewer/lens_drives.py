@@ -31,9 +31,8 @@ def behind_and_before(app: AppState, hand: Hand, options: dict[str, Any], found:
 
 
 def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
-    hand.ctx.window_focus("//Picture")
-    hand.ctx.set_ref("//Picture")
-    hand.frames(3)
+    hand.page("View")
+    hand.ctx.item_open("Background")
     hand.ctx.combo_click("##Behind/Gradient")
     hand.settle()
     gradient = app.settings.background
@@ -59,9 +58,11 @@ def backgrounds(app: AppState, hand: Hand, options: dict[str, Any], found: dict[
 
 def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     sharp = hand.picture()
-    hand.ctx.window_focus("//Camera")
-    hand.ctx.set_ref("//Camera")
-    hand.frames(3)
+    hand.page("View")
+    hand.ctx.item_close("Background")
+    hand.ctx.item_close("Picture")
+    hand.ctx.item_close("Camera")
+    hand.ctx.item_open("Lens")
     hand.ctx.item_click("**/##Depth of field")
     lens = app.feature(DepthOfField)
     lens.share = 0.2
@@ -100,7 +101,7 @@ def lens(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     saved = np.asarray(Image.open(path)) / 255
     found["saved_error"] = float(np.abs(saved - np.clip(through(hand, app)[..., :3], 0, 1)).max())
 
-    hand.ctx.set_ref("//Camera")
+    hand.page("View")
     hand.ctx.item_click("**/##Depth of field")
     hand.frames(3)
     hand.settle()

@@ -133,9 +133,10 @@ def test_handles_on_the_picture_are_dragged(drive, scene, tmp_path):
     save_scene(scene, path)
     found = drive("by_handles", path, script="editing_drives.py", size=(1000, 700))
     titles = [title.split()[0] for title in found["history"]]
-    assert titles == ["Select", "Transform", "Transform", "Add", "Change"]
+    assert titles == ["Select", "Transform", "Transform", "Transform", "Add", "Change"]
     assert np.abs(found["moved"]).max() > 0.05 and np.count_nonzero(np.round(found["moved"], 3)) == 1
     assert np.abs(found["turned"]).max() > 1
+    assert abs(found["scaled"] - 1) > 0.05
     assert abs(found["crop_moved"][0]) > 0.05
     start, dragged, panned, zoomed, orbited = found["camera"]
     assert dragged == start, "the left button is the handles'"

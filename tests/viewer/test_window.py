@@ -17,7 +17,7 @@ from splatview.renderers import FrameRequest, make_renderer
 from splatview.renderers.gl.context import create_headless_context
 from splatview.scene import Camera, Gaussians
 from splatview.scene.formats import save_scene
-from splatview.viewer.layout import PANELS
+from splatview.viewer.layout import PAGES
 
 
 @pytest.fixture
@@ -151,13 +151,13 @@ def test_menus_and_panels(drive, files, tmp_path):
     assert found["up"] == [0, 0, 1]
     width, height = found["picture_size"]
     assert Image.open(tmp_path / "second.png").size == (2 * width, 2 * height)
-    assert found["panels"] == [name for name, _, _ in PANELS]
+    assert found["panels"] == ["History", "Log", *(page.name for page in PAGES)]
     assert found["antialiased"] and not found["antialiased_after"]
     hidden, shown = found["widths"]
     assert hidden > shown + 100
 
     again = drive("second_look", second, renderer="cpu")
-    assert again["visible"] == ["View", *found["panels"]]
+    assert again["visible"] == ["View", "Log"]
     assert again["navigation"] == "trackball"
 
 

@@ -83,9 +83,10 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["attended"] = pacing.time_active_after_last_event
 
     before = training.status.settings
-    ctx.item_input_value("//Training/##Most splats", 1234)
+    ctx.item_open("//Training/Recipe")
+    ctx.item_input_value("//Training/##Max splats", 1234)
     hand.frames(3)
-    ctx.item_click("//Training/##Most splats/+")
+    ctx.item_click("//Training/##Max splats/+")
     hand.wait(lambda: training.status.settings.max_splats == 2234, "the setting")
     found["max_splats"] = [before.max_splats, training.status.settings.max_splats]
 
@@ -100,7 +101,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(lambda: training.status.state == "training", "training to go on")
     steps(hand, 20)
 
-    ctx.window_focus("//Compare")
+    hand.strip("Compare")
     hand.wait(lambda: training.comparer.latest is not None, "the comparison")
     ctx.item_click("//Compare/###next")
     hand.wait(
@@ -113,15 +114,17 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     made = training.comparer.latest
     assert made is not None
     found["compared"] = [list(made.photo.shape), list(made.render.shape), made.psnr]
-    ctx.window_focus("//Curves")
+    hand.strip("Curves")
     ctx.item_click("//Curves/seconds")
     hand.frames(3)
     found["by_seconds"] = training.by_seconds
 
-    ctx.item_click("//Photos/Go to this camera")
+    ctx.item_close("//Training/Recipe")
+    ctx.item_open("//Training/Photos")
+    ctx.item_click("//Training/Go to this camera")
     hand.frames(4)
     found["at_photo"] = [app.camera.eye.tolist(), training.photos[1].camera.eye.tolist()]
-    ctx.item_click("//Photos/Measure")
+    ctx.item_click("//Training/Measure")
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = training.scores
     hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
@@ -237,7 +240,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     steps(hand, 20)
     hand.frames(5)
     found["held"] = training.shown is held
-    ctx.window_focus("//Edit")
+    hand.page("Edit")
     hand.wait(lambda: not app.waiting, "the picture")
     hand.shoot(options.get("selected"))
     hand.press("Delete")
@@ -251,7 +254,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("Escape")
     seen(hand, now.iteration)
 
-    crop(app, hand, "Add a box", options["growth"])
+    crop(app, hand, "Add box", options["growth"])
     hand.shoot(options.get("growth_box"))
     ctx.item_click("//Edit/Crop/No growth inside")
     hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
@@ -266,7 +269,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
         inner.contains(training.shown.gaussians.means[training.shown.ids >= first]).sum()
     )
 
-    crop(app, hand, "Add a sphere", options["cut"])
+    crop(app, hand, "Add sphere", options["cut"])
     ctx.item_click("//Edit/Crop/Cut away in training")
     hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
     hand.wait(lambda: session_of(app) is None, "the view to go on")
@@ -295,11 +298,10 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
 def crop(app: AppState, hand: Hand, button: str, half: float) -> None:
     """Holds the view and adds a crop of this half size."""
     ctx = hand.ctx
+    hand.page("Edit")
     ctx.item_click("//Edit/###hold")
     hand.wait(lambda: session_of(app) is not None, "the desk")
     hand.frames(3)
-    for section in ("Select", "Clean up"):
-        ctx.item_close(f"//Edit/{section}")
     ctx.item_open("//Edit/Crop")
     ctx.item_click(f"//Edit/Crop/{button}")
     hand.wait(lambda: bool((session := session_of(app)) and session.document.crops), "the crop")

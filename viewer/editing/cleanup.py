@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatview.edit.detectors import DETECTORS
-from splatview.edit.impact import Impact, frozen, measure_impact, operation_impacts, with_deleted
+from splatview.edit.impact import Impact, compare, frozen, measure_impact, operation_impacts, with_deleted
 from splatview.edit.operations.cleanup import Decimate, Prune, Repair, SelectDetected
 from splatview.edit.sample_views import sample_cameras
 from splatview.scene import Camera
@@ -54,6 +54,43 @@ def views(app: AppState, session: EditSession) -> tuple[Camera, ...]:
         step = -(-len(app.cameras) // MOST_LOADED)
         return tuple(app.cameras[::step])
     return tuple(sample_cameras(session.document.gaussians, session.document.edits, VIEWS))
+
+
+def count_all(app: AppState, session: EditSession, *, price: bool = False) -> None:
+    """Counts in a thread what each detector finds at its usual threshold: those that need no pictures, and
+    gives way to anything else; or, with their `price`, all of them and what deleting it costs in dB."""
+    form, document = session.forms.clean, session.document
+    of, before, gaussians, tools = (
+        document.versions,
+        frozen(document.edits),
+        document.gaussians,
+        document.tools,
+    )
+    editable, cameras = document.editable.copy(), views(app, session) if price else ()
+    names = [name for name, detector in DETECTORS.items() if price or not detector.renders]
+
+    def work(progress: Progress) -> None:
+        pictures = []
+        for number, camera in enumerate(cameras):
+            progress.step(0.2 * number / len(cameras))
+            pictures.append(tools.picture(gaussians, camera, before))
+        for number, name in enumerate(names):
+            detector = DETECTORS[name]()
+            begin = 0.2 * price
+            part = progress.part(*(begin + (1 - begin) * n / len(names) for n in (number, number + 1)))
+            scores = detector.scores(gaussians, before, tools, cameras, progress=part.part(0.0, 0.5))
+            mask = detector.mask(scores, detector.threshold) & editable
+            form.counts[name] = of, int(np.count_nonzero(mask))
+            if price and mask.any():
+                after = with_deleted(before, mask)
+                impacts = []
+                for place, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+                    part.step(0.5 + 0.5 * place / len(cameras))
+                    impacts.append(compare(camera, picture, tools.picture(gaussians, camera, after)))
+                form.prices[name] = of, Impact.of((gaussians, before), (gaussians, after), impacts)
+
+    title = "Measuring what clean-up costs" if price else "Looking for what could be cleaned up"
+    session.start(title, work, lambda _: None, yields=not price)
 
 
 @with_session

@@ -17,8 +17,15 @@ from splatview.edit.operations.transform import Transform
 from splatview.scene.edits import Crop
 from splatview.scene.framing import bulk, robust_box
 from splatview.viewer.camera import frame_all, shown_sample
-from splatview.viewer.editing.session import EditSession, session_for_edit, session_of
-from splatview.viewer.editing.tool_state import Depth, ToolName
+from splatview.viewer.editing.session import (
+    TRANSFORM,
+    EditSession,
+    session_for_edit,
+    session_of,
+    with_session,
+)
+from splatview.viewer.editing.target import AT_REST
+from splatview.viewer.editing.tool_state import CROPPING, TRANSFORMING, Depth, Measured, MoveForm, ToolName
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -31,13 +38,20 @@ FLATTEST = 0.01
 
 
 def add_crop(app: AppState, shape: Shape) -> None:
-    """Adds a box or sphere that fits the scene, and gives it the handles."""
+    """Adds a box or sphere that fits the scene, and opens its section."""
     session = session_of(app)
     if session is None:
         app.tell("Open a scene first")
-    elif session.apply(AddCrop(crop=fitting(app, session, shape))):
-        session.forms.crop = len(session.document.crops) - 1
+    elif new_crop(app, session, shape):
         session.forms.open_section = "Crop"
+
+
+def new_crop(app: AppState, session: EditSession, shape: Shape) -> bool:
+    """Adds a box or sphere that fits the scene, and gives it the handles."""
+    if not session.apply(AddCrop(crop=fitting(app, session, shape))):
+        return False
+    session.forms.crop = len(session.document.crops) - 1
+    return True
 
 
 def fitting(app: AppState, session: EditSession, shape: Shape) -> Crop:
@@ -130,8 +144,50 @@ def turn_over(app: AppState, session: EditSession) -> None:
 
 @editing_command
 def take_tool(app: AppState, session: EditSession, tool: ToolName) -> None:
-    """Takes a tool; the one in hand is put back by asking for it again."""
+    """Takes a tool; the one in hand is put back by asking for it again. A tool of crops comes with the last
+    crop of its shape, or a new one."""
+    if tool in TRANSFORMING and not session.target.at_rest:
+        session.news = AT_REST
+        return
+    if session.tool in TRANSFORMING and session.forms.previewing == TRANSFORM:
+        session.commit_preview()
+        session.forms.move = MoveForm()
     session.take_tool("none" if session.tool == tool else tool)
+    take_crop(app, session.tool)
+
+
+@with_session
+def put_tool_back(app: AppState, session: EditSession) -> None:
+    """Leaves the mouse to navigation."""
+    take_tool(app, session.tool)
+
+
+@with_session
+def take_crop(app: AppState, session: EditSession, tool: ToolName) -> None:
+    """Gives the handles of a tool of crops to the last crop of its shape, or to a new one."""
+    if tool in CROPPING:
+        shape: Shape = "box" if tool == "crop_box" else "sphere"
+        crops = session.document.crops
+        if not (0 <= session.forms.crop < len(crops) and crops[session.forms.crop].shape == shape):
+            fit = [index for index, crop in enumerate(crops) if crop.shape == shape]
+            if fit:
+                session.forms.crop = fit[-1]
+            elif not new_crop(app, session, shape):
+                session.take_tool("none")
+
+
+@with_session
+def scale_to_length(app: AppState, session: EditSession, length: float) -> None:
+    """Scales the whole scene so that the last measured distance is `length`, world units."""
+    measured = session.measured
+    if measured is None or not measured.length > 0:
+        session.news = "Measure a distance first"
+        return
+    factor = length / measured.length
+    if session.apply(Transform(scope="scene", scale=factor, pivot=measured.start)):
+        end = np.array(measured.start) + factor * np.subtract(measured.end, measured.start)
+        x, y, z = end.tolist()
+        session.measured = Measured(start=measured.start, end=(x, y, z))
 
 
 @editing_command

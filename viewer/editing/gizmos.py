@@ -16,10 +16,12 @@ from splatview.viewer.editing.tool_state import Euler
 
 guizmo = imguizmo.im_guizmo
 
+KINDS = ("move", "rotate", "scale")
+
 OPERATIONS = {
     "move": guizmo.OPERATION.translate,
-    "turn": guizmo.OPERATION.rotate,
-    "size": guizmo.OPERATION.scale,
+    "rotate": guizmo.OPERATION.rotate,
+    "scale": guizmo.OPERATION.scale,
 }
 
 GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])

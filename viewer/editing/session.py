@@ -18,7 +18,7 @@ import numpy as np
 from splatview.edit.document import Document, Planned
 from splatview.edit.impact import frozen
 from splatview.edit.journal import Journal
-from splatview.edit.operations.base import Operation
+from splatview.edit.operations.base import Operation, Scope
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
@@ -30,7 +30,17 @@ from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.target import EditTarget, SceneTarget
-from splatview.viewer.editing.tool_state import Depth, Forms, Measured, Place, Stroke, ToolName
+from splatview.viewer.editing.tool_state import (
+    CROPPING,
+    TRANSFORMING,
+    Depth,
+    Forms,
+    Measured,
+    Mode,
+    Place,
+    Stroke,
+    ToolName,
+)
 from splatview.viewer.loading import Examination, LoadedScene, Stamp
 from splatview.viewer.state import Feature
 from splatview.viewer.tasks import Task
@@ -41,6 +51,9 @@ if TYPE_CHECKING:
 
 LOOK = "look"
 """Section whose previews change opacity, size and colour."""
+
+TRANSFORM = "Transform"
+"""Section and handles that move, rotate and scale."""
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
@@ -73,6 +86,8 @@ class EditSession:
 
     document: Document
     tool: ToolName = "none"
+    mode: Mode = "set"
+    """How the tools that select combine with the selection, where no key is held."""
     depth: Depth = "through"
     """Whether screen tools take what is behind the surface too."""
     brush_radius: float = BRUSH_RADIUS
@@ -155,13 +170,18 @@ class EditSession:
 
     @property
     def handles(self) -> str:
-        """Title of the section whose handles are on the picture; "" where there are none."""
-        forms, document = self.forms, self.document
-        movable = forms.scope != "selection" or document.counts.selected > 0
-        if forms.move.gizmo and movable and "Move" in forms.sections:
-            return "Move"
-        chosen = 0 <= forms.crop < len(document.crops)
-        return "Crop" if chosen and "Crop" in forms.sections else ""
+        """Handles on the picture: "Transform", "Crop", or "" where there are none."""
+        forms = self.forms
+        if self.tool in TRANSFORMING:
+            return TRANSFORM if self.target.at_rest else ""
+        chosen = 0 <= forms.crop < len(self.document.crops)
+        in_hand = self.tool in CROPPING or "Crop" in forms.sections
+        return "Crop" if chosen and in_hand else ""
+
+    @property
+    def scope(self) -> Scope:
+        """Splats that a transform or a change of colours is of: all where none is selected."""
+        return self.forms.scope if self.document.counts.selected else "scene"
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""

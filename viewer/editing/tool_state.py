@@ -16,7 +16,14 @@ from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
 from splatview.edit.selectors.attributes import Histogram
 from splatview.scene import Camera
 
-ToolName = Literal["none", "rectangle", "lasso", "polygon", "brush", "flood", "colour", "measure", "ground"]
+# fmt: off
+ToolName = Literal[
+    "none",
+    "rectangle", "brush", "lasso", "polygon", "flood", "colour",
+    "move", "rotate", "scale", "crop_box", "crop_sphere",
+    "measure", "ground",
+]
+# fmt: on
 """Use of the left mouse button on the picture; "none" is navigation."""
 
 Depth = Literal["through", "front"]
@@ -36,6 +43,15 @@ LEAST_STEP = 2.0
 
 CLICK = 3.0
 """px: a drag that stays within is a click."""
+
+SELECTING: tuple[ToolName, ...] = ("rectangle", "brush", "lasso", "polygon", "flood", "colour")
+"""Tools that select splats."""
+
+TRANSFORMING: tuple[ToolName, ...] = ("move", "rotate", "scale")
+"""Tools with handles that transform splats."""
+
+CROPPING: tuple[ToolName, ...] = ("crop_box", "crop_sphere")
+"""Tools with handles on a crop."""
 
 DRAGGED: tuple[ToolName, ...] = ("rectangle", "lasso", "brush")
 CLICKED: tuple[ToolName, ...] = ("flood", "colour", "measure", "ground")
@@ -124,21 +140,21 @@ Euler = tuple[float, float, float]
 
 @dataclass(kw_only=True)
 class MoveForm:
-    """Values of the Move section; the neutral ones change nothing."""
+    """Values of the Transform section; the neutral ones change nothing."""
 
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """World units."""
     rotation: Euler = (0.0, 0.0, 0.0)
     scale: float = 1.0
-    gizmo: bool = False
-    """Whether handles are shown on the picture."""
-    turning: bool = False
-    """Whether the handles turn rather than move."""
+    dragged: bool = False
+    """Whether the handles on the picture are being dragged."""
+    scale_before: float = 1.0
+    """The scale as that drag began."""
 
 
 @dataclass(kw_only=True)
 class LookForm:
-    """Values of the Look section."""
+    """Values of the Colour & opacity section."""
 
     opacity: float = 1.0
     """Factor on the opacities, or the opacity that all get."""
@@ -176,6 +192,10 @@ class CleanForm:
     count: int = 0
     price: Impact | None = None
     """Impact of deleting `mask`; None: not measured."""
+    counts: dict[str, tuple[object, int]] = field(default_factory=dict)
+    """Number of splats that each detector finds at its usual threshold, after the versions that it is of."""
+    prices: dict[str, tuple[object, Impact]] = field(default_factory=dict)
+    """Impact of deleting those, likewise."""
     keep: int = 0
     """Number of splats that decimation leaves; 0: not filled in yet."""
     kept_price: tuple[object, Impact] | None = None
@@ -207,11 +227,13 @@ class Forms:
     crop: int = -1
     """Index of the crop with the handles; -1: none."""
     crop_handles: int = 0
-    """Kind of the handles: an index of `panels.crops.KINDS`."""
+    """Kind of the handles: an index of `editing.gizmos.KINDS`."""
     crop_dragged: bool = False
     """Whether the handles are being dragged."""
+    section: str = "Select"
+    """Title of the section of the Edit page that is open; "" for none."""
     open_section: str = ""
-    """Title of the section that the Edit panel is to open, once."""
+    """Title of the section that the Edit page is to open, once."""
     drawn: set[str] = field(default_factory=set)
     """Titles of the sections that have been drawn in this frame."""
     sections: frozenset[str] = frozenset()

@@ -17,6 +17,7 @@ from splatview.edit.selectors.region_growing import picked
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, adjusted_means
 from splatview.viewer import theme
+from splatview.viewer.editing import transform
 from splatview.viewer.editing.gizmos import grabbed
 from splatview.viewer.editing.session import (
     Editing,
@@ -28,7 +29,9 @@ from splatview.viewer.editing.session import (
 )
 from splatview.viewer.editing.tool_state import (
     CLICKED,
+    CROPPING,
     DRAGGED,
+    TRANSFORMING,
     Measured,
     Mode,
     Place,
@@ -37,7 +40,6 @@ from splatview.viewer.editing.tool_state import (
     mode_of,
 )
 from splatview.viewer.panels import crops
-from splatview.viewer.panels import edit as move
 from splatview.viewer.theme import point_on_picture
 
 if TYPE_CHECKING:
@@ -121,10 +123,12 @@ def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:
     whether navigation is to leave that button alone."""
     session = session_of(app)
     io = imgui.get_io()
-    if session is None or session.tool == "none" or (io.key_alt and session.stroke is None):
+    if session is None or session.tool in ("none", *TRANSFORMING, *CROPPING):
+        return False  # handles are asked before
+    if io.key_alt and session.stroke is None:
         return False
     x, y = io.mouse_pos.x - corner.x, io.mouse_pos.y - corner.y
-    mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    mode = effective_mode(session)
     if session.tool in DRAGGED:
         drag(app, session, mode, x, y, width, height)
     elif session.tool == "polygon":
@@ -132,6 +136,13 @@ def use_tool(app: AppState, corner: ImVec2, width: int, height: int) -> bool:
     elif session.tool in CLICKED and imgui.is_item_hovered() and imgui.is_mouse_clicked(_LEFT):
         app.post(_click, session.tool, mode, app.view.camera(width, height), x, y)
     return True
+
+
+def effective_mode(session: EditSession) -> Mode:
+    """The mode by the held keys, else the one that was chosen."""
+    io = imgui.get_io()
+    held = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+    return session.mode if held == "set" else held
 
 
 @with_session
@@ -206,12 +217,12 @@ def draw_tool(app: AppState, corner: ImVec2, width: int, height: int) -> None:
         draw_stroke(draw, session.stroke, corner)
     io = imgui.get_io()
     if session.tool == "brush" and imgui.is_item_hovered():
-        mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
+        mode = effective_mode(session)
         draw.add_circle(io.mouse_pos, session.brush_radius, colour(mode, 0.9), 0, 1.5)
     draw_points(app, draw, session, corner, width, height)
     camera = app.view.camera(width, height)
     crops.draw(app, session, camera, corner)
-    move.handles(app, session, camera, corner)
+    transform.handles(app, session, camera, corner)
     draw.pop_clip_rect()
 
 

@@ -10,7 +10,7 @@ from splatview.measure.knobs import Knob, Plan, knob
 from splatview.measure.ladder import Ladder, Measured, is_clear
 from splatview.measure.work import rows, sums
 from splatview.viewer import theme
-from splatview.viewer.panels import widgets
+from splatview.viewer.panels import effects, pareto, widgets
 from splatview.viewer.preferences import RANGES
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable, unpriced_knobs
@@ -19,9 +19,9 @@ from splatview.viewer.state import AppState
 
 RIGHT_NAMES = {
     "off": "Off",
-    "chosen": "Exact | chosen",
-    "signed": "Exact | signed difference",
-    "perceptual": "Exact | what an eye notices",
+    "chosen": "Split view",
+    "signed": "Difference",
+    "perceptual": "FLIP",
 }
 
 
@@ -37,13 +37,23 @@ def show(app: AppState) -> None:
             "from a float64 truth, on this machine. A click on a value then draws by it."
         )
     else:
-        prices(app, accuracy, accuracy.ladder)
-    widgets.section("Frame budget")
-    budget(app, accuracy)
-    widgets.section("Exact beside chosen")
-    split(accuracy)
-    if accuracy.bill is not None and imgui.collapsing_header("The bill of this view"):
+        ladder = accuracy.ladder
+        pareto.show(app, accuracy, ladder)
+        base = ladder.baseline
+        exact = f"{base.psnr:.1f} dB" if base.psnr != float("inf") else "the truth itself"
+        widgets.note(f"Exact: {base.ms:.1f} ms a frame, {exact}. Noise floor: {ladder.noise:.0%}.")
+        if widgets.fold(app, f"All {len(ladder.rungs) - 1} shortcuts###all"):
+            prices(app, accuracy, ladder)
+    limit = app.preferences.frame_budget_ms
+    title = f"Frame limit {limit:.0f} ms ({1000 / limit:.0f} fps)###Frame limit"
+    if widgets.fold(app, title, opened=True):
+        budget(app, accuracy)
+    if widgets.fold(app, "Compare", opened=True):
+        split(accuracy)
+    if accuracy.bill is not None and widgets.fold(app, "Work of this view"):
         bill(accuracy)
+    if widgets.fold(app, "Effects"):
+        effects.show(app)
 
 
 def tools(app: AppState, accuracy: Accuracy) -> None:
@@ -74,8 +84,6 @@ def tools(app: AppState, accuracy: Accuracy) -> None:
 def prices(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
     """A row a value, by knob; the chosen ones are bright."""
     base = ladder.baseline
-    exact = f"{base.psnr:.1f} dB" if base.psnr != float("inf") else "the truth itself"
-    widgets.note(f"Exact: {base.ms:.1f} ms a frame, {exact}. Noise floor: {ladder.noise:.0%}.")
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
     if imgui.begin_table("prices", 4, flags):
         for title, width in (("shortcut", 3.2), ("time", 2.4), ("dB", 1.2), ("largest", 1.5)):
@@ -166,7 +174,7 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
         "A frame",
         app.preferences.frame_budget_ms,
         *RANGES["frame_budget_ms"],
-        "What drawing a frame may take.",
+        "What drawing a frame may take while the camera moves.",
         form="%.0f ms",
         logarithmic=True,
     )
@@ -174,20 +182,20 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
         app.prefer(frame_budget_ms=milliseconds)
         if held:
             app.post(accuracy.hold, milliseconds)
-    widgets.fact("That is", f"{1000 / app.preferences.frame_budget_ms:.0f} frames a second at most")
-    if accuracy.note:
-        widgets.fact("Now", accuracy.note)
+    total = sum(app.stats.ms.values())
+    now = accuracy.note or (f"{total:.1f} ms, in full" if total else "nothing drawn yet")
+    widgets.fact("Now", now, "What the last picture took, and what was left out of it.")
 
 
 def split(accuracy: Accuracy) -> None:
     comparing = accuracy.comparing
     chosen = widgets.combo(
-        "Show",
+        "Compare",
         comparing.right,
         RIGHTS,
-        "The exact picture left of a line, and right of it the one by the chosen shortcuts, or where the two "
-        "differ: signed (grey: equal, brighter: too bright), or how strongly an eye would notice it (black: "
-        "not at all). Drag the line. Made anew when the view rests.",
+        "The exact picture left of a line, and right of it the one by the chosen shortcuts (split view), "
+        "their difference (grey: equal, brighter: too bright), or how strongly an eye notices it (FLIP, "
+        "black: not at all). Drag the line. Made anew when the view rests.",
         [RIGHT_NAMES[name] for name in RIGHTS],
     )
     if chosen is not None:

@@ -1,4 +1,4 @@
-"""The Camera and Views panels: navigation, position, lens, bookmarks, camera lists."""
+"""Sections on the camera: navigation, position, lens, bookmarks, camera lists."""
 
 from __future__ import annotations
 
@@ -120,15 +120,11 @@ def show(app: AppState) -> None:
     if fov is not None:
         app.prefer(fov_y=fov)
     rays(app)
-    speeds(app)
-
-    widgets.section("Look")
     axis_buttons(app)
     widgets.command_button(app, "Whole scene", "frame_all")
     imgui.same_line()
     widgets.command_button(app, "Level", "level")
 
-    widgets.section("Position")
     position(app)
     widgets.command_button(app, "Copy", "copy_camera")
     imgui.same_line()
@@ -139,9 +135,6 @@ def show(app: AppState) -> None:
     )
     imgui.same_line()
     widgets.command_button(app, "Load...", "open_cameras")
-
-    widgets.section("Lens")
-    show_lens(app)
 
 
 def rays(app: AppState) -> None:
@@ -235,15 +228,17 @@ def ask_where(app: AppState) -> None:
 
 def show_bookmarks(app: AppState) -> None:
     imgui.push_id("bookmarks")
-    widgets.section("Bookmarks")
     widgets.command_button(app, "Bookmark this view", "add_bookmark")
     if not app.bookmarks:
         widgets.note(f"None yet. {keys_of('add_bookmark')} keeps the present view, beside the scene's file.")
     for index, bookmark in enumerate(app.bookmarks):
         bookmark_row(app, index, bookmark.name)
     imgui.pop_id()
+
+
+def show_cameras(app: AppState) -> None:
+    """The loaded cameras."""
     imgui.push_id("cameras")
-    widgets.section("Cameras")
     if app.cameras:
         cameras(app)
     else:

@@ -13,7 +13,7 @@ from splatview.edit.operations.cleanup import Decimate
 from splatview.viewer import theme
 from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.cleanup import VIEWS
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import EditSession, session_of
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 
@@ -27,26 +27,72 @@ GOOD, FAIR = 45.0, 35.0
 
 def show(app: AppState, session: EditSession) -> None:
     form = session.forms.clean
-    names = tuple(DETECTORS)
-    detector = DETECTORS[form.detector]
-    chosen = widgets.combo(
-        "Find", form.detector, names, detector.what, [DETECTORS[name].label for name in names]
-    )
-    if chosen is not None:
-        cleanup.choose_detector(session, chosen)
-        detector = DETECTORS[chosen]
-    widgets.note(detector.what)
+    detectors(app, session)
     key = (form.detector, session.document.versions)
-    if form.scores is None or form.of != key:
-        if form.scores is not None:
-            form.scores, form.mask, form.price, session.preview_mask = None, None, None, None
-        tip = "Looks at every splat" + (", in pictures from around the scene." if detector.renders else ".")
-        widgets.button("Look for them", tip, partial(app.post, cleanup.look), width=-1)
-    else:
+    if form.scores is not None and form.of != key:
+        form.scores, form.mask, form.price, session.preview_mask = None, None, None, None
+    if form.scores is not None:
+        widgets.section(DETECTORS[form.detector].label)
         threshold(app, session)
     if session.target.at_rest:  # training fills up again to its number
         widgets.section("Fewer splats")
         decimation(app, session)
+
+
+def detectors(app: AppState, session: EditSession) -> None:
+    """All of them, with how many splats each finds and what deleting those costs; a click looks closer."""
+    form, now = session.forms.clean, session.document.versions
+    counted = [name for name in DETECTORS if form.counts.get(name, (None, 0))[0] == now]
+    uncounted = [name for name in DETECTORS if not DETECTORS[name].renders and name not in counted]
+    if uncounted and session.job is None:
+        app.post(count_once)
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
+    if imgui.begin_table("detectors", 3, flags):
+        for title, width in (("Find", 3.0), ("Splats", 1.6), ("Worst view", 1.9)):
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch, width)
+        imgui.table_headers_row()
+        for name, detector in DETECTORS.items():
+            imgui.table_next_row()
+            imgui.table_next_column()
+            chosen = name == form.detector and form.scores is not None
+            across = imgui.SelectableFlags_.span_all_columns
+            if imgui.selectable(f"{detector.label}###{name}", chosen, across)[0]:
+                app.post(cleanup.forget if chosen else partial(cleanup.find, detector=name))
+            widgets.tooltip(f"{detector.what} Click to see them on the picture.")
+            imgui.table_next_column()
+            if name in counted:
+                count = form.counts[name][1]
+                ink = imgui.get_style_color_vec4(imgui.Col_.text) if count else theme.QUIET
+                imgui.text_colored(ink, f"{count:,}")
+            else:
+                imgui.text_colored(theme.QUIET, "-")
+            imgui.table_next_column()
+            of, price = form.prices.get(name, (None, None))
+            if price is not None and of == now:
+                worst = "no loss" if price.worst >= NO_LOSS else f"{price.worst:.1f} dB"
+                imgui.text_colored(quality(price), worst)
+            else:
+                imgui.text_colored(theme.QUIET, "-")
+        imgui.end_table()
+    widgets.button(
+        "Measure all",
+        f"Counts for every detector, and draws {VIEWS} views with and without what it finds: the worst view "
+        "is told in dB.",
+        partial(app.post, count_and_price),
+        width=-1,
+    )
+
+
+def count_once(app: AppState) -> None:
+    session = session_of(app)
+    if session is not None and session.job is None:
+        cleanup.count_all(app, session)
+
+
+def count_and_price(app: AppState) -> None:
+    session = session_of(app)
+    if session is not None:
+        cleanup.count_all(app, session, price=True)
 
 
 def threshold(app: AppState, session: EditSession) -> None:

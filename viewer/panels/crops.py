@@ -19,9 +19,9 @@ from splatview.scene.errors import printable
 from splatview.viewer import theme
 from splatview.viewer.editing import gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
-from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
+from splatview.viewer.editing.gizmos import KINDS, angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession, post_edit
-from splatview.viewer.editing.tool_state import mode_of
+from splatview.viewer.editing.tool_state import CROPPING, mode_of
 from splatview.viewer.panels import widgets
 from splatview.viewer.theme import point_on_picture
 from splatview.viewer.training.live import LiveTraining
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SECTION = "crop"
 
-KINDS = ("move", "turn", "size")
+KIND_NAMES = ("Move", "Rotate", "Scale")
 
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 EDGES = [(i, j) for i in range(8) for j in range(i) if bin(i ^ j).count("1") == 1]
@@ -44,7 +44,30 @@ CIRCLE = np.linspace(0, 2 * np.pi, 49)
 
 
 def show(app: AppState, session: EditSession) -> None:
-    shapes: tuple[tuple[str, Shape], ...] = (("Add a box", "box"), ("Add a sphere", "sphere"))
+    list_of(app, session)
+    crops = session.document.crops
+    if 0 <= session.forms.crop < len(crops):
+        numbers(app, session, session.forms.crop)
+    if not any(crop.enabled for crop in crops):
+        return
+    if not session.target.at_rest:
+        widgets.button(
+            "Cut away in training",
+            "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
+            partial(app.post, app.feature(LiveTraining).editor.cut_away),
+        )
+    else:
+        operation = DeleteCropped()
+        widgets.button(
+            "Delete what is cut away",
+            operation.summary,
+            partial(post_edit, app, EditSession.apply, operation),
+        )
+
+
+def list_of(app: AppState, session: EditSession) -> None:
+    """The crops, with a switch each; a click chooses one, for its numbers and handles."""
+    shapes: tuple[tuple[str, Shape], ...] = (("Add box", "box"), ("Add sphere", "sphere"))
     for number, (name, shape) in enumerate(shapes):
         if number:
             widgets.beside(name)
@@ -77,23 +100,6 @@ def show(app: AppState, session: EditSession) -> None:
         if clicked:
             session.forms.crop = -1 if index == session.forms.crop else index
         imgui.pop_id()
-    if session.forms.crop >= 0:
-        numbers(app, session, session.forms.crop)
-    if not any(crop.enabled for crop in crops):
-        return
-    if not session.target.at_rest:
-        widgets.button(
-            "Cut away in training",
-            "Deletes what the crops cut away from the training, and keeps it so: a rule that you can remove.",
-            partial(app.post, app.feature(LiveTraining).editor.cut_away),
-        )
-    else:
-        operation = DeleteCropped()
-        widgets.button(
-            "Delete what is cut away",
-            operation.summary,
-            partial(post_edit, app, EditSession.apply, operation),
-        )
 
 
 def numbers(app: AppState, session: EditSession, index: int) -> None:
@@ -121,12 +127,16 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
         if values is not None:
             new = replace(new, **{field: values})
         settled |= imgui.is_item_deactivated_after_edit()
-    values = widgets.vector("Turned", angles_of(crop.rotation), 0.25, "Degrees about x, y, z.", form="%.2f")
+    values = widgets.vector("Rotation", angles_of(crop.rotation), 0.25, "Degrees about x, y, z.", form="%.2f")
     if values is not None:
         new = replace(new, rotation=quat_of(values))
     settled |= imgui.is_item_deactivated_after_edit()
     handle = widgets.combo(
-        "Handles", KINDS[session.forms.crop_handles], KINDS, "What the handles on the picture do."
+        "Handles",
+        KINDS[session.forms.crop_handles],
+        KINDS,
+        "What the handles on the picture do.",
+        KIND_NAMES,
     )
     if handle is not None:
         session.forms.crop_handles = KINDS.index(handle)
@@ -173,7 +183,8 @@ def change(app: AppState, session: EditSession, index: int, new: Crop, *, settle
 def draw(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     """The crops' outlines over the picture, and handles of the chosen one."""
     for index, crop in enumerate(session.document.crops):
-        chosen = index == session.forms.crop and "Crop" in session.forms.sections
+        in_hand = session.tool in CROPPING or "Crop" in session.forms.sections
+        chosen = index == session.forms.crop and in_hand
         if not (crop.enabled or chosen):
             continue
         colour = ImVec4(*theme.ACCENT, 1.0 if chosen else 0.6) if crop.keep == "inside" else CUTTING
@@ -205,7 +216,7 @@ def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: Im
         x, y, z = moved[:3, 3].tolist()
         if kind == "move":
             new = replace(crop, centre=(x, y, z))
-        elif kind == "size":
+        elif kind == "scale":
             ex, ey, ez = lengths.tolist()
             new = replace(crop, half_extents=(ex, ey, ez))
         else:

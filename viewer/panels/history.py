@@ -58,7 +58,7 @@ def show(app: AppState) -> None:
             if number:
                 widgets.beside(name)
             widgets.command_button(app, name, action)
-    imgui.begin_child("##steps", ImVec2(0, 0))
+    imgui.begin_child("##steps", ImVec2(0, 0), imgui.ChildFlags_.always_use_window_padding)
     steps = ["As opened", *(step.title for step in history.steps)]
     for position, title in enumerate(steps):
         waiting = position > history.position

@@ -33,9 +33,14 @@ def show(app: AppState, training: LiveTraining) -> None:
     table(app, training)
 
 
+MOST_ROWS = 12
+"""Of photos, seen at once."""
+
+
 def table(app: AppState, training: LiveTraining) -> None:
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_stretch_prop
-    if not imgui.begin_table("photos", 3, flags):
+    rows = min(len(training.photos), MOST_ROWS) + 1.3
+    if not imgui.begin_table("photos", 3, flags, (0, rows * imgui.get_text_line_height_with_spacing())):
         return
     imgui.table_setup_scroll_freeze(0, 1)
     imgui.table_setup_column("Photo", imgui.TableColumnFlags_.width_stretch, 3)
@@ -75,8 +80,9 @@ LENS_SHARE = 1 / 6
 """Share of a picture's width that the magnifying tooltip shows."""
 
 
-def show_comparison(app: AppState, training: LiveTraining) -> None:
+def show_comparison(app: AppState) -> None:
     """The chosen photo beside the scene from its camera, and their difference."""
+    training = app.feature(LiveTraining)
     tools(app, training)
     comparison = training.comparer.latest
     room, spacing = imgui.get_content_region_avail(), imgui.get_style().item_spacing

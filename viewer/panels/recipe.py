@@ -41,7 +41,7 @@ def show(app: AppState, training: LiveTraining) -> None:
     if factor is not None:
         set_position_rate(app, factor)
     most = widget_count(
-        "Most splats",
+        "Max splats",
         settings.max_splats,
         "Density control adds none beyond this. Fewer are faster, and learn fewer photos by heart.",
         step=1000,

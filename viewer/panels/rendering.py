@@ -1,4 +1,4 @@
-"""The Picture panel: visual mode, background, image model."""
+"""The View page: visual mode, background, camera, lens, resolution, image model, statistics."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from splatview.renderers import MODES
 from splatview.scene.image_model import BLUR, DISC_BLUR
 from splatview.viewer.background import ask_for_picture
 from splatview.viewer.commands import set_mode
-from splatview.viewer.panels import widgets
-from splatview.viewer.preferences import RANGES, BackgroundKind
+from splatview.viewer.panels import camera, statistics, widgets
+from splatview.viewer.preferences import RANGES, BackgroundKind, Theme
 from splatview.viewer.state import AppState
 
 COLOURS = (
@@ -88,7 +88,51 @@ MODE_TIP = "What is drawn for each splat. " + " ".join(
 
 
 def show(app: AppState) -> None:
-    mode = widgets.combo("Show", app.mode, tuple(MODES), MODE_TIP, [mode.label for mode in MODES.values()])
+    """The View page: what is drawn, and from where."""
+    if widgets.fold(app, "Picture", opened=True):
+        picture(app)
+    if widgets.fold(app, "Background"):
+        show_background(app)
+    if widgets.fold(app, "Camera", opened=True):
+        camera.show(app)
+    if widgets.fold(app, "Lens"):
+        camera.show_lens(app)
+    if widgets.fold(app, "Bookmarks"):
+        camera.show_bookmarks(app)
+    if widgets.fold(app, "Navigation"):
+        camera.speeds(app)
+    if widgets.fold(app, "Advanced"):
+        image_model(app)
+    if widgets.fold(app, "Interface"):
+        interface(app)
+    if widgets.fold(app, "Statistics"):
+        statistics.show(app)
+
+
+def interface(app: AppState) -> None:
+    """Theme and font size."""
+    themes: tuple[Theme, ...] = get_args(Theme)
+    chosen = widgets.combo(
+        "Theme",
+        app.preferences.theme,
+        themes,
+        "Colours of the window; the picture keeps its background.",
+        [theme.capitalize() for theme in themes],
+    )
+    if chosen is not None:
+        app.post(lambda app: app.prefer(theme=chosen))
+    size = widgets.stepped(
+        "Font size",
+        app.preferences.font_size,
+        *RANGES["font_size"],
+        "Height of letters; all else follows.",
+    )
+    if size is not None:
+        app.post(lambda app: app.prefer(font_size=size))
+
+
+def picture(app: AppState) -> None:
+    mode = widgets.combo("Mode", app.mode, tuple(MODES), MODE_TIP, [mode.label for mode in MODES.values()])
     if mode is not None:
         app.post(set_mode, mode)
     sh_degree(app)
@@ -102,10 +146,6 @@ def show(app: AppState) -> None:
     )
     if scale is not None:
         app.prefer(resolution_scale=scale)
-    widgets.section("Background")
-    show_background(app)
-    widgets.section("Image model")
-    image_model(app)
 
 
 def sh_degree(app: AppState) -> None:
@@ -180,7 +220,7 @@ def image_model(app: AppState) -> None:
     called_for = app.scene.settings.model
     if app.settings.model != called_for:
         widgets.button(
-            "As the scene calls for",
+            "Reset###reset image model",
             "Takes footprint, antialiasing, blur and near back to what the scene was trained with, as far as "
             "its file says.",
             lambda: setattr(app, "settings", replace(app.settings, model=called_for)),

@@ -1,4 +1,4 @@
-"""The Scene panel: files and size of the open scene, its effects, and its health."""
+"""The Scene page: files, crops and cameras of the open scene, its problems, its size."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.commands import apply
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.loading import Examination
-from splatview.viewer.panels import widgets
+from splatview.viewer.panels import camera, crops, widgets
 from splatview.viewer.panels.clean import quality
-from splatview.viewer.quality.effects import Effects
 from splatview.viewer.state import AppState
 
 
 def show_health(app: AppState, findings: Sequence[Finding]) -> None:
     """Findings of the health check, hidden and deleted splats included: a click selects the splats, a button
     repairs them, and says before what that costs."""
-    widgets.section("Health")
     found = [finding for finding in findings if finding.count]
     if not found:
-        widgets.note("No splat is invalid.")
+        widgets.note("No problems found.")
     prices = cleanup.repair_prices(app)
     size = imgui.get_font_size()
     for finding in found:
@@ -63,17 +61,39 @@ def show_health(app: AppState, findings: Sequence[Finding]) -> None:
 
 
 def show(app: AppState) -> None:
-    scene = app.scene
+    """The Scene page: files, crops, cameras, problems."""
     if not app.is_open:
         widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
         widgets.command_button(app, "Open...", "open")
         return
-    gaussians = scene.gaussians
+    files(app)
+    session = session_of(app)
+    if session is not None and widgets.fold(app, "Crops", opened=True):
+        imgui.push_id("crops")
+        crops.list_of(app, session)
+        imgui.pop_id()
+    if widgets.fold(app, "Cameras", opened=bool(app.cameras)):
+        camera.show_cameras(app)
+    if app.examination is not None and widgets.fold(app, "Problems", opened=True):
+        examination(app, app.examination)
+    if widgets.fold(app, "Details"):
+        details(app)
+
+
+def files(app: AppState) -> None:
+    """The files of the scene."""
+    scene = app.scene
     for path in scene.paths:
         widgets.fact("File", path.name, str(path))
     if not scene.paths:
         widgets.fact("Scene", scene.name, "Made by the program itself; open a file to replace it.")
-    widgets.fact("Splats", f"{len(gaussians):,}", "Gaussians in the scene, invalid ones included.")
+    widgets.fact("Splats", f"{len(scene.gaussians):,}", "Gaussians in the scene, invalid ones included.")
+    imgui.spacing()
+
+
+def details(app: AppState) -> None:
+    """Size and place of the scene, and the comments of its file."""
+    scene, gaussians = app.scene, app.scene.gaussians
     widgets.fact(
         "SH degree", str(gaussians.sh_degree), "Highest band of view-dependent colour that is stored."
     )
@@ -83,14 +103,11 @@ def show(app: AppState) -> None:
         widgets.fact("From", low, "Least x, y, z of all finite centres, world units.")
         widgets.fact("To", high, "Greatest x, y, z of all finite centres, world units.")
     widgets.fact(
-        "Middle",
+        "Centre",
         ", ".join(f"{v:.4g}" for v in scene.centre),
         "Of where the splats are as the scene was opened, outliers left out.",
     )
     widgets.fact("Radius", f"{scene.radius:.4g}", "Of the same, world units.")
-
-    if app.examination is not None:
-        examination(app, app.examination)
     if gaussians.comments:
         widgets.section("Comments in the file")
         for comment in gaussians.comments:
@@ -98,12 +115,8 @@ def show(app: AppState) -> None:
 
 
 def examination(app: AppState, found: Examination) -> None:
-    """The number of effects computed, and the health of the splats."""
+    """The health of the splats."""
     if not found.done:
         widgets.note("Looking at the splats...")
         return
-    receipt = app.feature(Effects).receipt(app)
-    on = sum(effect.in_force for effect in receipt)
-    tip = "The Effects panel tells which, why, and at which price."
-    widgets.fact("Effects", f"{on} of {len(receipt)} are computed", tip)
     show_health(app, found.findings)

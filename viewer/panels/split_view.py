@@ -13,7 +13,7 @@ REACH = 0.5
 """Distance in font heights within which the mouse takes hold of the line."""
 
 LEFT_NAME = "exact"
-RIGHT_NAMES = {"chosen": "chosen", "signed": "signed difference", "perceptual": "what an eye notices"}
+RIGHT_NAMES = {"chosen": "by the shortcuts", "signed": "difference", "perceptual": "FLIP"}
 
 
 def drag_line(app: AppState, corner: ImVec2, width: int) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -38,7 +37,17 @@ STATES = {
 UPDATES: dict[TrainingUpdates, str] = {"off": "Off", "low": "Low", "live": "Live"}
 
 
-def show(app: AppState, training: LiveTraining) -> None:
+def show(app: AppState) -> None:
+    """The Train page."""
+    training = app.find(LiveTraining)
+    if training is None:
+        widgets.note(
+            "No scene is in training in this window. Training begins from a folder of photos with their "
+            "cameras (COLMAP, nerfstudio, or a list of cameras):"
+        )
+        imgui.text_unformatted("splatview train photos/")
+        widgets.tooltip("Type this in a terminal; its window has this page filled in.")
+        return
     status = training.status
     headline(status)
     buttons(app, status)
@@ -56,8 +65,10 @@ def show(app: AppState, training: LiveTraining) -> None:
     shares(app, training)
     widgets.section("Keep")
     keep(app, training, status)
-    widgets.section("Recipe")
-    recipe.show(app, training)
+    if widgets.fold(app, "Recipe"):
+        recipe.show(app, training)
+    if widgets.fold(app, "Photos"):
+        photos.show(app, training)
 
 
 def headline(status: Status) -> None:
@@ -137,9 +148,9 @@ def buttons(app: AppState, status: Status) -> None:
 
 def numbers(training: LiveTraining, status: Status) -> None:
     limit = status.settings.max_splats
-    widgets.fact("Splats", f"{status.gaussians:,} of at most {limit:,}", "Gaussians in the scene now.")
+    widgets.fact("Splats", f"{status.gaussians:,} of max {limit:,}", "Gaussians in the scene now.")
     rate = f"{status.rate:.1f}" if status.rate < 100 else f"{status.rate:.0f}"
-    widgets.fact("Steps a second", rate if status.rate > 0 else "-", "Over the last seconds, sleep included.")
+    widgets.fact("Iterations/s", rate if status.rate > 0 else "-", "Over the last seconds, sleep included.")
     widgets.fact("Trained for", duration(status.seconds), "Pauses left out.")
     if status.loss == status.loss:
         widgets.fact("Loss", f"{status.loss:.4f}", "0.8 L1 + 0.2 (1 - SSIM) of the last step's photos.")
@@ -215,8 +226,9 @@ def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     widgets.tooltip(os.path.realpath(outputs.scene))
 
 
-def show_curves(app: AppState, training: LiveTraining) -> None:
+def show_curves(app: AppState) -> None:
     """Loss, PSNR of the held-out photos, and number of splats, over steps or seconds."""
+    training = app.feature(LiveTraining)
     imgui.align_text_to_frame_padding()
     imgui.text_colored(theme.QUIET, "Over")
     imgui.same_line()
@@ -300,20 +312,3 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(ends - width, 0)
     return (sums[ends] - sums[starts]) / (ends - starts)
-
-
-STRIP = "Strip"
-"""Dock under the picture."""
-
-FIRST = ("Training", "Photos", "Curves")
-"""Panels in front of each dock when the window opens for the first time."""
-
-
-def panels(training: LiveTraining) -> tuple[tuple[str, str, Callable[[AppState], None]], ...]:
-    """Name, dock and contents of the panels that a window with a training has besides the usual ones."""
-    return (
-        ("Training", "Upper", partial(show, training=training)),
-        ("Photos", "Lower", partial(photos.show, training=training)),
-        ("Curves", STRIP, partial(show_curves, training=training)),
-        ("Compare", STRIP, partial(photos.show_comparison, training=training)),
-    )

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from imgui_bundle import ImVec4, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 
 from splatview.scene.errors import printable
 from splatview.viewer import theme
@@ -49,13 +49,48 @@ def label(text: str, tip: str, *, share: float = LABEL_SHARE) -> None:
     imgui.set_next_item_width(-1)
 
 
-def tooltip(tip: str) -> None:
-    """Tooltip of the last item, after a short rest on it."""
-    if tip and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip) and imgui.begin_tooltip():
-        imgui.push_text_wrap_pos(imgui.get_font_size() * 24)
-        imgui.text_unformatted(printable(tip, keep="\n"))
+def tooltip(tip: str, *, hovered: bool | None = None) -> None:
+    """Tooltip of the last item, after a short rest on it, or where the mouse is known to be."""
+    if hovered is None:
+        hovered = bool(tip) and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip)
+    if not tip or not hovered:
+        return
+    text, wide = printable(tip, keep="\n"), imgui.get_font_size() * 24
+    keep_clear(text, wide)
+    if imgui.begin_tooltip():
+        imgui.push_text_wrap_pos(wide)
+        imgui.text_unformatted(text)
         imgui.pop_text_wrap_pos()
         imgui.end_tooltip()
+
+
+def keep_clear(text: str, wide: float) -> None:
+    """Places the next tooltip, of this text, below or above the last item, so as not to cover it."""
+    low, high, em = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_font_size()
+    if high.y - low.y > 6 * em:
+        return  # a picture or a plot: beside the mouse
+    padding, screen = imgui.get_style().window_padding, imgui.get_main_viewport()
+    size = imgui.calc_text_size(text, wrap_width=wide)
+    size = ImVec2(size.x + 2 * padding.x, size.y + 2 * padding.y)
+    bottom, right = screen.pos.y + screen.size.y, screen.pos.x + screen.size.x
+    x = max(min(imgui.get_mouse_pos().x + 0.8 * em, right - size.x), screen.pos.x)
+    gap = 0.3 * em
+    y = high.y + gap if high.y + gap + size.y <= bottom else low.y - gap - size.y
+    imgui.set_next_window_pos(ImVec2(x, max(y, screen.pos.y)))
+
+
+def fitting(text: str, room: float) -> str:
+    """`text` with an ellipsis where it is wider than `room`."""
+    if imgui.calc_text_size(text).x <= room:
+        return text
+    low, high = 0, len(text)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if imgui.calc_text_size(f"{text[:middle].rstrip()}...").x <= room:
+            low = middle
+        else:
+            high = middle - 1
+    return f"{text[:low].rstrip()}..." if low else ""
 
 
 def slider(
@@ -84,6 +119,15 @@ def slider(
     if slid and (digits := re.match(r"%\.?\d*[fg]", form)):
         new = float(digits[0] % new)
     return exact if typed else new if slid else None
+
+
+def stepped(name: str, value: float, low: float, high: float, tip: str) -> float | None:
+    """A row with a whole number and steps down and up; the new one where the user changed it."""
+    label(name, tip)
+    changed, new = imgui.input_int(f"##{name}", round(value), 1, 4, imgui.InputTextFlags_.enter_returns_true)
+    tooltip(tip)
+    new = float(min(max(new, low), high))
+    return new if changed and new != value else None
 
 
 def vector(name: str, values: Triple, speed: float, tip: str, *, form: str = "%.4g") -> Triple | None:
@@ -148,6 +192,19 @@ def command_button(app: AppState, name: str, id: str, *, width: float = 0) -> No
     button(name, tip, partial(app.post, COMMANDS[id].run), width=width, lacks=COMMANDS[id].lacks(app))
 
 
+def command_tooltip(app: AppState, id: str, *, name: str = "") -> None:
+    """Tooltip of the last item: a command's title, key and explanation, and what it lacks."""
+    if not imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
+        return
+    command = COMMANDS[id]
+    key, lacks = keys_of(id), command.lacks(app)
+    title, _, rest = command.title.partition(": ")
+    head = f"{name or command.menu or title}{f' ({key})' if key else ''}".replace("...", "")
+    explained = command.tip or rest or (title if head != title else "")
+    explained = f"{explained[:1].upper()}{explained[1:].rstrip('.')}." if explained else ""
+    tooltip("\n".join(filter(None, (head, explained, lacks))), hovered=True)
+
+
 def button(name: str, tip: str, pressed: Callable[[], object], *, width: float = 0, lacks: str = "") -> None:
     """`lacks`: what must be there before it can be pressed, for the tooltip; "" where it can be."""
     imgui.begin_disabled(lacks != "")
@@ -164,6 +221,35 @@ def beside(name: str) -> None:
     right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
     if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
         imgui.same_line()
+
+
+def fold(app: AppState, title: str, *, opened: bool = False) -> bool:
+    """A section that can be shut; whether it is open. A command that asks for it has it opened and shown."""
+    revealed = app.reveal != "" and app.reveal == title.split("###")[-1]
+    if revealed:
+        imgui.set_next_item_open(True)
+    shown = header(title, opened=opened)
+    if revealed:
+        imgui.set_scroll_here_y(0.0)
+        app.reveal = ""
+    return shown
+
+
+def header(title: str, *, opened: bool = False) -> bool:
+    """A collapsing header that is quieter than what is selected; whether it is open."""
+    for colour, plain in HEADER.items():
+        imgui.push_style_color(colour, imgui.get_style_color_vec4(plain))
+    shown = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open if opened else 0)
+    imgui.pop_style_color(len(HEADER))
+    return shown
+
+
+HEADER = {
+    imgui.Col_.header: imgui.Col_.frame_bg,
+    imgui.Col_.header_hovered: imgui.Col_.frame_bg_hovered,
+    imgui.Col_.header_active: imgui.Col_.frame_bg_active,
+}
+"""Colours of headers."""
 
 
 def section(name: str) -> None:

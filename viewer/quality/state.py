@@ -83,6 +83,8 @@ class Accuracy(Feature):
     """How long measuring may take where frames are quick."""
     rounds: int | None = None
     """Instead, how often each shortcut is drawn."""
+    marks: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
+    """Where each shortcut is on the plot drawn last, px of the screen, by knob and value."""
     note: str = ""
     """What the picture drawn last leaves out because the camera moves, or ""."""
     progress: Watch = field(default_factory=lambda: Watch(Governor(1000 / 60)))

@@ -1,0 +1,167 @@
+"""Entries of the table of commands that open a part of the window: pages, their sections, the strip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from splatview.viewer.command import Command, needs
+from splatview.viewer.editing.session import session_of
+from splatview.viewer.preferences import Preferences
+from splatview.viewer.state import AppState
+from splatview.viewer.training.live import LiveTraining
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A page of the inspector, or a panel of the bottom strip."""
+
+    name: str
+    """What the user reads, and the preferences keep."""
+    window: str
+    """ImGui's name of it."""
+    icon: str
+    show: Callable[[AppState], None]
+    training: bool = False
+    """Whether it is there only while a scene is in training."""
+
+
+def arrange(app: AppState, *, page: str | None = None, strip: str | None = None) -> None:
+    """Opens another page or panel of the strip, or closes it where it is "". A window that trains begins with
+    those of the training, and other windows with those that were open last."""
+    app.page = app.page if page is None else page
+    app.strip = app.strip if strip is None else strip
+    if app.find(LiveTraining) is None:
+        app.prefer(page=app.page, strip=app.strip)
+
+
+def open_page(app: AppState, page: str, section: str = "") -> None:
+    """Opens a page of the inspector, at a section of it."""
+    app.panels_hidden = False
+    arrange(app, page=page)
+    session = session_of(app)
+    if page == "Edit" and session is not None and section:
+        session.forms.open_section = section
+    else:
+        app.reveal = section
+
+
+def toggle_page(app: AppState, page: str) -> None:
+    """Opens a page of the inspector, or closes the inspector where it is the open one."""
+    if app.page == page and not app.panels_hidden:
+        arrange(app, page="")
+    else:
+        open_page(app, page)
+
+
+def toggle_strip(app: AppState, name: str) -> None:
+    """Opens a panel of the bottom strip, or closes the strip where it is the open one."""
+    shown = app.strip == name and not app.panels_hidden
+    app.panels_hidden = False
+    arrange(app, strip="" if shown else name)
+
+
+def toggle_panels(app: AppState) -> None:
+    app.panels_hidden = not app.panels_hidden
+
+
+def reset_panels(app: AppState) -> None:
+    """The inspector and the strip as they are in a new window."""
+    new = Preferences()
+    app.panels_hidden = False
+    arrange(app, page=new.page, strip=new.strip)
+    app.prefer(inspector_width=new.inspector_width, strip_height=new.strip_height)
+
+
+def _page(name: str, title: str, *words: str) -> Command:
+    return Command(
+        id=f"page_{name.lower()}",
+        title=f"{name}: {title}",
+        group="Window",
+        run=partial(toggle_page, page=name),
+        menu=name,
+        words=words,
+        checked=lambda app: app.page == name and not app.panels_hidden,
+    )
+
+
+def _strip(name: str, title: str, *words: str, lacks: Callable[[AppState], str] = lambda app: "") -> Command:
+    return Command(
+        id=f"strip_{name.lower()}",
+        title=f"{name}: {title}",
+        group="Window",
+        run=partial(toggle_strip, name=name),
+        menu=name,
+        words=words,
+        lacks=lacks,
+        checked=lambda app: app.strip == name and not app.panels_hidden,
+    )
+
+
+def _section(page: str, id: str, section: str, title: str, *words: str) -> Command:
+    """Opens a page of the inspector at one of its sections."""
+    return Command(
+        id=f"section_{id}",
+        title=title,
+        group=page,
+        run=partial(open_page, page=page, section=section),
+        words=words,
+    )
+
+
+_in_training = needs(lambda app: app.find(LiveTraining) is not None, "No scene is in training in this window")
+
+_scene, _edit, _view, _accuracy = (partial(_section, page) for page in ("Scene", "Edit", "View", "Accuracy"))
+
+# fmt: off
+ENTRIES = (
+    _page("Scene", "files, crops, cameras, problems", "files", "layers", "outliner"),
+    _page("Edit", "select, clean up, crop, transform, colours", "edit panel"),
+    _page("View", "mode, background, camera, lens, resolution", "view settings", "display"),
+    _page("Accuracy", "what each approximation saves and costs in this view", "quality", "error", "psnr",
+        "pareto", "ladder"),
+    _page("Train", "a scene from photos", "train", "training", "photos", "photogrammetry", "recipe"),
+    _scene("problems", "Problems", "Problems of the scene: select and repair", "repair", "invalid", "health"),
+    _scene("cameras", "Cameras", "Cameras that are loaded", "camera list", "colmap"),
+    _view("bookmarks", "Bookmarks", "Bookmarks: views that were kept", "saved views"),
+    _edit("select", "Select", "Select by range: histogram of an attribute", "histogram", "attribute",
+        "range", "distribution"),
+    _edit("clean", "Clean up", "Clean up: prune floaters, needles and others", "prune", "clean", "cleanup",
+        "noise", "outliers"),
+    _edit("decimate", "Clean up", "Decimate: keep the splats that matter most", "simplify", "reduce",
+        "fewer splats", "lod"),
+    _edit("crop", "Crop", "Crops: boxes and spheres by numbers", "crop list"),
+    _edit("transform", "Transform", "Transform: position, rotation, scale by numbers", "upright", "orient"),
+    _edit("colour", "Colour & opacity", "Colour & opacity: brightness, contrast, saturation", "colour grade",
+        "color grade", "grading", "brightness", "exposure", "contrast", "saturation", "temperature", "tint",
+        "levels", "opacity", "transparency", "alpha", "color", "colour", "look"),
+    _view("mode", "Picture", "Visual mode: splats, points, ellipsoids, depth", "mode", "shading"),
+    _view("sh_degree", "Picture", "SH degree: bands of view-dependent colour", "sh", "bands",
+        "spherical harmonics"),
+    _view("resolution", "Picture", "Resolution of the picture in the window", "supersampling"),
+    _view("background", "Background", "Background: colour, gradient or panorama", "environment", "sky",
+        "skybox", "hdri"),
+    _view("navigation", "Navigation", "Navigation settings: mouse, wheel, flying speed", "mouse",
+        "sensitivity", "speed", "wheel", "invert wheel"),
+    _view("lens", "Lens", "Lens: field of view, orthographic, depth of field", "fisheye", "distortion",
+        "fov", "field of view", "focal length"),
+    _view("aperture", "Lens", "Aperture of the depth of field", "bokeh", "f-stop"),
+    _view("model", "Advanced", "Image model: antialiasing, blur, near plane", "antialiasing", "mip",
+        "near plane", "footprint", "discs", "2dgs"),
+    _view("theme", "Interface", "Theme: dark, light or high contrast", "dark mode", "light mode"),
+    _view("font", "Interface", "Font size of the window", "font", "text size", "ui scale"),
+    _view("statistics", "Statistics", "Statistics: fps, time by stage, memory", "stats", "fps",
+        "frame rate", "frames a second", "memory", "performance", "gpu"),
+    _accuracy("frame_limit", "Frame limit", "Frame limit while the camera moves", "frame budget", "lag",
+        "slow", "30 fps"),
+    _accuracy("compare", "Compare", "Compare: split view of the exact and the fast picture", "split view",
+        "side by side", "difference", "flip", "before after"),
+    _accuracy("effects", "Effects", "Effects: what is computed for this scene, and why", "receipt"),
+    _strip("History", "every step of editing", "steps", "undo history"),
+    _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
+    _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
+    _strip("Log", "what the window has said", "messages", "console", "errors"),
+)
+# fmt: on
+"""In the order of the palette."""

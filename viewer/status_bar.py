@@ -1,0 +1,186 @@
+"""The status bar: the bottom strip's switches, the last message, a hint, and figures of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from splatview.scene.errors import printable
+from splatview.viewer import theme
+from splatview.viewer.commands import COMMANDS, keys_of
+from splatview.viewer.depth_of_field import DepthOfField
+from splatview.viewer.editing.session import session_of
+from splatview.viewer.editing.tool_state import SELECTING, ToolName
+from splatview.viewer.entries import Panel
+from splatview.viewer.panels import widgets
+from splatview.viewer.preferences import NavigationMode
+from splatview.viewer.state import AppState
+
+HINTS: dict[NavigationMode, tuple[str, ...]] = {
+    "orbit": ("Drag: orbit", "Right drag: pan", "Wheel: zoom", "Double click: turn about"),
+    "fly": ("Drag: look", "W A S D E Q: move", "Wheel: speed", "Shift: fast"),
+    "trackball": ("Drag: turn", "Right drag: pan", "Wheel: zoom", "Double click: turn about"),
+}
+
+TOOL_HINTS: dict[ToolName, tuple[str, ...]] = {
+    "rectangle": ("Drag: select",),
+    "lasso": ("Drag: draw around",),
+    "brush": ("Drag: paint", "Shift + [ ]: radius"),
+    "polygon": ("Click: corner", "Double click: close"),
+    "flood": ("Click: select what hangs together",),
+    "colour": ("Click: select the colour",),
+    "move": ("Drag an arrow: move", "Drag beside: orbit"),
+    "rotate": ("Drag a ring: rotate", "Drag beside: orbit"),
+    "scale": ("Drag a handle: scale", "Drag beside: orbit"),
+    "crop_box": ("Drag the handles", "Drag beside: orbit"),
+    "crop_sphere": ("Drag the handles", "Drag beside: orbit"),
+    "measure": ("Click: two points",),
+    "ground": ("Click: three points of the ground",),
+}
+
+MODIFIERS = ("Shift: add", "Ctrl: remove", "Both: keep common")
+
+
+def hint(app: AppState) -> tuple[str, ...]:
+    """What the mouse does on the picture now, the most important first."""
+    session = session_of(app)
+    if app.feature(DepthOfField).picking:
+        return ("Click: what shall be sharp", "Esc: done")
+    if session is None or session.tool == "none":
+        return (*HINTS[app.preferences.navigation], f"{keys_of('toggle_help')}: keys")
+    more = MODIFIERS if session.tool in SELECTING else ()
+    turning = () if "Drag beside: orbit" in TOOL_HINTS[session.tool] else ("Alt + drag: turn",)
+    return (*TOOL_HINTS[session.tool], "Esc: done", *more, *turning)
+
+
+def figures(app: AppState) -> list[tuple[str, str, str]]:
+    """Text, the widest that it gets, and what it means, of each figure on the right."""
+    stats = app.stats
+    rate = app.rate.at(app.now(), stats.drawn)
+    size = app.picture.texture.size if app.picture.texture is not None else (0, 0)
+    wide = f"{len(app.scene.gaussians) if app.is_open else stats.splats:,}"
+    speed = "at rest" if rate is None else f"{rate:.0f} fps"
+    total = sum(stats.ms.values())
+    return [
+        (f"{stats.splats:,} splats", f"{wide} splats", "Splats in the scene."),
+        (f"{stats.visible:,} visible", f"{wide} visible", "Left after culling, a frame or two ago."),
+        (
+            speed,
+            "at rest",
+            f"Pictures drawn a second; nothing is drawn while nothing changes. The last took {total:.1f} ms.",
+        ),
+        (
+            f"{size[0]} x {size[1]}",
+            "8888 x 8888",
+            "Resolution of the picture shown, px: smaller than the window while a slow picture moves.",
+        ),
+        (app.picture.backend, "reference", f"Renderer: {app.picture.name}, on {app.gpu_name}."),
+    ]
+
+
+def show(app: AppState, strip: Sequence[Panel]) -> None:
+    """The whole bar, in a window of its own. What does not fit is left out from the hint's end first."""
+    style, em = imgui.get_style(), imgui.get_font_size()
+    imgui.set_cursor_pos(ImVec2(style.window_padding.x * 0.6, (imgui.get_window_height() - em * 1.5) / 2))
+    switches(app, strip, em * 1.5)
+    width = imgui.get_window_width()
+    shown = figures(app)
+    gap = em * 0.9
+    places, right = [], width - style.window_padding.x
+    for text, widest, tip in reversed(shown):
+        wide = max(imgui.calc_text_size(one).x for one in (text, widest))
+        right -= wide
+        places.append((right, text, tip))
+        right -= gap
+    left = imgui.get_cursor_pos_x()
+    top = (imgui.get_window_height() - em) / 2
+    while places and places[-1][0] < left + em:  # too narrow for all: the first ones go
+        places.pop()
+    for x, text, tip in places:
+        imgui.set_cursor_pos(ImVec2(x, top))
+        imgui.text_colored(theme.QUIET, text)
+        widgets.tooltip(tip)
+    right = places[-1][0] - gap if places else width
+    session = session_of(app)
+    if session is not None and session.job is not None:
+        job(app, session.job.title, session.job.progress, left, right)
+        return
+    right = show_hint(app, left, right, top)
+    message(app, left, right - gap, top)
+
+
+def switches(app: AppState, strip: Sequence[Panel], side: float) -> None:
+    """A button for each panel of the strip."""
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(2, 0))
+    for panel in strip:
+        open_now = app.strip == panel.name and not app.panels_hidden
+        colour = ImVec4(*theme.ACCENT, 0.75) if open_now else ImVec4(0, 0, 0, 0)
+        imgui.push_style_color(imgui.Col_.button, colour)
+        id = f"strip_{panel.name.lower()}"
+        if imgui.button(f"{panel.icon}###{panel.name}", ImVec2(side * 1.15, side)):
+            app.post(COMMANDS[id].run)
+        imgui.pop_style_color()
+        widgets.command_tooltip(app, id)
+        imgui.same_line()
+    imgui.pop_style_var(2)
+    imgui.dummy(ImVec2(1, 1))
+    imgui.same_line()
+
+
+LEAST_MESSAGE_EM = 12.0
+"""Room that the message keeps beside the hint, in font heights."""
+
+SEPARATOR = "   "
+
+
+def show_hint(app: AppState, left: float, right: float, top: float) -> float:
+    """As much of the hint as there is room for, up to `right`; where it begins."""
+    parts = list(hint(app))
+    room = right - left - LEAST_MESSAGE_EM * imgui.get_font_size()
+    while parts and imgui.calc_text_size(SEPARATOR.join(parts)).x > room:
+        parts.pop()
+    if not parts:
+        return right
+    text = SEPARATOR.join(parts)
+    start = right - imgui.calc_text_size(text).x
+    imgui.set_cursor_pos(ImVec2(start, top))
+    imgui.text_colored(theme.QUIET, text)
+    widgets.tooltip("\n".join(hint(app)))
+    return start
+
+
+def message(app: AppState, left: float, right: float, top: float) -> None:
+    """The last message, cut where there is no room for it; the Log has it in full."""
+    if not app.messages or right <= left:
+        return
+    latest = app.messages[-1]
+    text = widgets.fitting(printable(latest.text), right - left)
+    imgui.set_cursor_pos(ImVec2(left, top))
+    if latest.error:
+        imgui.text_colored(theme.ERROR, text)
+    else:
+        imgui.text_unformatted(text)
+    if text != latest.text:
+        widgets.tooltip(latest.text)
+
+
+def job(app: AppState, title: str, progress: float, left: float, right: float) -> None:
+    """Slow work under way, with a way to stop it."""
+    em = imgui.get_font_size()
+    height = em * 1.5
+    cancel = imgui.calc_text_size("Cancel").x + em
+    imgui.set_cursor_pos(ImVec2(left, (imgui.get_window_height() - height) / 2))
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(em * 0.5, (height - em) / 2))
+    room = min(right - left - cancel - em, 26 * em)
+    if room > 4 * em:
+        imgui.progress_bar(progress, ImVec2(room, height), widgets.fitting(title, room - em))
+        imgui.same_line()
+    widgets.button(
+        "Cancel###cancel job",
+        "Ends this work; nothing is changed. (Esc)",
+        partial(app.post, COMMANDS["cancel"].run),
+    )
+    imgui.pop_style_var()
