@@ -159,8 +159,15 @@ def screenshot(app: AppState) -> None:
 
 
 Kind = Literal[
-    *("scene", "folder", "cameras", "picture", "save_picture", "save_camera", "save_scene"),
-    *("recipe", "save_recipe"),
+    "scene",
+    "folder",
+    "cameras",
+    "picture",
+    "save_picture",
+    "save_camera",
+    "save_scene",
+    "recipe",
+    "save_recipe",
 ]
 
 FILTERS: dict[Kind, list[str]] = {
