@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from splatview.cli.arguments import Parser, positive
-from splatview.cli.sequence import edit_sequence
+from splatview.cli.sequence import edit_sequence, source_of
 from splatview.edit.changes import Change
 from splatview.edit.document import Document, exported
 from splatview.edit.impact import StepImpacts, in_words
@@ -22,7 +22,7 @@ from splatview.edit.sample_views import sample_cameras
 from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import check_saving, load_scene, save_scene
-from splatview.scene.formats.sequence import SceneSequence, resolve
+from splatview.scene.formats.sequence import SceneSequence
 from splatview.scene.progress import Progress
 
 VIEWS = 8
@@ -80,7 +80,7 @@ def run(arguments: list[str]) -> int:
         return 0
     if args.output is None and not args.dry_run:
         raise InputError("nothing to do: give -o OUT or --dry-run (see splatview edit --help)")
-    source = resolve(Path(args.scene))
+    source = source_of(args.scene)
     if isinstance(source, SceneSequence):
         return edit_sequence(args, source)
     if args.output is not None and not args.dry_run:

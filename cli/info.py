@@ -7,7 +7,6 @@ import json
 import math
 import threading
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from splatview.cli.arguments import Parser, add_camera_options, check_camera_options, chosen_orbit, positive
 from splatview.cli.main import make_console
-from splatview.cli.sequence import describe_sequence
+from splatview.cli.sequence import describe_sequence, source_of
 from splatview.measure.effect_costs import EffectPrice, price_effects
 from splatview.measure.knobs import Plan
 from splatview.renderers import choices
@@ -26,7 +25,7 @@ from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.report import scene_effects, view_effects
 from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
-from splatview.scene.formats.sequence import SceneSequence, resolve
+from splatview.scene.formats.sequence import SceneSequence
 from splatview.scene.framing import robust_bounds
 from splatview.scene.health import check
 
@@ -163,7 +162,7 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     check_measure_options(args)
-    source = resolve(Path(args.scene))
+    source = source_of(args.scene)
     if isinstance(source, SceneSequence):
         if args.measure or args.repairs:
             raise InputError("--measure and --repairs look at one scene; name one of the sequence's files")

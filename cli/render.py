@@ -31,7 +31,7 @@ from splatview.cli.arguments import (
     number,
     positive,
 )
-from splatview.cli.sequence import counted, frame_targets, refuse_if
+from splatview.cli.sequence import counted, frame_targets, refuse_if, source_of
 from splatview.measure.knobs import Plan, path_to_view
 from splatview.renderers import MODES, FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
@@ -41,7 +41,7 @@ from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.io import atomic_write, target_of
-from splatview.scene.formats.sequence import SceneSequence, read_ahead, resolve
+from splatview.scene.formats.sequence import SceneSequence, read_ahead
 
 # ---- Pictures to files: checked before the work, written whole or not at all.
 
@@ -154,7 +154,7 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     check_camera_options(args)
-    source = resolve(Path(args.scene))
+    source = source_of(args.scene)
     is_sequence = isinstance(source, SceneSequence)
     check_picture_options(args, is_sequence=is_sequence)
     if is_sequence:

@@ -19,11 +19,19 @@ from splatview.scene import InputError
 from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import FORMATS, save_scene
 from splatview.scene.formats.io import target_of
-from splatview.scene.formats.sequence import SceneSequence, read_ahead
+from splatview.scene.formats.sequence import SceneSequence, is_glob, read_ahead, resolve
 from splatview.scene.framing import robust_bounds
 
 NUMBER = re.compile(r"%0?[0-9]*d")
 """Place of a frame's number in a file name, as in ffmpeg's: %04d."""
+
+
+def source_of(scene: str) -> SceneSequence | Path:
+    """What SCENE names: a sequence, or the path of one scene. Raises InputError where a glob matches none."""
+    found = resolve(Path(scene))
+    if isinstance(found, Path) and is_glob(found):
+        raise InputError(f"{scene}: nothing matches it")
+    return found
 
 
 def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ...]) -> list[Path]:

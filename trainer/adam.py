@@ -118,8 +118,11 @@ class SelectiveAdam(Optimizer):
             with torch.enable_grad():
                 loss = closure()
         parameters = [group["params"][0] for group in self.param_groups]
+        states = [self.state[parameter] for parameter in parameters]
+        step = int(states[0]["step"]) + 1
+        for state in states:
+            state["step"] = step
         threads = self.threads or available_threads()
-        self.steps = step = self.steps + 1
         correction = np.sqrt(1 - BETA2**step)
         _, _, log_scales, opacity_logits, sh = self.param_groups
         rates = (*self.rates, sh["lr"] / sh["rest_divisor"])
@@ -138,8 +141,8 @@ class SelectiveAdam(Optimizer):
             [(indices,) for indices in pieces_of(visible, len(parameters[0]), threads) if len(indices)],
             (
                 *(parameter.detach().numpy() for parameter in parameters),
-                *self.first,
-                *self.second,
+                *(state["exp_avg"].numpy() for state in states),
+                *(state["exp_avg_sq"].numpy() for state in states),
                 *(_gradient(parameter) for parameter in parameters),
                 factors,
                 np.float32(EPSILON * correction),

@@ -272,10 +272,8 @@ class _Rasterize(torch.autograd.Function):
         held = _HeldFrame(options, splats, background)
         frame = held.frame
         assert frame is not None
-        # Copied together, as the workspace's next picture overwrites them.
-        runs = [frame.visible[start:stop] for start, stop in frame.runs]
-        visible = np.concatenate(runs)
-        visibility.pieces = np.split(visible, np.cumsum([len(part) for part in runs[:-1]]))
+        # Copies, as the workspace's next picture overwrites them.
+        visibility.pieces = [frame.visible[start:stop].copy() for start, stop in frame.runs]
         visibility.milliseconds |= frame.milliseconds
         visibility._frame = lambda: held.frame
         ctx.held, ctx.options, ctx.visibility, ctx.background = held, options, visibility, background

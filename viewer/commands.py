@@ -397,7 +397,7 @@ COMMANDS: dict[str, Command] = {
             lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
         _edit("turn_over", "", "Turn the scene over: upside down, as files of another frame are",
-            editing.turn_over, "Turn over", words=("flip", "rotate 180", "frame"),
+            editing.turn_over, "Turn over", words=("turn over", "flip", "y up", "rub", "rdf"),
             lacks=_a_scene_at_rest),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(

@@ -86,6 +86,7 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
         vertex.count,
         *(bounds, words, rest, SHARES, tables, tuple(arrays.values())),
         progress=progress.part(0.5, 1.0),
+        step=CHUNK,
     )
     return Gaussians(**arrays, comments=body.header.comments)
 

@@ -104,7 +104,7 @@ def resolve_all(paths: Sequence[Path], *, merge: bool = False) -> SceneSequence 
     once. `merge`: never a sequence.
 
     Raises:
-        InputError: a folder holds nothing that can be opened, or a glob matches nothing.
+        InputError: a folder holds nothing that can be opened, or a glob matches other things alone.
     """
     if len(paths) == 1:
         found = resolve(paths[0])
@@ -128,13 +128,15 @@ def resolve(path: Path) -> SceneSequence | Path:
     anything: a file, a folder that is one scene (SOG) or a capture.
 
     Raises:
-        InputError: the folder holds nothing that can be opened, or the glob matches no scene.
+        InputError: the folder holds nothing that can be opened, or the glob matches other things alone.
     """
     if is_glob(path):
         matches = [Path(name) for name in glob.iglob(str(path), recursive=True)]
         found = [one for one in matches if _is_scene(one)]
+        if not matches:
+            return path  # which is missing, as whoever opens it says
         if not found:
-            what = f"none of its {len(matches):,} matches is a scene" if matches else "nothing matches it"
+            what = f"none of the {len(matches):,} that match is a scene"
             raise InputError(f"{path}: {what}; scenes are {_suffixes()}")
         ordered = in_natural_order(found)
         if len(ordered) == 1:

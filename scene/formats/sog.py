@@ -213,13 +213,13 @@ class _Pictures:
     def __init__(self, source: Source, n: int) -> None:
         self.source, self._n = source, n
 
-    def texels(self, name: Any) -> np.ndarray:
-        """(N, 4) uint8: one per splat."""
-        pixels = self.pixels(name, self._n)
-        return pixels.reshape(-1, 4)[: self._n]
+    def texels(self, name: Any, *, alpha: bool = False) -> np.ndarray:
+        """(N, 4) uint8, one per splat; (N, 3) where the picture has no `alpha` and none is needed."""
+        pixels = self.pixels(name, self._n, alpha=alpha)
+        return pixels.reshape(-1, pixels.shape[2])[: self._n]
 
-    def pixels(self, name: Any, least: int) -> np.ndarray:
-        """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
+    def pixels(self, name: Any, least: int, *, alpha: bool = False) -> np.ndarray:
+        """(H, W, 3 or 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
         from PIL import WebPImagePlugin
 
         source = self.source
@@ -241,7 +241,7 @@ class _Pictures:
             with WebPImagePlugin.WebPImageFile(io.BytesIO(data)) as image:
                 if image.size != (width, height):
                     raise ValueError("its size is not what it says")
-                pixels = np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
+                pixels = np.asarray(image if image.mode == "RGBA" or not alpha else image.convert("RGBA"))
                 # Kernels are compiled for arrays that can be written to and for others: once is enough.
                 pixels.setflags(write=False)
                 return pixels
@@ -275,8 +275,8 @@ def _decoded(
 
     names = [*_names(meta["means"], 2), *(_names(meta[entry], 1)[0] for entry in ("quats", "scales", "sh0"))]
     texels = []
-    for name in names:
-        texels.append(pictures.texels(name))
+    for name, alpha in zip(names, (False, False, True, False, True), strict=True):
+        texels.append(pictures.texels(name, alpha=alpha))
         progress.step(0.1 * len(texels))
     shn = meta.get("shN") or None
     palette = _palette(pictures, shn, version) if shn else NO_PALETTE

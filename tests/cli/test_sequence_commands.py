@@ -151,6 +151,13 @@ def test_frames_of_one_name_are_numbered(tmp_path):
 
 
 def test_none_that_can_be_read(run, frames, tmp_path):
+    for command in (
+        ["render", "-o", tmp_path / "out"],
+        ["info"],
+        ["edit", "--recipe", "r.json", "-o", tmp_path],
+    ):
+        code, _, err = run(*command, f"{frames}/g*.ply")
+        assert code == 2 and err.endswith("g*.ply: nothing matches it\n")
     for path in frames.iterdir():
         path.write_bytes(b"ply\nnothing")
     code, _, err = run("render", frames, "-o", tmp_path / "out", *DRAW)

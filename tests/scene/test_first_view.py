@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +19,7 @@ from splatview.scene.sh import rgb_to_sh
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def sheet(
-    count: int, place: tuple[float, float, float], size: tuple[float, float, float], *, seed: int, rgb=None
-) -> Gaussians:
+def sheet(count: int, place: Sequence[float], size: Sequence[float], *, seed: int, rgb=None) -> Gaussians:
     """Splats evenly over a box about `place` of `size` along x, y and z; `rgb` of one colour, or of all."""
     rng = np.random.default_rng(seed)
     colours = rng.uniform(size=(count, 3)) if rgb is None else np.broadcast_to(rgb, (count, 3))
@@ -92,7 +91,7 @@ def test_a_floor_says_which_axis_is_up():
     assert front is not None and front.up.tolist() == [0, -1, 0]
     z_up = replace(
         usual,
-        means=np.ascontiguousarray(usual.means[:, [0, 2, 1]] * np.float32([1, 1, -1])),
+        means=np.ascontiguousarray(usual.means[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)),
         log_scales=np.ascontiguousarray(usual.log_scales[:, [0, 2, 1]]),
     )
     turned = Front.of(z_up)

@@ -232,11 +232,11 @@ def test_commands_are_found_by_their_words_and_keys():
     assert matching("undo")[0].id == "undo"
     assert {command.id for command in matching("")} == set(COMMANDS)
     assert not matching("no such thing at all")
-    assert [command.id for command in matching("floater")] == ["find_clusters", "find_sparse"]
+    assert [command.id for command in matching("floater")] == ["find_clusters", "section_clean"]
     assert not matching("fltr"), "letters with others between them are no word"
-    assert matching("lens")[0].id == "toggle_lenses"
-    assert matching("box")[0].id == "add_box"
-    assert matching("put panels")[0].id == "reset_panels"
+    assert matching("lenses")[0].id == "toggle_lenses"
+    assert matching("add box")[0].id == "add_box"
+    assert matching("reset lay")[0].id == "reset_panels"
 
 
 degrees = st.floats(-179, 179)

@@ -11,7 +11,7 @@ import pytest
 
 from splatview.scene.formats import load_scene, save_scene
 
-TOTAL = 300
+TOTAL = 120
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def test_a_tour_of_the_window(drive, files, scene, tmp_path):
     assert [Path(name).name for name in again["recent"]] == ["second.ply", "first.ply"]
     assert again["bookmarks"] == ["View 1"]
     config = tmp_path / "config"
-    assert {path.name for path in config.iterdir()} == {"preferences.json", "layout.ini"}
+    assert {path.name for path in config.iterdir()} == {"preferences.json", "layout.ini", "views.json"}
     assert not list(tmp_path.glob("*.ini")), "no layout file in the working directory"
 
 

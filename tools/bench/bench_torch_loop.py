@@ -33,6 +33,7 @@ def work(capture: str, downscale: int, splats: int) -> None:
     """The process of one checkout: trains, a line of answer for each line asked."""
     import numpy as np
 
+    from splatview.raster import Workspace
     from splatview.scene.captures import load_capture
     from splatview.trainer.settings import TrainSettings, automatic_dropout, automatic_max_aspect
     from splatview.trainer.trainer import Trainer
@@ -63,6 +64,7 @@ def work(capture: str, downscale: int, splats: int) -> None:
     trainer = Trainer(views, parameters, radius, settings)
     for _ in range(WARM_UP_STEPS):
         trainer.step()
+    kept: dict[str, Any] = {"gradients": None, "workspace": Workspace()}
     print("ready", flush=True)
     for line in sys.stdin:
         what, count = line.split()
@@ -71,20 +73,21 @@ def work(capture: str, downscale: int, splats: int) -> None:
             for _ in range(int(count)):
                 trainer.step()
         else:
-            one_way(trainer, what, int(count))
+            one_way(trainer, what, int(count), kept)
         print(time.perf_counter() - begun, time.process_time() - used, flush=True)
 
 
-def one_way(trainer: Any, what: str, count: int) -> None:
-    """Pictures, losses and gradients of a step, through torch or by the kernels themselves."""
+def one_way(trainer: Any, what: str, count: int, kept: dict[str, Any]) -> None:
+    """Pictures, losses and gradients of a step, through torch or by the kernels themselves, whose memory is
+    `kept` from call to call."""
     import torch
 
-    from splatview.raster import EARLY_STOP, Workspace, draw_frame
+    from splatview.raster import EARLY_STOP, draw_frame
     from splatview.raster.gradients import differentiate
     from splatview.trainer import functional
     from splatview.trainer.loss import photo_loss
 
-    settings, workspace, gradients = trainer.render_settings, Workspace(), None
+    settings, workspace = trainer.render_settings, kept["workspace"]
     for place in range(count):
         view = trainer.views.at(place)
         if what == "torch":
@@ -96,7 +99,8 @@ def one_way(trainer: Any, what: str, count: int) -> None:
         else:
             frame = draw_frame(trainer.splats.arrays, view.camera, settings, workspace)
             loss = photo_loss(frame.image, view.pixels, workspace)
-            gradients = differentiate(trainer.splats.arrays, frame, loss.d_image, reuse=gradients)
+            arrays, reuse = trainer.splats.arrays, kept["gradients"]
+            kept["gradients"] = differentiate(arrays, frame, loss.d_image, reuse=reuse)
 
 
 class Worker:
@@ -151,9 +155,11 @@ def start_seconds(folder: Path, out: str, seconds: float) -> float:
     return float(json.loads((folder / "o.jsonl").read_text().splitlines()[0])["seconds"])
 
 
-def measured(before: Path, after: Path, captures: Path, rounds: int, steps: int) -> list[dict[str, Any]]:
+def measured(
+    before: Path, after: Path, captures: Path, rounds: int, steps: int, kinds: list[str]
+) -> list[dict[str, Any]]:
     results = []
-    for name, downscale, splats in CASES:
+    for name, downscale, splats in CASES if set(kinds) != {"start"} else ():
         few = steps if splats < 100_000 else max(steps // 4, 2)
         workers = [Worker(checkout, captures / name, downscale, splats) for checkout in (before, after)]
         compare = {
@@ -161,6 +167,8 @@ def measured(before: Path, after: Path, captures: Path, rounds: int, steps: int)
             "autograd": [(workers[1], "kernels"), (workers[1], "torch")],
         }
         for kind, sides in compare.items():
+            if kind not in kinds:
+                continue
             (clock, processor), (ms, processor_ms) = in_turn(sides, rounds, few)
             case = f"{name} --downscale {downscale}, {splats:,} splats"
             result = {"case": case, "kind": kind, "clock": clock, "processor": processor}
@@ -168,6 +176,8 @@ def measured(before: Path, after: Path, captures: Path, rounds: int, steps: int)
             print(row(results[-1]), flush=True)
         for worker in workers:
             worker.close()
+    if "start" not in kinds:
+        return results
     run = ("--downscale", "2", "--headless", "--iterations", "1", "-o", "o.ply", "--metrics", "o.jsonl")
     item = Item("start", ("train", str(captures / "banana"), *run), "s", start_seconds)
     found = compared(before, after, item, max(rounds // 2, 3))
@@ -207,13 +217,19 @@ def main() -> None:
         parser.add_argument(name, type=Path)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--steps", type=int, default=20)
+    kinds = [*KINDS]
+    parser.add_argument("--only", choices=kinds, nargs="+", default=kinds, help="others stay as they are")
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
 
     from splatview.measure.machine import FOLDER, write_results
 
     before, after = options.before.resolve(), options.after.resolve()
-    results = measured(before, after, options.captures.resolve(), options.rounds, options.steps)
+    captures, path = options.captures.resolve(), options.output or FOLDER / "torch_loop.json"
+    found = measured(before, after, captures, options.rounds, options.steps, options.only)
+    known = json.loads(path.read_text(encoding="utf8"))["results"] if path.exists() else []
+    merged = {(one["case"], one["kind"]): one for one in (*known, *found)}
+    results = list(merged.values())
     table = {
         "columns": ["what", "before, ms", "after, ms", "after / before", "in processor time"],
         "rows": [row(result) for result in results],
@@ -221,7 +237,7 @@ def main() -> None:
         " Before: a loop in numpy; after: the same kernels through torch. Of autograd: the kernels of a step"
         " called directly, and through torch. The start: from the process's begin to the first step's end.",
     }
-    write_results(options.output or FOLDER / "torch_loop.json", {"results": results, "table": table})
+    write_results(path, {"results": results, "table": table})
 
 
 if __name__ == "__main__":

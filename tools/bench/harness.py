@@ -33,7 +33,7 @@ from screen import screen
 TURN = 3.0
 """Degrees that the eye moves about the scene's centre before each frame."""
 
-PANELS = (474, 57)
+PANELS = (390, 54)
 """Px of the window beside and above the picture, about; what is measured is reported."""
 
 

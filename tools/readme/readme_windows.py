@@ -16,6 +16,7 @@ from imgui_bundle import ImVec2, imgui
 
 from splatview.viewer.app import run_window
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.entries import open_page, toggle_strip
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
@@ -37,14 +38,10 @@ def editing(app: AppState, ctx: Any) -> None:
         frames(10)
 
     settle()
-    ctx.window_focus("//History")
-    ctx.window_focus("//Edit")
+    app.post(open_page, "Edit", "Clean up")
+    app.post(toggle_strip, "History")
+    frames()
     ctx.set_ref("//Edit")
-    frames()
-    for name in ("Select", "Crop", "Move", "Look"):
-        ctx.item_close(name)
-    ctx.item_open("Clean up")
-    frames()
     view = ctx.window_info("//View").rect_full
     ctx.key_press(imgui.Key.c)
     place = ImVec2(
@@ -55,7 +52,9 @@ def editing(app: AppState, ctx: Any) -> None:
     ctx.mouse_drag_with_delta(ImVec2(90, 25), 0)
     settle()
     ctx.key_press(imgui.Key.escape)
-    ctx.item_click("Clean up/Look for them")
+    ctx.item_click("Clean up/Measure all")
+    settle()
+    ctx.item_click("Clean up/detectors/###clusters")
     settle()
     if (session := session_of(app)) is not None and session.forms.clean.count:
         ctx.item_click("Clean up/What would it cost?")
@@ -72,7 +71,7 @@ def accuracy(app: AppState, ctx: Any) -> None:
     """Prices of shortcuts, one taken, and where an eye would notice it."""
     while app.waiting or not app.is_open or app.transition is not None:
         ctx.yield_(1)
-    ctx.window_focus("//Accuracy")
+    app.post(open_page, "Accuracy")
     app.feature(Accuracy).rounds = 5
     app.post(app.feature(Accuracy).measure)
     ctx.yield_(3)
@@ -94,13 +93,16 @@ def effects(app: AppState, ctx: Any) -> None:
     """The receipt with its prices, and the mouse on the evidence of one line."""
     while app.waiting or not app.is_open or app.transition is not None:
         ctx.yield_(1)
-    ctx.window_focus("//Effects")
+    app.post(open_page, "Accuracy", "Effects")
+    ctx.yield_(3)
+    for name in ("###Frame limit", "Compare"):
+        ctx.item_close(f"//Accuracy/{name}")
     app.feature(Effects).seconds = 20.0
     app.post(app.feature(Effects).measure)
     ctx.yield_(3)
     while not app.feature(Effects).prices:
         ctx.yield_(1)
-    ctx.set_ref("//Effects")
+    ctx.set_ref("//Accuracy")
     ctx.mouse_move("**/##SH band 3")
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
     while not app.quitting:

@@ -18,6 +18,7 @@ from splatview.measure.knobs import KNOBS, Plan
 from splatview.viewer import open as opening
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.entries import open_page
 from splatview.viewer.picture import choose_picture
 from splatview.viewer.quality.comparison import RIGHTS
 from splatview.viewer.quality.measurement import applicable
@@ -282,7 +283,7 @@ def budget(user: Soaked, rng: np.random.Generator) -> str:
 
 def measure(user: Soaked, rng: np.random.Generator) -> str:
     user.app.feature(Accuracy).seconds = 0.3
-    user.ctx.window_focus("//Accuracy")
+    user.post(open_page, "Accuracy")
     user.post(user.app.feature(Accuracy).measure)
     if rng.uniform() < 0.5:
         user.frames(int(rng.integers(1, 20)))

@@ -105,7 +105,7 @@ def slider(app: AppState, player: Player) -> None:
     tall, count = imgui.get_font_size() * BAR_EM, len(player.sequence)
     imgui.invisible_button("frames", ImVec2(width, tall))
     draw = imgui.get_window_draw_list()
-    states = [player.cache.state(index) for index in range(count)]
+    states: list[FrameState] = [player.cache.state(index) for index in range(count)]
     starts = [index for index in range(count) if index == 0 or states[index] != states[index - 1]]
     for first, last in pairwise((*starts, count)):
         state = states[first]

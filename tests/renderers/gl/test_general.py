@@ -42,6 +42,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "ellipsoids": {"mode": "ellipsoids"},
     "depth": {"mode": "depth"},
     "overdraw": {"mode": "overdraw"},
+    "normals": {"mode": "normals"},
     "16-bit order": {"order": "16-bit"},
     "weighted": {"order": "weighted"},
     "stochastic": {"order": "stochastic"},

@@ -124,7 +124,7 @@ def test_lines_show_where_the_picture_lets_through(ctx):
     picture.write(alpha)
     picture.swizzle = "RGB1"
     ends = np.array([[[0, 8.5], [64, 8.5]]], np.float32)
-    colours = np.broadcast_to(np.float32([0, 1, 0, 0.8]), (1, 2, 4))
+    colours = np.broadcast_to(np.array([0, 1, 0, 0.8], np.float32), (1, 2, 4))
     layer = LineLayer(ctx)
     before = ctx.detect_framebuffer().glo
     layer.draw([Lines(ends, colours, 0.25)], picture, (64, 32))

@@ -115,9 +115,8 @@ def test_globs(tmp_path):
     assert len(frames(resolve(tmp_path / "t?" / "*.ply"))) == 2
     assert resolve(tmp_path / "[1].ply") == tmp_path / "[1].ply", "a file of that very name"
     assert resolve(tmp_path / "t10" / "*") == tmp_path / "t10" / "cloud.ply"
-    with pytest.raises(InputError, match=r"x\*\.ply: nothing matches it"):
-        resolve(tmp_path / "x*.ply")
-    with pytest.raises(InputError, match=r"none of its 1 matches is a scene"):
+    assert resolve(tmp_path / "x*.ply") == tmp_path / "x*.ply"
+    with pytest.raises(InputError, match=r"none of the 1 that match is a scene"):
         resolve(tmp_path / "t1" / "*.txt")
 
 
