@@ -43,6 +43,26 @@ def test_only_deleted_and_cropped_splats_are_missing(scene_file, tmp_path, edit_
     assert document.history.modified
 
 
+def test_what_counts_as_unsaved(scene_file, tmp_path):
+    document = Document(load_scene(scene_file()))
+    history, runs = document.history, {"kind": "runs", "runs": [[0, 5]]}
+    do(document, {"op": "select", "by": runs}, {"op": "hide"})
+    assert history.modified and not history.unsaved, "nothing that a file would show"
+    do(document, {"op": "select", "by": {"kind": "runs", "runs": [[5, 5]]}}, {"op": "delete"})
+    assert history.unsaved
+    export(document, tmp_path / "rounded.splat")
+    assert history.unsaved, "the file has less than the scene"
+    export(document, tmp_path / "out.ply")
+    assert not history.unsaved
+    document.undo()
+    assert history.unsaved, "the file has not what is seen"
+    document.redo()
+    assert not history.unsaved
+    document.undo()
+    do(document, {"op": "select_none"})
+    assert history.unsaved, "the saved step is gone"
+
+
 def test_an_unedited_scene_is_exported_as_it_is(scene_file, tmp_path, edit_helpers):
     path = scene_file()
     export(Document(load_scene(path)), tmp_path / "out.ply")
