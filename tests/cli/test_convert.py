@@ -96,7 +96,7 @@ def test_turning_over_twice_is_nothing(splatview, scene, tmp_path):
     assert splatview("convert", scene, once, "--turn", "over")[0] == 0
     assert splatview("convert", once, twice, "--turn", "X90,x90")[0] == 0
     before, turned, after = (load_scene(path) for path in (scene, once, twice))
-    assert np.allclose(turned.means, before.means * np.float32([1, -1, -1]))
+    assert np.allclose(turned.means, before.means * np.array([1, -1, -1], np.float32))
     assert np.allclose(after.means, before.means, atol=1e-6) and np.allclose(after.sh, before.sh, atol=1e-5)
     code, _, err = splatview("convert", scene, once, "--turn", "x45")
     assert code == 2 and "steps of 90" in err

@@ -31,11 +31,11 @@ def row_of(found: list[dict[str, Any]]) -> list[str]:
     first = found[0]
     row = [
         f"{first['scene']}, `{first['format']}`",
-        f"{first['usual_bytes'] / 1e6:.2f} ({first['usual_psnr']:.1f} dB)",
+        f"{first['usual_bytes'] / 1e6:.3g} ({first['usual_psnr']:.1f} dB)",
     ]
     for result in found:
         kept = f"{result['splats'] / result['of']:.0%}" if "bytes" in result else ""
-        row.append(f"{result['bytes'] / 1e6:.2f} ({kept})" if "bytes" in result else "not reached")
+        row.append(f"{result['bytes'] / 1e6:.3g} ({kept})" if "bytes" in result else "not reached")
     return row
 
 
@@ -67,7 +67,7 @@ def main() -> None:
     columns = [
         "scene, format",
         "MB as usual",
-        *(f"MB for {quality:g} dB (splats kept)" for quality in QUALITIES),
+        *(f"{quality:g} dB: MB (splats)" for quality in QUALITIES),
     ]
     note = "Pictures of six views from around the scene, by the CPU renderer."
     for name, scene in load_scenes(options.scenes, lambda: {"the demo": demo_scene()}).items():

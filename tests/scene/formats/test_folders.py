@@ -131,7 +131,8 @@ def test_what_a_kill_left_is_removed_by_the_next_write(scene, tmp_path):
     for folder in (left, other):
         folder.mkdir()
         (folder / "quats.webp").write_bytes(b"half")
-        os.utime(folder, (time.time() - 60,) * 2)
+        before = time.time() - 60
+        os.utime(folder, (before, before))
     save_scene(scene, tmp_path / "s" / "meta.json")
     assert not left.exists() and other.exists()
 
