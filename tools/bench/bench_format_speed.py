@@ -269,8 +269,8 @@ def main() -> None:
     results = results_of(found, sizes)
     columns = ["what, and beside whom", "splatview, s", "the other, s", "ratio", "ratio of processor time"]
     note = (
-        f"Medians of {options.rounds} rounds in turn on {options.scene.name} ({len(gaussians):,} splats of SH "
-        f"degree {gaussians.sh_degree}); ratios are splatview's time divided by the other's, with their "
+        f"Medians of {options.rounds} rounds in turn on {options.scene.name} ({len(gaussians):,} splats of "
+        f"SH degree {gaussians.sh_degree}); ratios are splatview's time divided by the other's, with their "
         "range. splat-transform's start, and its reading where it writes, are taken off; gsply writes .spz "
         "in version 4."
     )
