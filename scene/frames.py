@@ -103,7 +103,10 @@ def turn_in_place(arrays: dict[str, np.ndarray], matrix: np.ndarray) -> None:
     """Turns the arrays of a `Gaussians` that nobody has yet, as `turned` does."""
     for start in range(0, len(arrays["means"]), TURNED_AT_ONCE):
         part = {name: values[start : start + TURNED_AT_ONCE] for name, values in arrays.items()}
-        done = turned(Gaussians(**part), matrix)
+        logits, sh = part["opacity_logits"], part["sh"]
+        means, quats, log_scales = part["means"], part["quats"], part["log_scales"]
+        before = Gaussians(means=means, quats=quats, log_scales=log_scales, opacity_logits=logits, sh=sh)
+        done = turned(before, matrix)
         for name in ("means", "quats", "sh"):
             part[name][:] = getattr(done, name)
 

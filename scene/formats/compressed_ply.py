@@ -19,6 +19,7 @@ from splatview.scene.formats.packing import (
     arrays_of,
     check_room,
     empty_arrays,
+    scene_of,
     storable_in_z_order,
 )
 from splatview.scene.formats.ply_body import PlyBody, Target
@@ -88,7 +89,7 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
         progress=progress.part(0.5, 1.0),
         step=CHUNK,
     )
-    return Gaussians(**arrays, comments=body.header.comments)
+    return scene_of(arrays, body.header.comments)
 
 
 SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))

@@ -32,6 +32,7 @@ from splatview.scene.formats.packing import (
     empty_arrays,
     logits_of,
     parsed_json,
+    scene_of,
     slices,
     too_short,
     unit_quats,
@@ -174,7 +175,7 @@ class _Document:
             turn_in_place(arrays, frame_matrix(FRAME))
             linear = any(one.primitive["extensions"][EXTENSION].get("colorSpace") == LINEAR for one in placed)
             note = "splatview: the file's colours are linear light, and shown as they are"
-            return Gaussians(**arrays, comments=(note,) if linear else ())
+            return scene_of(arrays, (note,) if linear else ())
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene.errors import InputError
-from splatview.scene.formats.packing import LOGITS, check_room, empty_arrays, slices, too_short
+from splatview.scene.formats.packing import LOGITS, check_room, empty_arrays, scene_of, slices, too_short
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 from splatview.scene.sh import rgb_to_sh
@@ -82,7 +82,7 @@ def read_ksplat(file: io.BufferedReader, path: Path, progress: Progress, room: f
             piece = progress.part(start / count, (start + section.count) / count)
             _read_section(file, section, part, level, sh_range, size, path, piece)
         start += section.count
-    return Gaussians(**arrays)
+    return scene_of(arrays)
 
 
 def _section(header: bytes, path: Path) -> _Section:

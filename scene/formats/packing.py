@@ -108,6 +108,19 @@ def empty_arrays(count: int, degree: int) -> dict[str, np.ndarray]:
     return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
 
 
+def scene_of(arrays: dict[str, np.ndarray], comments: tuple[str, ...] = ()) -> Gaussians:
+    """The scene of `empty_arrays` that were filled."""
+    means, quats, log_scales, opacity_logits, sh = (arrays[name] for name in ARRAYS)
+    return Gaussians(
+        means=means,
+        quats=quats,
+        log_scales=log_scales,
+        opacity_logits=opacity_logits,
+        sh=sh,
+        comments=comments,
+    )
+
+
 def slices(count: int) -> Iterator[slice]:
     """[0, count) in pieces, of which something is computed without a copy of the scene."""
     return (slice(start, min(start + SLICE, count)) for start in range(0, count, SLICE))

@@ -28,6 +28,7 @@ from splatview.scene.formats.packing import (
     check_room,
     empty_arrays,
     parsed_json,
+    scene_of,
 )
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
 from splatview.scene.progress import Progress
@@ -309,7 +310,7 @@ def _decoded(
     tag = TAGS.get(str(meta.get("model", "")))
     if tag is None and meta.get("antialias") is True:
         tag = TAGS["antialiased"]
-    return Gaussians(**arrays, comments=(tag,) if tag else ())
+    return scene_of(arrays, (tag,) if tag else ())
 
 
 QUAT_LEVELS = (np.arange(256, dtype=np.float32) * np.float32(2 / 255) - 1) * SQRT_HALF

@@ -31,6 +31,7 @@ from splatview.scene.formats.packing import (
     empty_arrays,
     gunzipped,
     in_slices,
+    scene_of,
     storable_in_z_order,
     too_short,
 )
@@ -172,7 +173,7 @@ def _check_size(header: Header, size: int, room: float, path: Path) -> None:
     check_room(path, header.count, min(header.degree, 3), room)
 
 
-def _plain_blocks(header: Header, content: bytes, path: Path) -> tuple[dict[str, np.ndarray], bytes]:
+def _plain_blocks(header: Header, content: np.ndarray, path: Path) -> tuple[dict[str, np.ndarray], bytes]:
     """Blocks by name, and what follows them. Raises InputError."""
     blocks, at = {}, 0
     for name, size in header.sizes.items():
@@ -278,7 +279,7 @@ def _decoded(
     for kind, payload in extensions.items():
         if kind not in (FRAME, ORBIT):
             comments.append(f"spz extension {kind:#010x}: {payload.hex()}")
-    return Gaussians(**_arrays(header, content, frame, progress), comments=tuple(comments))
+    return scene_of(_arrays(header, content, frame, progress), tuple(comments))
 
 
 def _arrays(
@@ -405,7 +406,7 @@ def _encoded(
 
     n = len(order)
     shapes = {name: (n, size // max(n, 1)) for name, size in header.sizes.items()}
-    blocks = {name: np.empty(shape, np.uint8) for name, shape in shapes.items()}
+    blocks: dict[str, np.ndarray] = {name: np.empty(shape, np.uint8) for name, shape in shapes.items()}
     blocks["alphas"], blocks["rotations"] = np.empty(n, np.uint8), np.empty(n, np.uint32)
     flips = axis_flips(OURS, DEFAULT_FRAME)
     assert flips is not None
@@ -431,7 +432,7 @@ def _frame(name: str, block: np.ndarray, progress: Progress) -> bytes:
     settings = LONG_MATCHES | {"strategy": zstandard.STRATEGY_DFAST} if name == "sh" else {}
     parameters = zstandard.ZstdCompressionParameters.from_level(LEVEL, source_size=block.nbytes, **settings)
     packer = zstandard.ZstdCompressor(compression_params=parameters).compressobj(size=block.nbytes)
-    content, parts = memoryview(block).cast("B"), []
+    content, parts = block.data.cast("B"), []
     for start in range(0, block.nbytes, AT_ONCE):
         progress.check()
         parts.append(packer.compress(content[start : start + AT_ONCE]))
