@@ -78,13 +78,14 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx = hand.ctx
     ctx.item_click(f"{STRIP}###play")
     hand.wait(lambda: player.head.playing, "playing")
-    shown, longest, until, last = set(), 0.0, time.monotonic() + options.get("seconds", 3.0), time.monotonic()
-    while time.monotonic() < until:
-        hand.frames(1)
+    shown: set[int] = set()
+
+    def enough() -> bool:
         shown.add(player.shown)
-        now = time.monotonic()
-        longest, last = max(longest, now - last), now
-    found["played"] = {"shown": sorted(shown), "reached": player.reached, "longest": longest}
+        return len(shown) >= 5 and player.reached > 0
+
+    hand.wait(enough, "five frames")
+    found["played"] = {"shown": sorted(shown), "reached": player.reached}
     found["session_while_playing"] = session_of(app) is not None
     shoot(hand, "playing")
     hand.press("Space")
