@@ -45,7 +45,7 @@ def work(capture: str, downscale: int, splats: int) -> None:
 
         TorchImport().wait()  # as the command has it, with its threads off
     except ImportError:  # the checkout before
-        from splatview.trainer.splats import initial_parameters
+        from splatview.trainer.splats import initial_parameters  # pyright: ignore
 
     photos = load_capture(capture, downscale=downscale)
     rng = np.random.default_rng(0)
@@ -92,7 +92,10 @@ def one_way(trainer: Any, what: str, count: int, kept: dict[str, Any]) -> None:
         view = trainer.views.at(place)
         if what == "torch":
             image, _ = functional.rasterize(
-                *trainer.splats.parameters(), view.camera, settings, early_stop=EARLY_STOP
+                *trainer.splats.parameters(),
+                camera=view.camera,
+                settings=settings,
+                early_stop=EARLY_STOP,
             )
             functional.photo_loss(image, torch.from_numpy(view.pixels)).backward()
             trainer.optimizer.zero_grad()
