@@ -236,9 +236,9 @@ def main() -> None:
     table = {
         "columns": ["what", "before, ms", "after, ms", "after / before", "in processor time"],
         "rows": [row(result) for result in results],
-        "note": "Medians and quartiles of pairs in turn, in one run, beside other work on the machine."
-        " Before: a loop in numpy; after: the same kernels through torch. Of autograd: the kernels of a step"
-        " called directly, and through torch. The start: from the process's begin to the first step's end.",
+        "note": "Medians and quartiles of pairs in turn. Before: a loop in numpy; after: the same kernels"
+        " through torch. Of autograd: the kernels of a step called directly, and through torch. The start:"
+        " from the process's begin to the first step's end.",
     }
     write_results(path, {"results": results, "table": table})
 
