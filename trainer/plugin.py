@@ -236,6 +236,6 @@ def load_plugin(path: Path) -> LossPlugin:
     function: Any = getattr(module, FUNCTION, None)
     if not callable(function):
         raise PluginError(f"{file}: has no function {FUNCTION}(step); docs/training.md shows one")
-    plugin = LossPlugin(function, file=file)
+    plugin = LossPlugin(function, file=file)  # pyright: ignore[reportArgumentType] checked as it is called
     plugin.digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return plugin

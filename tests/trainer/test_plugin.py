@@ -18,6 +18,7 @@ from splatview.scene.formats import load_scene
 from splatview.trainer import PluginError, train
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.trainer.plugin import LossPlugin, load_plugin
+from splatview.trainer.splats import copied
 from splatview.trainer.trainer import Trainer
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -50,11 +51,12 @@ def test_a_plugin_sees_the_step_and_changes_what_is_learnt(make_trainer) -> None
     options = {"strategy": "classic", "resolution": (), "iterations": 1000}
     plain, pulled = make_trainer(**options), make_trainer(**options)
     pulled.loss = LossPlugin(loss)
+    reports = []
     for _ in range(10):
         plain.step()
-        report = pulled.step()
+        reports.append(pulled.step())
     assert [number for number, _ in steps] == list(range(1, 11)) and len({name for _, name in steps}) == 10
-    assert pulled.loss.replaces is False and np.isfinite(report.loss)
+    assert pulled.loss.replaces is False and np.isfinite(reports[-1].loss)
     fewer = pulled.splats.opacity_logits.sigmoid().mean()
     assert fewer < plain.splats.opacity_logits.sigmoid().mean() - 0.01
 
@@ -132,15 +134,16 @@ def test_what_is_wrong_is_named_and_the_step_has_not_happened(make_trainer, tmp_
     body, said = WRONG[kind]
     trainer: Trainer = make_trainer(strategy="classic", resolution=())
     trainer.loss = load_plugin(written(tmp_path, body))
+    before, noted, steps = copied(trainer.splats.arrays), np.empty(0), 0
     with pytest.raises(PluginError, match=rf"^{re.escape(str(tmp_path / 'my_loss.py'))}.*{said}") as caught:
         for _ in range(10):
-            before = [array.copy() for array in trainer.splats.arrays], trainer.counters.iteration
+            before, steps = copied(trainer.splats.arrays), trainer.counters.iteration
             noted = trainer.state["gradient_sums"].copy()
             trainer.step()
     assert "\n" not in str(caught.value)
-    for ours, theirs in zip(trainer.splats.arrays, before[0], strict=True):
+    for ours, theirs in zip(trainer.splats.arrays, before, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    assert trainer.counters.iteration == before[1]
+    assert trainer.counters.iteration == steps
     np.testing.assert_array_equal(trainer.state["gradient_sums"], noted)
     # The trainer goes on, as if nothing had been.
     whole = make_trainer(strategy="classic", resolution=())

@@ -24,4 +24,4 @@ def test_the_section_on_training_runs(capture_folder: Path, monkeypatch: pytest.
         exec(compile(block, str(PAGE), "exec"), names)
     scene, trained, curve = names["scene"], names["trained"], names["curve"]
     assert isinstance(scene, Gaussians) and isinstance(trained, Gaussians) and isinstance(curve, list)
-    assert len(curve) == 60 and curve[-1] < curve[0] and len(trained) > 60
+    assert len(curve) == 60 and curve[-1] < curve[0] and len(trained) == 60

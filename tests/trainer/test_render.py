@@ -397,14 +397,15 @@ def test_gradcheck(random_gaussians, antialiased):
     """torch's own check, by finite differences in float64, where no alpha is cut."""
     camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=9, height=7)
     model = ImageModel(alpha_cut=0.0, jacobian_margin=None, antialiased=antialiased)
+    chosen = RenderSettings(model=model)
     inputs = list(tensors_of(random_gaussians(4, sh_degree=1, seed=3), torch.float64).values())
     background = torch.tensor([0.2, 0.5, 0.8], dtype=torch.float64, requires_grad=True)
 
     def drawn(*tensors: torch.Tensor) -> torch.Tensor:
-        return rasterize(*tensors[:5], camera, RenderSettings(model=model), background=tensors[5])[0]
+        return rasterize(*tensors[:5], camera=camera, settings=chosen, background=tensors[5])[0]
 
     assert torch.autograd.gradcheck(drawn, (*inputs, background))
-    depth = lambda *tensors: rasterize_depth(*tensors, camera, RenderSettings(model=model))  # noqa: E731
+    depth = lambda *tensors: rasterize_depth(*tensors, camera=camera, settings=chosen)  # noqa: E731
     assert torch.autograd.gradcheck(depth, tuple(inputs[:4]), atol=1e-4)
 
 
@@ -420,7 +421,7 @@ def test_depth_is_that_of_a_plane(random_gaussians):
     }
     means = inputs["means"].requires_grad_()
     camera = look_at((0, 0, 0), (0, 0, 1), width=40, height=40, fov_y=40)
-    depth = rasterize_depth(*inputs.values(), camera)
+    depth = rasterize_depth(*inputs.values(), camera=camera)
     torch.testing.assert_close(depth[20, 20], torch.tensor(3.25, dtype=torch.float64), rtol=1e-6, atol=0)
     assert depth[0, 0] == 0
     depth[20, 20].backward()

@@ -45,7 +45,7 @@ def work(capture: str, downscale: int, splats: int) -> None:
 
         TorchImport().wait()  # as the command has it, with its threads off
     except ImportError:  # the checkout before
-        from splatview.trainer.splats import initial_parameters
+        from splatview.trainer.splats import initial_parameters  # pyright: ignore
 
     photos = load_capture(capture, downscale=downscale)
     rng = np.random.default_rng(0)
@@ -92,7 +92,10 @@ def one_way(trainer: Any, what: str, count: int, kept: dict[str, Any]) -> None:
         view = trainer.views.at(place)
         if what == "torch":
             image, _ = functional.rasterize(
-                *trainer.splats.parameters(), view.camera, settings, early_stop=EARLY_STOP
+                *trainer.splats.parameters(),
+                camera=view.camera,
+                settings=settings,
+                early_stop=EARLY_STOP,
             )
             functional.photo_loss(image, torch.from_numpy(view.pixels)).backward()
             trainer.optimizer.zero_grad()
@@ -233,9 +236,9 @@ def main() -> None:
     table = {
         "columns": ["what", "before, ms", "after, ms", "after / before", "in processor time"],
         "rows": [row(result) for result in results],
-        "note": "Medians and quartiles of pairs in turn, in one run, beside other work on the machine."
-        " Before: a loop in numpy; after: the same kernels through torch. Of autograd: the kernels of a step"
-        " called directly, and through torch. The start: from the process's begin to the first step's end.",
+        "note": "Medians and quartiles of pairs in turn. Before: a loop in numpy; after: the same kernels"
+        " through torch. Of autograd: the kernels of a step called directly, and through torch. The start:"
+        " from the process's begin to the first step's end.",
     }
     write_results(path, {"results": results, "table": table})
 
