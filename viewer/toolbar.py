@@ -409,8 +409,9 @@ ACTIONS = (
 
 def selection(app: AppState, session: EditSession, right: float) -> None:
     name(f"{session.document.counts.selected:,} selected")
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 0))
-    for id, icon in ACTIONS:
+    for number, (id, icon) in enumerate(ACTIONS):
+        if number == 1:
+            imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, imgui.get_style().item_spacing.y))
         follow(right, width_of(icon))
         command = COMMANDS[id]
         lacks = command.lacks(app)
