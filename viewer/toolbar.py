@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, RemoveCrop
@@ -146,7 +146,7 @@ def draw_icon(icon: str, middle: ImVec2, colour: ImVec4) -> None:
         radius = ImVec2(0.46 * em, 0.3 * em)
         loop = ImVec2(middle.x, middle.y - 0.12 * em)
         draw.add_ellipse(loop, radius, ink, 0, 0, thick)
-        tail = [
+        tail: list[ImVec2Like] = [
             ImVec2(middle.x - 0.22 * em, middle.y + 0.14 * em),
             ImVec2(middle.x - 0.3 * em, middle.y + 0.3 * em),
             ImVec2(middle.x - 0.12 * em, middle.y + 0.36 * em),
