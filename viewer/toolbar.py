@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, ImVec2Like, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, RemoveCrop
@@ -147,7 +147,7 @@ def draw_icon(icon: str, middle: ImVec2, colour: ImVec4) -> None:
         radius = ImVec2(0.46 * em, 0.3 * em)
         loop = ImVec2(middle.x, middle.y - 0.12 * em)
         draw.add_ellipse(loop, radius, ink, 0, 0, thick)
-        tail = [
+        tail: list[ImVec2Like] = [
             ImVec2(middle.x - 0.22 * em, middle.y + 0.14 * em),
             ImVec2(middle.x - 0.3 * em, middle.y + 0.3 * em),
             ImVec2(middle.x - 0.12 * em, middle.y + 0.36 * em),
@@ -410,8 +410,9 @@ ACTIONS = (
 
 def selection(app: AppState, session: EditSession, right: float) -> None:
     name(f"{session.document.counts.selected:,} selected")
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 0))
-    for id, icon in ACTIONS:
+    for number, (id, icon) in enumerate(ACTIONS):
+        if number == 1:
+            imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, imgui.get_style().item_spacing.y))
         follow(right, width_of(icon))
         command = COMMANDS[id]
         lacks = command.lacks(app)

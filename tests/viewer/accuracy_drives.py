@@ -50,10 +50,9 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["evaluations"] = accuracy.bill.evaluations if accuracy.bill else None
     hand.shoot(options.get("shot_prices"))
 
-    x, y = accuracy.marks["sh-degree", "0"]
-    hand.ctx.mouse_teleport_to_pos(ImVec2(x, y))
-    hand.frames(2)
-    hand.ctx.mouse_click(0)
+    by_mark(app, hand, found)
+    hand.ctx.item_open("###all")
+    hand.ctx.item_click("**/###sh-degree 0")
     hand.frames(3)
     hand.settle()
     found["choices"] = dict(accuracy.choices)
@@ -86,7 +85,6 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["back"] = float(np.abs(seen(hand, app) - exact).max())
     found["choices_after"] = dict(accuracy.choices)
 
-    hand.ctx.item_open("###all")
     reduced(app, hand, found, exact)
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")
@@ -94,6 +92,27 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.ctx.item_click("**/###cancel")
     hand.wait(lambda: accuracy.measurement is None, "it to end")
     found["prices_kept"] = accuracy.ladder is not None
+
+
+def by_mark(app: AppState, hand: Hand, found: dict[str, Any]) -> None:
+    """A click on a mark of the plot draws by its shortcut, another one takes it back."""
+    accuracy = app.feature(Accuracy)
+    marks = {name: at for name, at in accuracy.marks.items() if name[0] != "renderer"}
+
+    def alone(name: tuple[str, str]) -> float:
+        others = [at for other, at in accuracy.marks.items() if other != name]
+        return float(np.hypot(*(np.array(others) - marks[name]).T).min())
+
+    name = max(marks, key=alone)
+    found["mark"] = list(name)
+    found["by_mark"] = []
+    for _ in range(2):
+        hand.ctx.mouse_teleport_to_pos(ImVec2(*accuracy.marks[name]))
+        hand.frames(2)
+        hand.ctx.mouse_click(0)
+        hand.frames(3)
+        hand.settle()
+        found["by_mark"].append(dict(accuracy.choices))
 
 
 def reduced(app: AppState, hand: Hand, found: dict[str, Any], exact: np.ndarray) -> None:

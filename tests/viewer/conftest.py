@@ -140,6 +140,7 @@ def driving(display: str, tmp_path: Path) -> Callable[..., dict[str, Any]]:
         *paths: Path,
         script: str = "drives.py",
         environ: dict[str, str] | None = None,
+        seconds: float = 240,
         **options: Any,
     ) -> dict[str, Any]:
         result = tmp_path / f"{name}.json"
@@ -160,7 +161,13 @@ def driving(display: str, tmp_path: Path) -> Callable[..., dict[str, Any]]:
             *map(str, paths),
         ]
         done = subprocess.run(
-            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False
+            command,
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+            check=False,
         )
         output = done.stdout + done.stderr
         assert done.returncode == 0, f"{name} ended with {done.returncode}:\n{output[-4000:]}"

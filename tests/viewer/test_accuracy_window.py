@@ -36,6 +36,8 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
     assert degrees["0"] < degrees["1"] < degrees["2"] < first[2]
     assert found["progress"][0] < found["progress"][1] <= 1 and found["evaluations"] > 0
 
+    knob, value = found["mark"]
+    assert found["by_mark"] == [{knob: value}, {}], "by a click on its mark, and back by another"
     assert found["choices"] == {"sh-degree": "0"} and found["differs"] > 0.05
     assert found["shown_is_coarse"] < 2e-3, "the window draws by the shortcut"
     psnr, largest, noticed = found["compared"]

@@ -48,6 +48,7 @@ def test_everything_fits(drive, large_display, tmp_path, random_gaussians, scale
         path,
         script="fit_drives.py",
         environ={"DISPLAY": large_display},
+        seconds=280 * len(sizes),
         sizes=sizes,
         size=(700, 450),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -202,13 +203,16 @@ def axis_buttons(app: AppState) -> None:
 
 def position(app: AppState) -> None:
     view = app.view
+    # To a thousandth of what is looked at: more digits would not fit their fields.
+    decimals = min(max(math.ceil(3 - math.log10(view.distance)), 0), 6)
+    form = f"%.{decimals}f"
     for name, value, tip in (
         ("Eye", view.eye, "Where the eye is, world units."),
         ("Target", view.target, "The point that orbiting turns about: double-click a surface to move it."),
     ):
-        widgets.label(name, tip)
+        widgets.label(name, tip, share=widgets.VECTOR_LABEL_SHARE)
         changed, typed = imgui.input_float3(
-            f"##{name}", [float(v) for v in value], "%.4g", imgui.InputTextFlags_.enter_returns_true
+            f"##{name}", [float(v) for v in value], form, imgui.InputTextFlags_.enter_returns_true
         )
         widgets.tooltip(f"{tip} Type new coordinates and press Enter: the view is moved, not turned.")
         if changed:
