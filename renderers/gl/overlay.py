@@ -169,10 +169,9 @@ class SplatLayer(Layer):
     def __init__(self, ctx: moderngl.Context) -> None:
         super().__init__(ctx)
         self._edits = EditTextures(ctx)
-        self._pages: list[moderngl.Buffer] = []
+        self._pages: list[moderngl.Buffer | None] = []
         self._source: Gaussians | None = None
         self._placement = placement_of(np.zeros((0, 3)))
-        self._count = 0
         self._key: object = None
         self._left: list[tuple[bool, int]] = []
         """What is still to be drawn: whether outlines, and the page."""
@@ -215,24 +214,31 @@ class SplatLayer(Layer):
         previous.use()
 
     def _load(self, gaussians: Gaussians) -> None:
+        """Makes this the scene; its pages are uploaded when they are drawn first."""
         if gaussians is self._source:
             return
         self._release_pages()
-        placement = placement_of(gaussians.means, gaussians.log_scales)
-        for start in range(0, len(gaussians), PAGE):
-            some = slice(start, start + PAGE)
-            means = gaussians.means[some]
-            data = np.empty((len(means), 14), np.float32)
-            with np.errstate(over="ignore", invalid="ignore"):
-                data[:, :3] = placement.split(means)[0]
-                data[:, 3] = sigmoid(gaussians.opacity_logits[some])
-                data[:, 4:8] = gaussians.quats[some]
-                data[:, 8:11] = np.exp(gaussians.log_scales[some])
-                data[:, 11:] = np.clip(0.5 + SH_C0 * gaussians.sh[some, 0], 0, 1)
-            self._pages.append(self._ctx.buffer(data))
-            check_room(self._ctx, f"outlines of {len(gaussians):,} splats", data.nbytes)
-        self._edits.load(placement, gaussians.means)
-        self._source, self._placement, self._count = gaussians, placement, len(gaussians)
+        self._placement = placement_of(gaussians.means, gaussians.log_scales)
+        self._edits.load(self._placement, gaussians.means)
+        self._source, self._pages = gaussians, [None] * -(-len(gaussians) // PAGE)
+
+    def _page(self, index: int) -> moderngl.Buffer:
+        page, gaussians = self._pages[index], self._source
+        if page is not None:
+            return page
+        assert gaussians is not None
+        some = slice(index * PAGE, (index + 1) * PAGE)
+        means = gaussians.means[some]
+        data = np.empty((len(means), 14), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            data[:, :3] = self._placement.split(means)[0]
+            data[:, 3] = sigmoid(gaussians.opacity_logits[some])
+            data[:, 4:8] = gaussians.quats[some]
+            data[:, 8:11] = np.exp(gaussians.log_scales[some])
+            data[:, 11:] = np.clip(0.5 + SH_C0 * gaussians.sh[some, 0], 0, 1)
+        made = self._pages[index] = self._ctx.buffer(data)
+        check_room(self._ctx, f"outlines of {len(gaussians):,} splats", data.nbytes)
+        return made
 
     def _draw_page(self, request: FrameRequest, editing: Editing, rings: bool, page: int) -> None:
         camera = request.camera
@@ -246,7 +252,7 @@ class SplatLayer(Layer):
         program = self._program("splats", flags)
         set_uniforms(program, uniforms)
         self._edits.use(program)
-        spacing = math.sqrt(camera.width * camera.height / max(self._count, 1))
+        spacing = math.sqrt(camera.width * camera.height / max(len(self._source or ()), 1))
         centre = min(max(CENTRE_SPACING * spacing, LEAST_CENTRE), LARGEST_CENTRE)
         own = {
             "u_radius": RING_HALF_WIDTH if rings else centre,
@@ -262,14 +268,15 @@ class SplatLayer(Layer):
         form = " ".join(part for _, part in layout) + "/i"
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<="
-        buffer = self._pages[page]
+        buffer = self._page(page)
         array = self._ctx.vertex_array(program, [(buffer, form, *names)])
         array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=buffer.size // (14 * 4))
         array.release()
 
     def _release_pages(self) -> None:
         for page in self._pages:
-            page.release()
+            if page is not None:
+                page.release()
         self._pages, self._left, self._source, self._key = [], [], None, None
 
     def close(self) -> None:
