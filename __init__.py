@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from splatview.scene.formats import load_scene as load_scene
     from splatview.scene.formats import save_scene as save_scene
     from splatview.scene.framing import frame_camera as frame_camera
+    from splatview.trainer.counters import PluginError as PluginError
+    from splatview.trainer.setup import TrainedScene as TrainedScene
+    from splatview.trainer.setup import train as train
 
 MODULE_OF = {
     "Camera": "scene",
@@ -38,8 +41,10 @@ MODULE_OF = {
     "Gaussians": "scene",
     "ImageModel": "scene",
     "InputError": "scene",
+    "PluginError": "trainer.counters",
     "Recipe": "edit.recipe",
     "RenderSettings": "scene",
+    "TrainedScene": "trainer.setup",
     "apply_recipe": "renderers.scripting",
     "concatenate": "scene",
     "convert": "renderers.conversion",
@@ -51,6 +56,7 @@ MODULE_OF = {
     "make_headless": "renderers.headless",
     "render": "renderers.scripting",
     "save_scene": "scene.formats",
+    "train": "trainer.setup",
 }
 """Public name -> module of splatview that has it."""
 
