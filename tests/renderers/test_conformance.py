@@ -1158,10 +1158,11 @@ def test_normals_of_one_splat(backend):
     right = STRAIGHT.R_camera_world[0, 0] * math.sin(0.8)
     for about_y, expected in ((0.0, (0.5, 0.5, 1.0)), (-0.8, (0.5 + 0.5 * right, 0.5, None))):
         scene = splats([(0, 0, 0)], [RED], scales=(1, 1, 0.02), logit=9.0)
-        turn = np.float32([math.cos(about_y / 2), 0, math.sin(about_y / 2), 0])
-        scene = replace(scene, quats=turn[None])
+        turn = [[math.cos(about_y / 2), 0, math.sin(about_y / 2), 0]]
+        scene = replace(scene, quats=np.array(turn, np.float32))
         image = backend.draw(scene, STRAIGHT, BLACK, "normals")
-        for channel, value in zip(image[24, 32, :3] / image[24, 32, 3], expected, strict=True):
+        pixel = image[24, 32].tolist()
+        for channel, value in zip((one / pixel[3] for one in pixel[:3]), expected, strict=True):
             assert value is None or channel == pytest.approx(value, abs=0.02)
 
 

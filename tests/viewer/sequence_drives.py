@@ -14,7 +14,7 @@ from hands_drives import shoot
 from imgui_bundle import ImVec2
 
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.menus import matching
+from splatview.viewer.palette import matching
 from splatview.viewer.sequence import Player, Sequences
 from splatview.viewer.state import AppState
 

@@ -121,7 +121,9 @@ def saves(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     click_cross(hand)
     hand.ctx.item_click("//Unsaved edits/Don't save")
     hand.wait(lambda: app.quitting, "the end")
-    found["deleted"] = session_of(app).document.counts.deleted
+    session = session_of(app)
+    assert session is not None
+    found["deleted"] = session.document.counts.deleted
 
 
 def browses(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from splatview.measure.metrics import largest_error, psnr
-from splatview.renderers import make_renderer, on_this_gl
+from splatview.renderers import VisualMode, make_renderer, on_this_gl
 from splatview.renderers.gl.tiles import (
     HARDWARE,
     LEAST_PAIRS,
@@ -210,8 +210,8 @@ def test_no_dispatch_walks_or_tries_more_splats_than_it_may(ctx, random_gaussian
     dispatches: list[tuple[bool, int]] = []
     real = TilesBlendPass._ready
 
-    def ready(self: TilesBlendPass, rest: bool, *given: Any) -> Any:
-        program = real(self, rest, *given)
+    def ready(self: TilesBlendPass, mode: VisualMode, rest: bool, *given: Any) -> Any:
+        program = real(self, mode, rest, *given)
 
         def count(x: int, y: int, z: int) -> None:
             assert program["u_most"].value <= self.tuning.most_walked
