@@ -10,7 +10,7 @@ import setuptools
 
 ROOT = Path(__file__).parents[1]
 
-NOT_SHIPPED = {"tests", "tools", "scripts", ".venv", "build"}
+NOT_SHIPPED = {"examples", "tests", "tools", "scripts", ".venv", "build"}
 
 
 def test_every_folder_of_modules_and_shaders_is_a_package(monkeypatch: pytest.MonkeyPatch):

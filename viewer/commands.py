@@ -184,8 +184,7 @@ def _of_sequence(
     id: str, keys: str, title: str, run: Callable[[AppState], object], menu: str = "", **more: Any
 ) -> Command:
     """A command for which a sequence must be open."""
-    words = f"{more.pop('words', '')} sequence timeline playback animation 4D".strip()
-    return _sequence(id, keys, title, run, menu, words=words, lacks=_a_sequence, when=_in_sequence, **more)
+    return _sequence(id, keys, title, run, menu, lacks=_a_sequence, when=_in_sequence, **more)
 
 
 def _play_mode(mode: PlayMode, title: str) -> Command:
@@ -218,8 +217,7 @@ COMMANDS: dict[str, Command] = {
         _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open...",
             words=("open", "load")),
         _file("open_folder", "", "Open a folder of scenes as a sequence", opening.choose_folder,
-            "Open a folder...", words=("sequence", "frames", "timeline", "play", "4d", "animation",
-            "directory")),
+            "Open a folder...", words=("sequence", "frames", "4d", "animation", "directory")),
         _file("add", "Ctrl+Shift+O", "Import: add another scene to this one", files.choose_addition,
             "Import...", words=("append",), lacks=needs(lambda app: app.is_open, "Open a scene first")),
         _file("recent", "", "Recent: open a scene that was open before",
@@ -271,7 +269,6 @@ COMMANDS: dict[str, Command] = {
         _camera("level", "L", "Make the horizon level", camera.make_level),
         *(
             _camera(f"up_{name}", "", f"Up: {name}", partial(camera.set_up, name=name), name,
-                words=("up axis", "upright"),
                 checked=lambda app, name=name: camera.up_name(app.view) == name)
             for name in camera.UP_NAMES
         ),
@@ -397,7 +394,7 @@ COMMANDS: dict[str, Command] = {
             lacks=_a_scene),
         _edit("delete_cropped", "", "Delete what the crops cut away", editing.operation("delete_cropped")),
         _edit("turn_over", "", "Turn the scene over: upside down, as files of another frame are",
-            editing.turn_over, "Turn over", words=("turn over", "flip", "y up", "rub", "rdf"),
+            editing.turn_over, "Turn over", words=("turn over", "flip the scene", "y up", "rub", "rdf"),
             lacks=_a_scene_at_rest),
         _tool("Edit", "ground", "", "Set the scene on the ground by picking three points of it"),
         *(
@@ -408,21 +405,22 @@ COMMANDS: dict[str, Command] = {
         _window("toggle_palette", "Ctrl+P", "Find a command by its name",
             partial(toggle_dialog, name="palette")),
         _of_sequence("play", "Space", "Play or pause the sequence", sequence.play_or_pause, "Play",
+            words=("play", "pause", "timeline", "playback"),
             checked=lambda app: app.feature(Sequences).playing),
         _of_sequence("next_frame", "Period", "Next frame of the sequence", partial(sequence.step, by=1),
-            "Next frame", words=("step", "forward")),
+            "Next frame", words=("forward",)),
         _of_sequence("previous_frame", "Comma", "Previous frame of the sequence",
-            partial(sequence.step, by=-1), "Previous frame", words=("step", "back")),
+            partial(sequence.step, by=-1), "Previous frame", words=("backward",)),
         _of_sequence("first_frame", "Shift+Comma", "First frame of the sequence",
-            partial(sequence.go_to_end, last=False), "First frame", words=("start", "begin")),
+            partial(sequence.go_to_end, last=False), "First frame", words=("first frame",)),
         _of_sequence("last_frame", "Shift+Period", "Last frame of the sequence",
-            partial(sequence.go_to_end, last=True), "Last frame", words=("end",)),
+            partial(sequence.go_to_end, last=True), "Last frame", words=("last frame",)),
         _play_mode("loop", "Loop: play the sequence again from its first frame"),
         _play_mode("bounce", "Bounce: play the sequence forwards and backwards"),
         _play_mode("once", "Once: stop at the last frame of the sequence"),
         *(
             _of_sequence(f"rate_{fps}", "", f"Frame rate: {fps} frames a second",
-                partial(sequence.set_rate, fps=fps), f"{fps} frames a second", words=("fps", "speed"),
+                partial(sequence.set_rate, fps=fps), f"{fps} frames a second",
                 checked=lambda app, fps=fps: app.preferences.frame_rate == fps)
             for fps in sequence.USUAL_RATES
         ),

@@ -20,8 +20,8 @@ ROWS = 14
 
 
 def words_of(text: str) -> list[str]:
-    """The words of `text` in small letters."""
-    return re.findall(r"[^\W_]+", text.casefold())
+    """The words of `text` in small letters, axes with their sign."""
+    return re.findall(r"(?:(?<!\S)[+-])?[^\W_]+", text.casefold())
 
 
 def matching(query: str) -> list[Command]:
