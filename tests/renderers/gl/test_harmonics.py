@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -49,7 +50,8 @@ def mixed(random_gaussians) -> Gaussians:
 
 def alike(monkeypatch) -> None:
     """Has all splats stored alike from here on."""
-    monkeypatch.setattr("splatview.renderers.gl.scene_buffers.own_degrees", lambda sh: None)
+    monkeypatch.setattr(scene_buffers, "own_degrees", lambda sh: None)
+    monkeypatch.setattr(scene_buffers, "_plans", WeakKeyDictionary())  # those made before know own degrees
 
 
 def picture(make: type[GLRenderer], ctx, scene: Gaussians, settings=EXACT, **loading):

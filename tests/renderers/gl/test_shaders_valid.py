@@ -24,7 +24,7 @@ from splatview.scene.edits import IDENTITY, Crop
 Variant = tuple[str, dict[str, float | bool]]
 
 RAYS: list[dict[str, float | bool]] = [
-    {"LENS": a, "ORTHOGRAPHIC": b} for a, b in ((False, False), (True, False), (False, True))
+    {"LENS": a, "ORTHOGRAPHIC": b, "DISCS": False} for a, b in ((False, False), (True, False), (False, True))
 ]
 PINHOLE = RAYS[0]
 
@@ -45,7 +45,7 @@ def edited() -> Iterator[Editing]:
 
 def projections(name: str) -> Iterator[Variant]:
     own = {**PINHOLE, "SH_WORDS": 48, "OWN_DEGREES": False, "WIDE": False, "DEPTH": False}
-    own["ATTRIBUTES"] = 0
+    own |= {"ATTRIBUTES": 0, "NORMALS": False}
     for attributes, own_degrees in itertools.product(range(3), (False, True)):
         flags = {"SH_DEGREE": 3, "ANTIALIASED": False, "ATTRIBUTES": attributes, "OWN_DEGREES": own_degrees}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
@@ -55,8 +55,9 @@ def projections(name: str) -> Iterator[Variant]:
     for degree, antialiased, depth in itertools.product(range(4), (False, True), (False, True)):
         flags = {"SH_DEGREE": degree, "ANTIALIASED": antialiased, "DEPTH": depth}
         yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
-    for rays in RAYS:
-        yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, **rays, **Editing().flags()}
+    for rays, discs, normals in itertools.product(RAYS, (False, True), (False, True)):
+        flags = {"SH_DEGREE": 0, "ANTIALIASED": False, **rays, "DISCS": discs, "NORMALS": normals}
+        yield name, {**GEOMETRY, **own, **flags, **Editing().flags()}
     textured = {"TEXTURED": True, "DISCS": True, "SLOPES": True, **Editing().flags()}
     yield name, {**GEOMETRY, **own, "SH_DEGREE": 0, "ANTIALIASED": False, **textured}
 
