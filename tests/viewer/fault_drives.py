@@ -19,19 +19,20 @@ import training_drives
 from drives import Hand
 from training_drives import seen, steps, training_of
 
-from splatview.edit.operations import Delete, SelectAll, SelectInverse
+from splatview.edit.operations import Delete, SelectAll
+from splatview.edit.operations.transform import Transform
 from splatview.viewer import layout, overlays
 from splatview.viewer.editing import commands, files
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
 
-def delete_all_but_what_is_selected_next(app: AppState, hand: Hand) -> None:
-    """Some edit that is in no file."""
+def edit_for_good(app: AppState, hand: Hand) -> None:
+    """Some edit that is in no file, after one that is undone; of a selection nothing would be kept."""
     hand.on_gl_thread(lambda: commands.apply(app, SelectAll()))
     hand.on_gl_thread(lambda: commands.apply(app, Delete()))
     hand.on_gl_thread(lambda: commands.undo(app))
-    hand.on_gl_thread(lambda: commands.apply(app, SelectInverse()))
+    hand.on_gl_thread(lambda: commands.apply(app, Transform(translation=(0.0, 0.1, 0.0))))
     hand.frames(2)
 
 
@@ -66,7 +67,7 @@ def broken_frames(app: AppState, hand: Hand, options: dict[str, Any], found: dic
     found["told"] = sum("inside the program" in line for line in hand.said)
     found["scene_stays"] = app.scene is kept
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
-    delete_all_but_what_is_selected_next(app, hand)
+    edit_for_good(app, hand)
     hand.drag(30, 10)
     os.kill(os.getpid(), signal.SIGTERM)
     hand.wait(lambda: app.quitting, "the window to heed it")
@@ -75,7 +76,7 @@ def broken_frames(app: AppState, hand: Hand, options: dict[str, Any], found: dic
 def display_ends(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The X server is killed under a window with unsaved edits."""
     hand.settle()
-    delete_all_but_what_is_selected_next(app, hand)
+    edit_for_good(app, hand)
     app.prefer(fly_speed=2.5)
     os.kill(options["server"], signal.SIGKILL)
     hand.wait(lambda: False, "an end")
@@ -125,7 +126,7 @@ def capture_goes(app: AppState, hand: Hand, options: dict[str, Any], found: dict
 def edits_until_killed(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Beside another window on the same scene: edits, and says so; ends when it is killed, or told to."""
     hand.settle()
-    delete_all_but_what_is_selected_next(app, hand)
+    edit_for_good(app, hand)
     hand.press("B")
     app.prefer(fly_speed=options["speed"])
     hand.wait(lambda: app.preferences == app.preferences, "a frame")

@@ -256,6 +256,7 @@ def test_files_are_added_to_an_edited_scene_as_steps(
     settle(app)
     assert session_of(app) is session, "edited, though nothing can be undone"
     assert len(app.scene.gaussians) == 56
+    session.document.history.mark_saved()  # or opening another would ask first
     session = open_scene(random_gaussians(40))
     settle(app)
     add_files(app, paths[:1])

@@ -75,10 +75,10 @@ def look_through(folder: Path, progress: Progress) -> Found:
 def is_capture(path: Path) -> bool:
     """Whether `path` is a folder, or a transforms file, that may hold photos with their cameras, by its
     names alone."""
-    if path.is_dir():
+    if os.path.isdir(path):  # not is_dir: that raises where a name is too long, or locked
         names = ("transforms.json", "transforms_train.json", "cameras.json")
-        return is_camera_list(path) or any((path / name).is_file() for name in names)
-    return path.name in ("transforms.json", "transforms_train.json") and path.is_file()
+        return is_camera_list(path) or any(os.path.isfile(path / name) for name in names)
+    return path.name in ("transforms.json", "transforms_train.json") and os.path.isfile(path)
 
 
 def suitable_downscale(size: tuple[int, int]) -> int:
