@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -303,7 +304,7 @@ class CameraLists(Feature):
 
 def read_camera_list(path: Path, progress: Progress) -> CameraList:
     notes: list[str] = []
-    if path.is_dir() and (find_transforms(path) or not is_colmap(path)):
+    if os.path.isdir(path) and (find_transforms(path) or not is_colmap(path)):
         cameras = [entry.camera for entry in read_poses(path, progress)[1].entries]
     else:
         cameras = load_cameras(path, on_note=notes.append, progress=progress)

@@ -312,8 +312,11 @@ def crop(app: AppState, hand: Hand, button: str, half: float) -> None:
 
 
 def click_frustum(app: AppState, hand: Hand, index: int) -> list[int]:
-    """Looks at the cameras from afar and clicks on one: its index, and the one that was gone to."""
+    """Looks at the cameras from afar and above, where none is before another, and clicks on one: its index,
+    and the one that was gone to."""
     training = training_of(app)
+    hand.press("Shift+Y")
+    hand.settle()
     hand.press("F")
     view = app.view
     app.post(lambda app: app.steer(replace(view, distance=6 * view.distance)))
