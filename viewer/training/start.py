@@ -13,7 +13,8 @@ from typing import Literal, Protocol
 from splatview.scene import InputError
 from splatview.scene.captures import read_poses
 from splatview.scene.captures.photos import downscaled_size
-from splatview.scene.formats import is_camera_list
+from splatview.scene.formats.sequence import NERF
+from splatview.scene.formats.sequence import is_capture as holds_capture
 from splatview.scene.progress import Cancelled, Progress
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
@@ -76,9 +77,8 @@ def is_capture(path: Path) -> bool:
     """Whether `path` is a folder, or a transforms file, that may hold photos with their cameras, by its
     names alone."""
     if os.path.isdir(path):  # not is_dir: that raises where a name is too long, or locked
-        names = ("transforms.json", "transforms_train.json", "cameras.json")
-        return is_camera_list(path) or any(os.path.isfile(path / name) for name in names)
-    return path.name in ("transforms.json", "transforms_train.json") and os.path.isfile(path)
+        return holds_capture(path)
+    return path.name in NERF and os.path.isfile(path)
 
 
 def suitable_downscale(size: tuple[int, int]) -> int:
