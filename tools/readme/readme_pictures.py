@@ -77,6 +77,7 @@ def on_a_display() -> Iterator[dict[str, str]]:
         display = f":{pipe.readline().strip()}"
     try:
         with tempfile.TemporaryDirectory() as settings:
+            (Path(settings) / "preferences.json").write_text('{"start_screen": false}', encoding="utf-8")
             yield os.environ | {"DISPLAY": display, "SPLATVIEW_CONFIG_DIR": settings}
     finally:
         server.terminate()
