@@ -15,10 +15,10 @@ from typing import Any
 
 import numba
 
-from splatview.raster.compiling import cache_folder, compiled_into
+from splatview.scene.compiling import compiled_into, kernel_cache
 from splatview.scene.progress import NO_PROGRESS, Progress
 
-_CACHE = cache_folder(Path(__file__).parent)
+_CACHE = kernel_cache((Path(__file__).parent,))
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:

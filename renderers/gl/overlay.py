@@ -162,7 +162,7 @@ class LineLayer(Layer):
 class SplatLayer(Layer):
     """Centres of splats, and their outlines: the ellipse of one standard deviation, nearer ones in front.
 
-    It has a copy of the scene's geometry of its own, 56 bytes a splat, and draws a page of splats after
+    It has a copy of the scene's geometry of its own, 56 bytes per splat, and draws a page of splats after
     another, so that a driver without a GPU does not stop the window.
     """
 

@@ -34,6 +34,8 @@ def peak(work: Callable[[], object]) -> int:
 
 
 def test_duplicating_over_and_over_is_refused_before_memory_is_taken(edit_helpers):
+    first = Document(edit_helpers.make_scene(10), budget=4 * MIB)
+    do(first, {"op": "select_all"}, {"op": "duplicate"}, {"op": "select_all"})  # compiling takes memory too
     document = Document(edit_helpers.make_scene(1000), budget=4 * MIB)
     do(document, {"op": "select_all"})
 

@@ -52,7 +52,7 @@ def show(app: AppState) -> None:
             (
                 ("Export...", "export"),
                 ("Save recipe...", "save_recipe"),
-                ("Replay recipe...", "replay_recipe"),
+                ("Apply recipe...", "replay_recipe"),
             )
         ):
             if number:
