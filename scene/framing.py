@@ -78,11 +78,12 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius or 1.0
 
 
-def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3): as wide
-    along each axis as all would be were they spread as the middle ones are, and no wider than they are."""
+def robust_box(means: np.ndarray, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3): `factor`
+    times as wide along each axis as all would be were they spread as the middle ones are, and no wider than
+    they are."""
     least, low, high, greatest = _percentiles(means)
-    margin = (high - low) * OUTLIERS / (100 - 2 * OUTLIERS)
+    margin = (high - low) * (factor * 100 / (100 - 2 * OUTLIERS) - 1) / 2
     return np.maximum(low - margin, least), np.minimum(high + margin, greatest)
 
 

@@ -44,6 +44,8 @@ def loading(app: AppState) -> None:
     reading = app.loading or next((f.reading for f in app.features.values() if f.reading is not None), None)
     if reading is None or app.now() - reading.began < LOADING_SHOWN_AFTER:
         return
+    if app.dialog == "start":  # which says so itself of the demo behind it
+        return
     centred(24)
     imgui.begin("Loading", None, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)
     imgui.text_unformatted(f"{reading.stage} {reading.name}")
@@ -221,11 +223,20 @@ class FileDialogs:
     def open(self) -> bool:
         return self._done is not None
 
-    def ask(self, title: str, done: Callable[[list[Path]], object], *, kind: Kind, name: str = "") -> None:
+    def ask(
+        self,
+        title: str,
+        done: Callable[[list[Path]], object],
+        *,
+        kind: Kind,
+        name: str = "",
+        note: str = "",
+    ) -> None:
         """Asks for files, or a folder; `done` gets at least one path, or is not called where the user changed
         his mind.
 
-        `name`: the file name a saving dialog proposes.
+        `name`: the file name a saving dialog proposes. `note`: why it is asked, where there is room for it:
+        dialogs of the system have none.
         """
         if self.open:
             return
@@ -241,6 +252,7 @@ class FileDialogs:
                 saving=saving,
                 folders=kind == "folder",
                 name=name,
+                note=note,
                 filters=FILTERS[kind],
                 recent=self._recent() if kind == "scene" else (),
             )

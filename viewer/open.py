@@ -53,7 +53,14 @@ def begin(app: AppState, paths: Sequence[Path], *, add: bool = False) -> None:
 
 def _begin(app: AppState, paths: Sequence[Path], added_to: LoadedScene | None = None) -> None:
     cancel_loading(app, quiet=True)
+    leave_start_screen(app)
     app.loading = load_files([Path(path) for path in paths], added_to=added_to)
+
+
+def leave_start_screen(app: AppState) -> None:
+    """Something was chosen: its progress is not to lie on what it was chosen from."""
+    if app.dialog == "start":
+        app.dialog = None
 
 
 def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) -> None:
@@ -64,6 +71,7 @@ def begin_sequence(app: AppState, sequence: SceneSequence, *, start: int = 0) ->
 
 def _begin_sequence(app: AppState, sequence: SceneSequence, start: int) -> None:
     cancel_loading(app, quiet=True)
+    leave_start_screen(app)
     app.loading = SequenceLoading(sequence, start)
 
 

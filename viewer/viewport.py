@@ -61,7 +61,7 @@ def show(app: AppState) -> None:
         | imgui.ButtonFlags_.mouse_button_right
         | imgui.ButtonFlags_.mouse_button_middle
     )
-    tool_has_it = on_handles(app, app.view.camera(width, height))
+    tool_has_it = on_handles(app, app.view.camera(width, height), corner)
     if tool_has_it and not (imgui.is_mouse_clicked(_RIGHT) or imgui.is_mouse_clicked(_MIDDLE)):
         # ImGuizmo refuses a press while any item of ImGui's is hovered; one without an id does not count.
         imgui.dummy(ImVec2(width, height))

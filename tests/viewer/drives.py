@@ -27,7 +27,7 @@ import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that i
 
 from splatview.cli.window import start_training
 from splatview.renderers.request import FrameRequest
-from splatview.viewer import app as dropping
+from splatview.viewer import app as window
 from splatview.viewer import commands as keys
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer import layout, loading
@@ -96,12 +96,12 @@ class Hand:
 
     def drop(self, *paths: str) -> None:
         """As GLFW does when files are dropped: calls the C callback that the window has installed."""
-        window = glfw_window_hello_imgui()
+        glfw_window = glfw_window_hello_imgui()
         unused: Any = lambda *_: None  # noqa: E731
-        callback: Any = glfw.set_drop_callback(window, unused)
+        callback: Any = glfw.set_drop_callback(glfw_window, unused)
         names = (ctypes.c_char_p * len(paths))(*[path.encode() for path in paths])
-        self.on_gl_thread(lambda: callback(window, len(paths), names))
-        dropping.install_drop_handler(self.app)
+        self.on_gl_thread(lambda: callback(glfw_window, len(paths), names))
+        window.install_drop_handler(self.app)
 
     def on_gl_thread(self, work: Callable[[], Any]) -> Any:
         """The test runs in a thread of its own, where no GL context is current."""
@@ -416,6 +416,8 @@ def main(drives: dict[str, Any]) -> int:
         finally:
             found["messages"] = hand.said
 
+    # A person's 30 frames a second would be most of a test's time.
+    window.SOFTWARE_FPS = window.MAX_FPS = 1000.0
     code = run_window(
         [Path(path) for path in paths],
         size=tuple(given.get("size", (800, 500))),

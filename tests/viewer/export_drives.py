@@ -68,12 +68,12 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.ctx.menu_click("File/Export the edited scene...")
     hand.frames(4)
     found["opened"] = app.dialog
-    found["first"] = [exporting.path, is_enabled("Write")]
+    found["first"] = [exporting.path, exporting.measured is None]
     shoot(hand, "export-opened")
     choose("Format", 3)
     found["format"] = [exporting.settings.format, Path(exporting.path).name]
     measure()
-    found["measured"] = [exporting.measured is not None, is_enabled("Write"), sorted(os.listdir(folder))]
+    found["measured"] = [exporting.measured is not None, sorted(os.listdir(folder))]
     assert exporting.measured is not None
     found["said"] = [exporting.measured.found.bytes, exporting.measured.found.psnr]
     shoot(hand, "export-measured")
@@ -84,7 +84,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.press("Ctrl+E")
     choose("Target", 1)
     hand.frames(2)
-    found["stale"] = is_enabled("Write")
+    found["stale"] = exporting.is_current(session)
     hand.ctx.item_click(f"{DIALOG}/Measure")
     hand.frames(3)
     shoot(hand, "export-searching")
@@ -103,8 +103,11 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.press("Ctrl+E")
     choose("Target", 0)
     choose("Splats", 2)
-    measure()
-    found["none_selected"] = [app.problem, is_enabled("Write")]
+    hand.ctx.item_click(f"{DIALOG}/Write")
+    hand.frames(2)
+    hand.wait(lambda: session.job is None, "the measurement", 120)
+    hand.frames(3)
+    found["none_selected"] = [app.problem, app.dialog]
     app.problem = None
     hand.frames(3)
     hand.press("Escape")
@@ -113,13 +116,12 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     settle(hand)
     hand.press("Ctrl+E")
     choose("Format", 5)
-    measure()
     found["selected"] = counts(app)["selected"]
     hand.ctx.item_input_value(f"{DIALOG}/##path", str(folder / "foreign" / "meta.json"))
     hand.frames(4)
     found["foreign"] = is_enabled("Write")
     shoot(hand, "export-refused")
-    write_to(folder / "sogs" / "meta.json")
+    write_to(folder / "sogs" / "meta.json")  # measured first, as that was not done
     found["folder"] = sorted(os.listdir(folder / "sogs"))
     turn_over(app, hand, found)
 

@@ -22,7 +22,7 @@ def test_measure_then_a_click_then_exact_again(drive, scene, tmp_path, renderer)
         script="accuracy_drives.py",
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
-        size=[900, 600] if renderer == "cpu" else [520, 360],
+        size=[520, 360],
         rounds=3 if renderer == "cpu" else 1,
     )
     first, *rungs = found["rungs"]
@@ -61,7 +61,7 @@ def test_a_budget_makes_moving_pictures_coarser_and_rest_exact(drive, scene, tmp
         script="accuracy_drives.py",
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
-        size=[900, 600] if renderer == "cpu" else [520, 360],
+        size=[520, 360],
         frames=5,
         share=0.02,  # out of reach of any chance: the quickest step is taken
         patience=2.0 if renderer == "cpu" else 0.0,

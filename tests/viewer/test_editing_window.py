@@ -74,7 +74,6 @@ def test_a_scene_is_cleaned_up(drive, scene, tmp_path, where):
         script="editing_drives.py",
         half_extents=(3.0, 0.8, 1.2),
         threshold=300.0,
-        size=(1000, 700),
         **where,
     )
     check(found, path, where)
@@ -93,7 +92,6 @@ def test_playbot_is_cleaned_up(drive, data_file, where):
         script="editing_drives.py",
         half_extents=(0.9, 1.2, 0.9),
         threshold=3000.0,
-        size=(1000, 700),
         renderer="auto",
         **where,
     )
@@ -114,7 +112,7 @@ def test_edits_left_in_no_file_are_offered_at_the_next_start(drive, scene, tmp_p
 def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path):
     path = tmp_path / "scene.ply"
     save_scene(scene, path)
-    found = drive("by_words", path, script="editing_drives.py", size=(1000, 700))
+    found = drive("by_words", path, script="editing_drives.py")
     assert found["selected"] == len(scene)
     assert found["palette_shut"]
     assert found["previewed"]
@@ -131,7 +129,7 @@ def test_commands_are_found_by_words_and_sliders_preview(drive, scene, tmp_path)
 def test_handles_on_the_picture_are_dragged(drive, scene, tmp_path):
     path = tmp_path / "scene.ply"
     save_scene(scene, path)
-    found = drive("by_handles", path, script="editing_drives.py", size=(1000, 700))
+    found = drive("by_handles", path, script="editing_drives.py")
     titles = [title.split()[0] for title in found["history"]]
     assert titles == ["Select", "Transform", "Transform", "Transform", "Add", "Change"]
     assert np.abs(found["moved"]).max() > 0.05 and np.count_nonzero(np.round(found["moved"], 3)) == 1

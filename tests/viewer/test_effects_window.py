@@ -31,7 +31,7 @@ def test_the_receipt_its_prices_and_its_switches(drive, ball, tmp_path, renderer
         script="effects_drives.py",
         environ={"SPLATVIEW_CACHE_DIR": str(tmp_path / "cache")},
         renderer=renderer,
-        size=[900, 600] if renderer == "cpu" else [520, 360],
+        size=[520, 360],
         rounds=3,
         **shots,
     )

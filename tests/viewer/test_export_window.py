@@ -1,4 +1,4 @@
-"""The Export dialog in a real window: nothing is written before it was measured and agreed to."""
+"""The Export dialog in a real window: what is written is what was measured."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def folder(tmp_path_factory, random_gaussians) -> Path:
 
 @pytest.fixture(scope="module")
 def found(drive_once, folder) -> dict[str, Any]:
-    options = {"size": (1000, 700), "folder": str(folder)}
+    options = {"folder": str(folder)}
     return drive_once("exports", folder / "scene.sog", script="export_drives.py", **options)
 
 
-def test_the_menu_opens_the_dialog_and_nothing_can_be_written_yet(found, folder):
+def test_the_menu_opens_the_dialog_and_nothing_is_measured_yet(found, folder):
     assert found["opened"] == "export"
-    assert found["first"] == [str(folder / "scene-edited.ply"), False]
+    assert found["first"] == [str(folder / "scene-edited.ply"), True]
 
 
 def test_measuring_writes_nothing_of_the_users(found):
     assert found["format"] == ["spz", "scene-edited.spz"]
-    assert found["measured"] == [True, True, ["foreign", "scene.sog"]]
+    assert found["measured"] == [True, ["foreign", "scene.sog"]]
 
 
 def test_what_is_written_is_what_was_measured(found, folder):
@@ -56,7 +56,7 @@ def test_a_search_is_cancelled_and_a_target_met(found):
 
 
 def test_only_the_selection_is_exported_where_that_is_asked_for(found, folder):
-    assert "no splats are selected" in found["none_selected"][0] and not found["none_selected"][1]
+    assert "no splats are selected" in found["none_selected"][0] and found["none_selected"][1] == "export"
     assert len(load_scene(folder / "sogs")) == found["selected"] == TOTAL
     assert "meta.json" in found["folder"]
 

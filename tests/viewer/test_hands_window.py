@@ -16,7 +16,7 @@ TOTAL = 900
 def found(drive_once, tmp_path_factory, random_gaussians) -> dict[str, Any]:
     path: Path = tmp_path_factory.mktemp("scene") / "scene.ply"
     save_scene(random_gaussians(TOTAL, seed=4), path)
-    return drive_once("all_hands", path, script="hands_drives.py", size=(1000, 700))
+    return drive_once("all_hands", path, script="hands_drives.py")
 
 
 def test_escape_closes_a_menu_and_other_keys_work_under_it(found):

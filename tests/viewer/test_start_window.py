@@ -28,7 +28,6 @@ def test_saving(drive, scene_file, tmp_path):
         script="start_drives.py",
         other=str(other),
         rounded=str(rounded),
-        size=(1000, 700),
     )
     plain, own = "scene.ply - splatview", "other.ply - splatview"
     assert found["titles"] == [plain, plain, f"• {plain}", plain, own, f"• {own}"], (
@@ -49,7 +48,7 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
         save_scene(random_gaussians(60), tmp_path / place) if place.endswith("ply") else (
             tmp_path / place
         ).write_text("")
-    found = drive("browses", scene_file, script="start_drives.py", folder=str(tmp_path), size=(1000, 700))
+    found = drive("browses", scene_file, script="start_drives.py", folder=str(tmp_path))
     assert found["completed"] == [f"{tmp_path}/ga", f"{tmp_path}/garden/"], "as far as both folders agree"
     assert found["listed"] == str(tmp_path / "garden") and found["narrowed"] == ["deep.ply"]
     assert found["starts_in"] == str(tmp_path / "garden"), "where the last file was"
@@ -76,7 +75,6 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
         capture=str(capture),
         output=str(output),
         steps=5,
-        size=(1000, 700),
     )
     assert found["open"] == found["again"] == "start" and found["demo_behind"] == "Demo"
     assert found["after_escape"] is None and found["after_click"] is None
@@ -97,7 +95,7 @@ def test_captures_that_are_dropped(drive, scene_file, capture, tmp_path):
 
 
 def test_settings(drive, scene_file, tmp_path):
-    found = drive("settings", scene_file, script="start_drives.py", size=(1000, 700))
+    found = drive("settings", scene_file, script="start_drives.py")
     assert found["open"] == "settings"
     assert (found["light"], found["contrast"]) == ("light", "contrast")
     assert found["heights"] == [1.0, 1.5]

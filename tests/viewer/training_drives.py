@@ -352,7 +352,7 @@ def main() -> int:
             time.perf_counter(),
             lambda run: "",
             drive=act,
-            size=tuple(options.get("size", (1000, 700))),
+            size=tuple(options.get("size", (800, 500))),
         )
     except InputError as error:
         found["error"], code = str(error), 0

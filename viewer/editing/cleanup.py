@@ -90,7 +90,7 @@ def count_all(app: AppState, session: EditSession, *, price: bool = False) -> No
                 form.prices[name] = of, Impact.of((gaussians, before), (gaussians, after), impacts)
 
     title = "Measuring what clean-up costs" if price else "Looking for what could be cleaned up"
-    session.start(title, work, lambda _: None, yields=not price)
+    session.start(title, work, lambda _: None, yields="with a word" if price else "silently")
 
 
 @with_session
@@ -109,7 +109,7 @@ def look(app: AppState, session: EditSession) -> None:
         form.scores, form.of, form.threshold = scores, key, detector.threshold
         set_threshold(session, detector.threshold)
 
-    session.start(f"Looking for {detector.label.lower()}", work, done)
+    session.start(f"Looking for {detector.label.lower()}", work, done, yields="with a word")
 
 
 def set_threshold(session: EditSession, value: float) -> None:
@@ -138,7 +138,7 @@ def measure_price(app: AppState, session: EditSession) -> None:
         if form.mask is mask:
             form.price = cost
 
-    session.start("Measuring the price", work, done)
+    session.start("Measuring the price", work, done, yields="with a word")
 
 
 @with_session
@@ -184,7 +184,7 @@ def price_decimation(app: AppState, session: EditSession) -> None:
     def done(cost: Any) -> None:
         form.kept_price = (key, cost)
 
-    session.start("Measuring the price", work, done)
+    session.start("Measuring the price", work, done, yields="with a word")
 
 
 @with_session
@@ -214,4 +214,4 @@ def measure_repairs(app: AppState, session: EditSession, names: Sequence[str]) -
     def done(found: dict[str, Impact]) -> None:
         form.prices, form.of = found, of
 
-    session.start("Measuring what repairs cost", work, done)
+    session.start("Measuring what repairs cost", work, done, yields="with a word")

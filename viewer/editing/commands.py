@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 
 Shape = Literal["box", "sphere"]
 
+NEW_CROP = 1.5
+"""Sides of a new crop, in those of a box about the bulk of the scene, and no longer than the scene: nothing
+disappears as it is added. Chosen on skull and guitar, of which boxes of 1 cut 9 % and 11 % away and of 1.25
+none and 1 %; judged on biker, spot (none), playbot (3 %) and train-1000 (3 %)."""
+
 FLATTEST = 0.01
 """Half extent of a new crop at least, in radii of the scene."""
 
@@ -60,7 +65,7 @@ def fitting(app: AppState, session: EditSession, shape: Shape) -> Crop:
     sample = shown_sample(app)
     if sample is None:
         return crop
-    low, high = robust_box(sample.means)
+    low, high = robust_box(sample.means, NEW_CROP)
     half = np.maximum((high - low) / 2, FLATTEST * bulk(sample)[1])
     if shape == "sphere":
         half = np.full(3, half.max())

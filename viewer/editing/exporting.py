@@ -203,8 +203,8 @@ def scene_of(document: Document, scope: Scope) -> Gaussians:
 
 
 @with_session
-def measure_export(app: AppState, session: EditSession) -> None:
-    """Writes a file for trial and measures it, in a thread."""
+def measure_export(app: AppState, session: EditSession, *, write: bool = False) -> None:
+    """Writes a file for trial and measures it, in a thread; with `write` it is then put to its place."""
     exporting = app.feature(Exporting)
     settings, document = exporting.settings, session.document
     document.cancel_preview()
@@ -215,16 +215,25 @@ def measure_export(app: AppState, session: EditSession) -> None:
         degree = settings.sh_degree if settings.sh_degree < scene.sh_degree else None
         return measure(scene, name, sh_degree=degree, target=settings.target, progress=progress)
 
-    session.start("Measuring", work, lambda measured: exporting.adopt(session, settings, measured))
+    def done(measured: Measured) -> None:
+        exporting.adopt(session, settings, measured)
+        if write:
+            app.post(write_export)
+
+    session.start("Measuring", work, done)
 
 
 @with_session
 def write_export(app: AppState, session: EditSession) -> None:
-    """Copies the measured file to its place, in a thread; the dialog closes when it is there."""
+    """Copies the measured file to its place, in a thread, and measures it first where that was not done; the
+    dialog closes when it is there."""
     exporting = app.feature(Exporting)
     measured, settings = exporting.measured, exporting.settings
     target = Path(os.path.expanduser(exporting.path))
-    if measured is None or not exporting.is_current(session) or exporting.problem(session):
+    if exporting.problem(session):
+        return
+    if measured is None or not exporting.is_current(session):
+        measure_export(app, write=True)
         return
     whole = settings.scope == "everything" and measured.found.psnr == math.inf
 

@@ -106,7 +106,7 @@ def save(app: AppState, proceed: Callable[[AppState], object] = nothing) -> None
     path, why_not = own_file(app)
     if path is None:
         app.tell(f"{why_not}: choose a file; .ply keeps everything")
-        save_as(app, proceed)
+        save_as(app, proceed, why=f"{why_not}; a .ply keeps everything.")
     elif not has_unsaved_edits(app):
         app.tell(f"{path.name}: nothing has been changed since it was opened or saved")
         app.post(proceed)
@@ -116,17 +116,23 @@ def save(app: AppState, proceed: Callable[[AppState], object] = nothing) -> None
         saving.question, saving.path, saving.proceed = "overwrite", path, proceed
 
 
-def save_as(app: AppState, proceed: Callable[[AppState], object] = nothing) -> None:
-    """Asks where the scene is to be saved; from then on that is its file."""
+def save_as(app: AppState, proceed: Callable[[AppState], object] = nothing, *, why: str = "") -> None:
+    """Asks where the scene is to be saved; from then on that is its file. `why`: what the user is told who
+    did not ask to be asked."""
     if not _can_save(app):
         return
     app.feature(Saving).question = ""
-    stem = app.scene_path.name.split(".")[0] if app.scene_path else "scene"
+    stem = (app.scene_path.name.split(".")[0] if app.scene_path else "") or "scene"
+    name = f"{stem}{FORMATS['ply'].suffix}"
+    if app.scene_path is not None and (other := app.scene_path.with_name(name)) != app.scene_path:
+        # Beside x.sog there is often its source x.ply, which is not to be one key press from being replaced.
+        name = f"{stem}-edited{FORMATS['ply'].suffix}" if other.exists() else name
     app.choose_files(
         "Save the scene",
         lambda paths: app.post(write, paths[0], proceed),
         kind="save_scene",
-        name=f"{stem or 'scene'}{FORMATS['ply'].suffix}",
+        name=name,
+        note=why,
     )
 
 

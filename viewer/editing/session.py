@@ -26,9 +26,9 @@ from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import PREVIEW, Adjustment, Crop, SceneEdits, is_graded
 from splatview.scene.effects.overrides import settings_for
-from splatview.scene.errors import printable
 from splatview.scene.progress import Cancelled, Progress
 from splatview.scene.user_dirs import config_folder
+from splatview.viewer.editing.job import Job, Yields
 from splatview.viewer.editing.target import EditTarget, SceneTarget
 from splatview.viewer.editing.tool_state import (
     CROPPING,
@@ -57,27 +57,6 @@ TRANSFORM = "Transform"
 
 BRUSH_RADIUS = 24.0
 """px of the picture."""
-
-
-class Job(Task[Any]):
-    """Slow work for a session: `work(progress)` in a thread, then `finish(result)` on the GL thread."""
-
-    def __init__(
-        self,
-        title: str,
-        work: Callable[[Progress], Any],
-        finish: Callable[[Any], None],
-        *,
-        yields: bool = False,
-    ):
-        self.title = printable(title)
-        self.finish = finish
-        self.yields = yields
-        """Whether it is dropped where the user edits: the user did not ask for it."""
-        super().__init__(
-            lambda _: work(Progress(report=self.report, cancelled=lambda: self.cancelled)),
-            name="splatview-edit",
-        )
 
 
 @dataclass(eq=False, kw_only=True)
@@ -128,6 +107,8 @@ class EditSession:
     _previewed_at: object = None
     news: str | None = None
     """Message for the user, in one line, taken by the window."""
+    given_up: str | None = None
+    """The same of a job that was dropped."""
 
     @property
     def gaussians(self) -> Gaussians:
@@ -185,7 +166,7 @@ class EditSession:
 
     def preview(self, section: str, operation: Operation) -> None:
         """Shows what `operation` would do, until it is committed or cancelled."""
-        if (self.job is not None and not self.job.yields) or self._refused(operation):
+        if (self.job is not None and self.job.yields == "no") or self._refused(operation):
             return
         self._busy()
         try:
@@ -207,7 +188,9 @@ class EditSession:
 
     def _busy(self) -> bool:
         """Says so where a job is under way: nothing may change beneath it, unless it gives way."""
-        if self.job is not None and self.job.yields:
+        if self.job is not None and self.job.yields != "no":
+            if self.job.yields == "with a word":
+                self.given_up = f"{self.job.title} was given up for what followed"
             self.job.cancel()
             self.job = None
         if self.job is not None:
@@ -271,11 +254,11 @@ class EditSession:
         done: Callable[[Any], None],
         *,
         edits: bool = False,
-        yields: bool = False,
+        yields: Yields = "no",
     ) -> None:
         """Runs `work(progress)` in a thread and `done(result)` between frames; one job at a time. Where it
         `edits` the document, the picture stays as it was until it has ended. One that `yields` is dropped
-        without a word where the user edits or starts another."""
+        where the user edits or starts another."""
         if self._busy():
             return
         if edits:
@@ -430,9 +413,9 @@ class Editing(Feature):
         if session.problem is not None:
             app.complain(session.problem)
             session.problem = None
-        if session.news is not None:
-            app.tell(session.news)
-            session.news = None
+        for said in filter(None, (session.given_up, session.news)):
+            app.tell(said)
+        session.given_up = session.news = None
 
     def busy(self, app: AppState) -> bool:
         session = self.session

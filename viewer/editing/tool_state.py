@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from splatview.edit.operations.base import Scope
 from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
 from splatview.edit.selectors.attributes import Histogram
 from splatview.scene import Camera
+from splatview.scene.edits import Crop
 
 # fmt: off
 ToolName = Literal[
@@ -202,6 +203,24 @@ class CleanForm:
     """Impact of decimation, after the number of splats and the versions that it is of."""
 
 
+class Face(NamedTuple):
+    """A side of a box, or a pole of a sphere."""
+
+    axis: int
+    sign: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceDrag:
+    """A face under the mouse's left button."""
+
+    face: Face
+    crop: Crop
+    """As it was when the drag began."""
+    start: float
+    """World units along the face's axis, from the crop's centre, of the mouse when it began."""
+
+
 @dataclass(kw_only=True)
 class HealthForm:
     """Values of the health report."""
@@ -230,6 +249,10 @@ class Forms:
     """Kind of the handles: an index of `editing.gizmos.KINDS`."""
     crop_dragged: bool = False
     """Whether the handles are being dragged."""
+    face_under: Face | None = None
+    """Face of the chosen crop whose dot is under the mouse."""
+    face_drag: FaceDrag | None = None
+    """... and the one that the mouse drags."""
     section: str = "Select"
     """Title of the section of the Edit page that is open; "" for none."""
     open_section: str = ""

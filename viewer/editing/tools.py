@@ -17,7 +17,7 @@ from splatview.edit.selectors.region_growing import picked
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import SceneEdits, adjusted_means
 from splatview.viewer import theme
-from splatview.viewer.editing import transform
+from splatview.viewer.editing import face_handles, transform
 from splatview.viewer.editing.gizmos import grabbed
 from splatview.viewer.editing.session import (
     Editing,
@@ -155,10 +155,13 @@ def _click(
         app.complain(str(error))
 
 
-def on_handles(app: AppState, camera: Camera) -> bool:
-    """Whether the left button is that of handles on the picture. To be asked before the picture's item."""
+def on_handles(app: AppState, camera: Camera, corner: ImVec2) -> bool:
+    """Whether the left button is that of handles on the picture of `camera`, with its top left at `corner`.
+    To be asked before the picture's item."""
     session = session_of(app)
-    return session is not None and session.handles != "" and camera.lens is None and grabbed()
+    if session is None or session.handles == "" or camera.lens is not None:
+        return False
+    return face_handles.grabbed(session, camera, corner) or grabbed()
 
 
 def drag(

@@ -17,7 +17,7 @@ from splatview.scene import Camera
 from splatview.scene.edits import Adjustment, Crop
 from splatview.scene.errors import printable
 from splatview.viewer import theme
-from splatview.viewer.editing import gizmos
+from splatview.viewer.editing import face_handles, gizmos
 from splatview.viewer.editing.commands import Shape, add_crop
 from splatview.viewer.editing.gizmos import KINDS, angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import EditSession, post_edit
@@ -207,6 +207,8 @@ def draw_outline(crop: Crop, camera: Camera, corner: ImVec2, colour: ImVec4, thi
 def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> None:
     index = session.forms.crop
     crop = session.document.crops[index]
+    if drag_face(app, session, camera, corner):
+        return
     matrix = gizmos.placed(crop.centre, Adjustment(rotation=crop.rotation).R, crop.half_extents)
     kind = KINDS[session.forms.crop_handles]
     moved = gizmos.handles("crop", camera, corner, matrix, kind, local=kind != "move")
@@ -225,6 +227,24 @@ def drag_handles(app: AppState, session: EditSession, camera: Camera, corner: Im
     elif session.forms.crop_dragged and not gizmos.dragging():
         session.forms.crop_dragged = False
         post_edit(app, EditSession.commit_preview)
+
+
+def drag_face(app: AppState, session: EditSession, camera: Camera, corner: ImVec2) -> bool:
+    """The dots of the chosen crop, and the drag of one; whether there is one under way."""
+    forms = session.forms
+    crop, drag = session.document.crops[forms.crop], forms.face_drag
+    if camera.lens is None:
+        face_handles.draw(crop, camera, corner, forms.face_under)
+    if drag is None:
+        return False
+    mouse = imgui.get_mouse_pos()
+    if imgui.is_mouse_down(imgui.MouseButton_.left):
+        new = face_handles.dragged(drag, camera, mouse.x - corner.x, mouse.y - corner.y)
+        change(app, session, forms.crop, new, settled=False)
+    else:
+        forms.face_drag = None
+        post_edit(app, EditSession.commit_preview)
+    return True
 
 
 def outline(crop: Crop) -> list[np.ndarray]:

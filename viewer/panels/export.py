@@ -31,7 +31,7 @@ WIDTH_EM = 32
 
 DEGREES = ("0", "1", "2", "3")
 
-GOAL_NAMES = ("as fine as usual", "a quality, in as few bytes", "a size, as well as it goes")
+GOAL_NAMES = ("none: usual precision", "a quality, in as few bytes", "a size, at the best quality")
 
 
 def show_dialog(app: AppState) -> None:
@@ -156,9 +156,8 @@ def _place(app: AppState, exporting: Exporting, session: EditSession, measuring:
     elif problem:
         widgets.note(problem, theme.WARNING)
     lacks = "It is under way" if measuring else problem
-    if not lacks and not exporting.is_current(session):
-        lacks = "Measure first: the file that is written is the one that was measured"
-    widgets.button("Write", "Writes the measured file.", lambda: app.post(write_export), lacks=lacks)
+    tip = "Writes the file, and says what it has lost; Measure says so before."
+    widgets.button("Write", tip, lambda: app.post(write_export), lacks=lacks)
     imgui.same_line()
     if imgui.button("Close"):
         app.dialog = None

@@ -36,11 +36,13 @@ class FileBrowser:
         saving: bool = False,
         folders: bool = False,
         name: str = "",
+        note: str = "",
         filters: Sequence[str] = ("All files", "*"),
         recent: Sequence[str] = (),
     ):
-        """`saving`: asks for a file to write, proposing `name`; `folders`: for a folder. `filters` are labels
-        and file name patterns in turn, as file dialogs want them; `recent` paths, newest first."""
+        """`saving`: asks for a file to write, proposing `name`; `folders`: for a folder; `note`: why it is
+        asked. `filters` are labels and file name patterns in turn, as file dialogs want them; `recent` paths,
+        newest first."""
         self.title, self.folder, self.saving, self.folders = title, folder, saving, folders
         self.filters = list(zip(filters[::2], (line.split() for line in filters[1::2]), strict=True))
         self.filter = 0
@@ -50,6 +52,7 @@ class FileBrowser:
         self.recent = tuple(recent)
         self.shows_recent = False
         """Whether recent files are listed in the place of a folder."""
+        self.note = note
         self.problem = ""
         """Why the last answer was none."""
         self.answer: list[Path] | None = None
@@ -87,6 +90,8 @@ class FileBrowser:
             self.answer = self.answer or []
             return
         self._follow_typing()
+        if self.note:
+            widgets.note(self.note)
         self._path_row()
         foot = 2 * imgui.get_frame_height_with_spacing() + imgui.get_style().item_spacing.y
         height = max(imgui.get_content_region_avail().y - foot, 4 * em)

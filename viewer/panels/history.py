@@ -84,7 +84,7 @@ def show_restore(app: AppState) -> None:
         return
     centred(34)
     opened = imgui.begin("Unsaved edits", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
-    widgets.note("These edits were never exported. Restoring opens the scene and does them again.")
+    widgets.note("These edits are in no file. Restoring opens the scene and does them again.")
     for journal in tuple(restoring.abandoned):
         imgui.push_id(printable(journal.file.name))
         widgets.button(

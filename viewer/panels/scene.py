@@ -21,10 +21,13 @@ from splatview.viewer.panels import camera, crops, widgets
 from splatview.viewer.panels.clean import quality
 from splatview.viewer.state import AppState
 
+LABELS = {"needles": "needles and discs"}
+"""Findings whose names alone say something else where the detectors are: its Needles are no discs."""
+
 
 def show_health(app: AppState, findings: Sequence[Finding]) -> None:
-    """Findings of the health check, hidden and deleted splats included: a click selects the splats, a button
-    repairs them, and says before what that costs."""
+    """Findings of the health check, hidden and deleted splats included, each with a button that selects the
+    splats and one that repairs them, and says before what that costs."""
     found = [finding for finding in findings if finding.count]
     if not found:
         widgets.note("No problems found.")
@@ -33,14 +36,16 @@ def show_health(app: AppState, findings: Sequence[Finding]) -> None:
     for finding in found:
         imgui.text_colored(theme.WARNING if finding.culled else theme.QUIET, f"{finding.count:,}")
         imgui.same_line(size * 4)
-        clicked, _ = imgui.selectable(finding.name, False)
-        widgets.tooltip(f"{finding.what} Click to select them.")
-        if clicked:
-            app.post(partial(apply, operation=Select(by=InvalidSplats(finding=finding.name))))
-        if finding.name not in REPAIRS:
-            continue
+        imgui.text_unformatted(LABELS.get(finding.name, finding.name))
+        widgets.tooltip(finding.what)
         # On a line of its own, which a narrow panel holds too.
         imgui.set_cursor_pos_x(size * 4)
+        if imgui.small_button(f"Select##{finding.name}"):
+            app.post(partial(apply, operation=Select(by=InvalidSplats(finding=finding.name))))
+        widgets.tooltip("Selects them, to be looked at, deleted or hidden.")
+        if finding.name not in REPAIRS:
+            continue
+        imgui.same_line()
         if imgui.small_button(f"Repair##{finding.name}"):
             app.post(partial(apply, operation=Repair(finding=finding.name)))
         widgets.tooltip(f"As a step that can be undone: {REPAIRS[finding.name]}.")

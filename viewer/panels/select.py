@@ -100,7 +100,12 @@ def by_range(app: AppState, session: EditSession) -> None:
         session.preview_mask = None
         measure(session)
     if form.histogram is None:
+        low = imgui.get_cursor_pos_y()
         widgets.note("Counting...")
+        # The sections below stay where they are when it comes: someone may be about to click one.
+        rows = imgui.get_font_size() * PLOT_HEIGHT + 3 * imgui.get_frame_height()
+        spent = imgui.get_cursor_pos_y() - low
+        imgui.dummy((1, rows + 3 * imgui.get_style().item_spacing.y - spent))
         return
     plot(session)
     selecting(app, session)
@@ -134,7 +139,12 @@ def measure(session: EditSession) -> None:
             form.low, form.high = float(edges[0]), float(edges[len(edges) // 10])
 
     asked = ATTRIBUTES[name].renders
-    session.start(f"Measuring {ATTRIBUTES[name].label.lower()}", work, done, yields=not asked)
+    session.start(
+        f"Measuring {ATTRIBUTES[name].label.lower()}",
+        work,
+        done,
+        yields="with a word" if asked else "silently",
+    )
 
 
 def plot(session: EditSession) -> None:

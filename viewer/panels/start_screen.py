@@ -13,7 +13,6 @@ from splatview.scene.errors import printable
 from splatview.viewer import open as opening
 from splatview.viewer import theme
 from splatview.viewer.commands import keys_of
-from splatview.viewer.loading import LoadedScene
 from splatview.viewer.panels import widgets
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import HEIGHT, WIDTH, Thumbnails, thumbnail_file
@@ -49,10 +48,6 @@ class StartScreen(Feature):
             self._look_due = app.now() + LOOK_SECONDS
             self._there = {recent: os.path.exists(recent) for recent in app.preferences.recent}
         return self._there.get(name, False)
-
-    def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
-        if app.dialog == "start" and scene.paths:
-            app.dialog = None
 
     def before_frame(self, app: AppState) -> None:
         if app.dialog != "start":
@@ -243,6 +238,8 @@ def _forget(app: AppState, name: str) -> None:
 
 
 def _foot(app: AppState) -> None:
+    if app.loading is not None:
+        widgets.note("The demo behind this is being made ...")
     changed, value = imgui.checkbox("Show this at the start", app.preferences.start_screen)
     if changed:
         app.prefer(start_screen=value)
