@@ -237,11 +237,8 @@ def over_picture(app: AppState) -> None:
         imgui.text_colored(theme.WARNING, app.picture.status)
         imgui.progress_bar(-imgui.get_time(), (imgui.calc_text_size(app.picture.status).x, margin), "")
         imgui.end_group()
-    if app.picture.note:
-        badge(app.picture.note, ImVec2(left, corner.y + imgui.get_window_height() - margin))
     lowest = corner.y + imgui.get_window_height() - margin
-    moving = bool(app.picture.note)
-    split_view.badges(app, ImVec2(left, lowest - moving * 2 * imgui.get_font_size()))
+    split_view.badges(app, ImVec2(left, lowest))
     if text := app.feature(DepthOfField).badge:
         size, line = imgui.calc_text_size(text), imgui.get_font_size()
         split_view.caption(text, ImVec2(corner.x + width - margin - size.x - 0.6 * line, lowest - 1.9 * line))
@@ -272,18 +269,6 @@ def note_below(text: str) -> None:
     draw.add_rect_filled(ImVec2(low.x - edge, low.y - edge), high, ground, edge)
     font, ink = imgui.get_font(), imgui.get_color_u32(theme.WARNING)
     draw.add_text(font, imgui.get_font_size(), low, ink, text, wrap_width=room)
-
-
-def badge(note: str, at: ImVec2) -> None:
-    """The reduction of a moving picture, over its lower left corner `at`."""
-    text = f"moving: {note}"
-    size, edge = imgui.calc_text_size(text), imgui.get_font_size() * 0.3
-    draw = imgui.get_window_draw_list()
-    low = ImVec2(at.x, at.y - size.y - 2 * edge)
-    draw.add_rect_filled(
-        low, ImVec2(at.x + size.x + 2 * edge, at.y), imgui.get_color_u32(theme.OVERLAY), edge
-    )
-    draw.add_text(ImVec2(low.x + edge, low.y + edge), imgui.get_color_u32(theme.QUIET), text)
 
 
 NAVIGATION_ICONS: dict[NavigationMode, str] = {

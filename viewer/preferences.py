@@ -26,6 +26,7 @@ BlendPrecision = Literal["float16", "float32"]
 TrainingUpdates = Literal["off", "low", "live"]
 PlayMode = Literal["loop", "bounce", "once"]
 Theme = Literal["dark", "light", "contrast"]
+Recent = Literal["recent", "recent_photos"]
 
 FILE_NAME = "preferences.json"
 MAX_RECENT = 12
@@ -99,7 +100,12 @@ class Preferences:
     """Whether a window without a scene begins with the start screen."""
     recent: tuple[str, ...] = ()
     """Absolute paths, newest first."""
+    recent_photos: tuple[str, ...] = ()
+    """The same of captures that were trained on."""
 
+
+RECENT: tuple[Recent, ...] = get_args(Recent)
+"""Preferences that are lists of paths."""
 
 RANGES = {
     "fly_speed": (0.01, 100.0),
@@ -195,7 +201,7 @@ def checked(name: str, value: Any, default: Any) -> Any:
         return tuple(float(v) for v in value)
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
         raise ValueError(name)
-    return tuple(value[:MAX_RECENT] if name == "recent" else value)
+    return tuple(value[:MAX_RECENT] if name in RECENT else value)
 
 
 def save_preferences(preferences: Preferences) -> None:
@@ -220,11 +226,11 @@ def write_json(path: Path, data: Any) -> None:
         file.write(text.encode())
 
 
-def with_recent(preferences: Preferences, path: Path) -> Preferences:
-    """`path` as the newest of the recent files, once."""
+def with_recent(preferences: Preferences, path: Path, which: Recent = "recent") -> Preferences:
+    """`path` as the newest of the recent files, or captures, once."""
     newest = str(path.absolute())
-    others = [entry for entry in preferences.recent if entry != newest]
-    return replace(preferences, recent=(newest, *others)[:MAX_RECENT])
+    others = [entry for entry in getattr(preferences, which) if entry != newest]
+    return replace(preferences, **{which: (newest, *others)[:MAX_RECENT]})
 
 
 def without_missing(preferences: Preferences) -> Preferences:

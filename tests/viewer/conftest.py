@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -15,9 +17,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from splatview.raster import render
 from splatview.renderers.request import FrameRequest
 from splatview.scene import Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
+from splatview.scene.captures.demo import demo_capture
+from splatview.scene.captures.nerfstudio import save_capture
 from splatview.viewer.app import window_state
 from splatview.viewer.open import continue_loading
 from splatview.viewer.picture import Picture
@@ -121,20 +126,90 @@ def display() -> Iterator[str]:
     server.wait()
 
 
+class Launcher:
+    """Runs scripts of this folder in processes of their own; by `launcher.py` where forking is safe."""
+
+    def __init__(self) -> None:
+        self._server: subprocess.Popen[str] | None = None
+
+    def run(self, argv: list[str], *, env: dict[str, str], cwd: Path, seconds: float) -> tuple[int, str]:
+        """Exit code, negative for a signal, and all output. Raises `subprocess.TimeoutExpired`."""
+        if sys.platform != "linux":
+            done = subprocess.run(
+                [sys.executable, *argv],
+                env=env,
+                cwd=cwd,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=seconds,
+                check=False,
+            )
+            return done.returncode, done.stdout
+        server = self._started()
+        assert server.stdin is not None and server.stdout is not None
+        output = cwd / "output.txt"
+        job = {"argv": argv, "env": env, "cwd": str(cwd), "output": str(output)}
+        server.stdin.write(json.dumps(job) + "\n")
+        server.stdin.flush()
+        pid = int(server.stdout.readline())
+        late = threading.Event()
+        clock = threading.Timer(seconds, lambda: (late.set(), os.kill(pid, signal.SIGKILL)))
+        clock.start()
+        try:
+            status = int(server.stdout.readline())
+        finally:
+            clock.cancel()
+        if late.is_set():
+            raise subprocess.TimeoutExpired(argv, seconds, output.read_bytes())
+        return os.waitstatus_to_exitcode(status), output.read_text(errors="replace")
+
+    def _started(self) -> subprocess.Popen[str]:
+        if self._server is None:
+            self._server = subprocess.Popen(
+                [sys.executable, str(Path(__file__).with_name("launcher.py"))],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+        return self._server
+
+    def close(self) -> None:
+        if self._server is not None:
+            assert self._server.stdin is not None
+            self._server.stdin.close()
+            self._server.wait()
+
+
+@pytest.fixture(scope="session")
+def launcher() -> Iterator[Launcher]:
+    made = Launcher()
+    yield made
+    made.close()
+
+
 @pytest.fixture
-def drive(display, tmp_path) -> Callable[..., dict[str, Any]]:
+def drive(display, launcher, tmp_path) -> Callable[..., dict[str, Any]]:
     """`drive("name", *paths, **options)`: runs a function of `drives.py`, or of another `script` here, on a
     real window in a process of its own and returns what it found out."""
-    return driving(display, tmp_path)
+    return driving(display, launcher, tmp_path)
 
 
 @pytest.fixture(scope="module")
-def drive_once(display, tmp_path_factory) -> Callable[..., dict[str, Any]]:
+def drive_once(display, launcher, tmp_path_factory) -> Callable[..., dict[str, Any]]:
     """`drive` for a module whose tests share what one window found out."""
-    return driving(display, tmp_path_factory.mktemp("drive"))
+    return driving(display, launcher, tmp_path_factory.mktemp("drive"))
 
 
-def driving(display: str, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory) -> Path:
+    """Ten small photos of the demo scene in a folder."""
+    folder = tmp_path_factory.mktemp("captures") / "pond"
+    save_capture(demo_capture(render, photos=10, width=96, height=72, splats=4000), folder)
+    return folder
+
+
+def driving(display: str, launcher: Launcher, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     def run(
         name: str,
         *paths: Path,
@@ -152,25 +227,10 @@ def driving(display: str, tmp_path: Path) -> Callable[..., dict[str, Any]]:
         )
         environment.update(environ or {})
         environment.pop("WAYLAND_DISPLAY", None)
-        command = [
-            sys.executable,
-            str(Path(__file__).with_name(script)),
-            name,
-            str(result),
-            json.dumps(options),
-            *map(str, paths),
-        ]
-        done = subprocess.run(
-            command,
-            env=environment,
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=seconds,
-            check=False,
-        )
-        output = done.stdout + done.stderr
-        assert done.returncode == 0, f"{name} ended with {done.returncode}:\n{output[-4000:]}"
+        program = str(Path(__file__).with_name(script))
+        argv = [program, name, str(result), json.dumps(options), *map(str, paths)]
+        code, output = launcher.run(argv, env=environment, cwd=tmp_path, seconds=seconds)
+        assert code == 0, f"{name} ended with {code}:\n{output[-4000:]}"
         assert result.exists(), output[-4000:]
         return json.loads(result.read_text()) | {"output": output}
 

@@ -403,6 +403,11 @@ def turn(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, An
     found["drawn_idle"] = idle_draws(app, hand)
 
 
+def without_frame_limit() -> None:
+    """A person's 30 frames a second would be most of a test's time."""
+    window.SOFTWARE_FPS = window.MAX_FPS = 1000.0
+
+
 def main(drives: dict[str, Any]) -> int:
     """`drives`: name -> function, those of the script that was run."""
     name, result, options, *paths = sys.argv[1:]
@@ -416,8 +421,7 @@ def main(drives: dict[str, Any]) -> int:
         finally:
             found["messages"] = hand.said
 
-    # A person's 30 frames a second would be most of a test's time.
-    window.SOFTWARE_FPS = window.MAX_FPS = 1000.0
+    without_frame_limit()
     code = run_window(
         [Path(path) for path in paths],
         size=tuple(given.get("size", (800, 500))),

@@ -232,7 +232,7 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.frames(2)
     found["undone"] = float(np.abs(hand.picture_of_edits() - seen).max())
     hand.page("Scene")
-    hand.ctx.item_click("**/rods")
+    hand.ctx.item_click("**/Select##rods")
     settle(hand)
     found["selected"] = counts(app)["selected"]
 

@@ -22,7 +22,7 @@ def test_parallel_rays_and_a_fisheye(drive, random_gaussians, tmp_path, renderer
         scene,
         script="rays_drives.py",
         renderer=renderer,
-        size=[520, 360],
+        size=[700, 450] if renderer == "cpu" else [520, 360],
         cameras=str(cameras),
         shot_parallel=str(tmp_path / "parallel.png"),
         shot_fisheye=str(tmp_path / "fisheye.png"),

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
-from splatview.raster import render
-from splatview.scene.captures.demo import demo_capture
-from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene, save_scene
 
 
@@ -57,14 +53,6 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
     assert found["closed"]
     assert found["missing"].endswith("none.ply: there is no such file")
     assert found["replace"] == "deep.ply exists; Replace writes over it"
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    """Ten small photos of the demo scene in a folder."""
-    folder = tmp_path_factory.mktemp("captures") / "pond"
-    save_capture(demo_capture(render, photos=10, width=96, height=72, splats=4000), folder)
-    return folder
 
 
 def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):

@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from splatview.cli.main import main
-from splatview.raster import render
 from splatview.raster.compiling import niceness
-from splatview.scene.captures.demo import demo_capture
-from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene, save_scene
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer.app import ACTIVE_SECONDS
 from splatview.viewer.platform import NICENESS
 
 SCRIPT = "training_drives.py"
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    """Ten small photos of the demo scene in a folder."""
-    folder = tmp_path_factory.mktemp("captures") / "pond"
-    save_capture(demo_capture(render, photos=10, width=96, height=72, splats=4000), folder)
-    return folder
 
 
 def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drives import Hand, pose
+from drives import Hand, pose, without_frame_limit
 from imgui_bundle import ImVec2, hello_imgui
 
 from splatview.cli import train
@@ -346,6 +346,7 @@ def main() -> int:
 
     parsed = train.make_parser().parse([capture, "-o", "toy.ply", *options.get("train", [])])
     assert parsed is not None
+    without_frame_limit()
     try:
         code = train_window.train_in_window(
             parsed,

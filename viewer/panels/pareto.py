@@ -23,6 +23,12 @@ HEIGHT_EM = 13.0
 REACH_EM = 0.7
 """Distance from a mark within which the mouse is on it, in font heights."""
 
+LEAST_MS = 1e-3
+"""Below which no time is drawn."""
+
+MOST_TICKS = 6
+"""Numbers on the axis of time."""
+
 ABOVE_DB = 8.0
 """How far above the others a mark without error is drawn."""
 
@@ -44,14 +50,28 @@ def marks(ladder: Ladder) -> list[Mark]:
     top = max(finite, default=100.0) + ABOVE_DB
     base = ladder.baseline
     known.sort(key=lambda one: one is not base)
-    return [Mark(one, base.ms * one.ratio, min(one.psnr, top)) for one in known]
+    return [Mark(one, max(base.ms * one.ratio, LEAST_MS), min(one.psnr, top)) for one in known]
 
 
 def limits(places: Sequence[Mark]) -> tuple[float, float, float, float]:
-    """(left, right, bottom, top) of the plot, with room around all marks."""
-    x, y = [mark.ms for mark in places], [mark.db for mark in places]
-    dx, dy = max(max(x) - min(x), 0.05 * max(x), 1e-3), max(max(y) - min(y), 5.0)
-    return min(x) - 0.12 * dx, max(x) + 0.18 * dx, min(y) - 0.15 * dy, max(y) + 0.15 * dy
+    """(left, right, bottom, top) of the plot, with room around all marks; times are on a logarithmic axis, as
+    one slow shortcut would press the others together."""
+    x, y = [math.log(mark.ms) for mark in places], [mark.db for mark in places]
+    dx, dy = max(max(x) - min(x), math.log(1.1)), max(max(y) - min(y), 5.0)
+    left, right = math.exp(min(x) - 0.12 * dx), math.exp(max(x) + 0.18 * dx)
+    return left, right, min(y) - 0.15 * dy, max(y) + 0.15 * dy
+
+
+def ticks(left: float, right: float) -> list[float]:
+    """Round times between the ends of the axis, at most some six: 1, 2 and 5 of each power of ten where that
+    is few enough."""
+    powers = range(math.floor(math.log10(left)), math.ceil(math.log10(right)) + 1)
+    for steps in ((1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8), (1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,)):
+        found = [step * 10.0**power for power in powers for step in steps]
+        found = [value for value in found if left <= value <= right]
+        if len(found) <= MOST_TICKS:
+            break
+    return found
 
 
 def front(places: Sequence[Mark], base: Measured) -> np.ndarray:
@@ -76,7 +96,11 @@ def show(app: AppState, accuracy: Accuracy, ladder: Ladder) -> None:
     ):
         return
     implot.setup_axes("ms a frame", "dB")
-    implot.setup_axes_limits(*limits(places), imgui.Cond_.always)
+    left, right, bottom, top = limits(places)
+    implot.setup_axis_scale(implot.ImAxis_.x1, implot.Scale_.log10)
+    implot.setup_axes_limits(left, right, bottom, top, imgui.Cond_.always)
+    round_ms = ticks(left, right)
+    implot.setup_axis_ticks(implot.ImAxis_.x1, round_ms, [f"{ms:g}" for ms in round_ms], False)
     steps = front(places, ladder.baseline)
     if len(steps) > 1:
         line = implot.Spec(line_color=ImVec4(*theme.ACCENT, 0.7), line_weight=1.5)

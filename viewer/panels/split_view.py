@@ -62,6 +62,8 @@ def draw_split(app: AppState, corner: ImVec2, width: int, height: int) -> None:
     edge = imgui.get_font_size() * 0.5
     half = ImVec2(middle, corner.y + height / 2)
     draw.add_circle_filled(half, edge, white)
+    # Above the badges, which may be as wide as the picture.
+    low -= len(badge_lines(app)) * BADGE_EM * imgui.get_font_size()
     if compared is None:
         caption("comparing when the view rests", ImVec2(middle + edge, low - 4 * edge))
         return
@@ -83,17 +85,28 @@ def caption(text: str, low: ImVec2, colour: ImVec4 | None = None) -> None:
     draw.add_text(ImVec2(low.x + edge, low.y + edge), ink, text)
 
 
-def badges(app: AppState, at: ImVec2) -> None:
-    """Badges of the shortcuts in force, chosen or by the budget, upwards from `at`."""
+BADGE_EM = 1.9
+"""Height of a badge with the gap below it, in font heights."""
+
+
+def badge_lines(app: AppState) -> list[tuple[str, ImVec4]]:
+    """Badges of the reductions and shortcuts in force, chosen or by the budget, from the lowest up."""
     accuracy = app.feature(Accuracy)
     lines = []
+    if app.picture.note:
+        lines.append((f"moving: {app.picture.note}", theme.QUIET))
     if accuracy.note:
         lines.append((f"moving: {accuracy.note}", theme.QUIET))
     if accuracy.choices:
         taken = ", ".join(f"{name} {value}" for name, value in accuracy.choices.items())
         lines.append((f"shortcut: {taken}{present_error(app)}", theme.WARNING))
-    height = imgui.get_font_size() * 1.9
-    for number, (text, colour) in enumerate(lines, 1):
+    return lines
+
+
+def badges(app: AppState, at: ImVec2) -> None:
+    """Those badges, upwards from `at`."""
+    height = BADGE_EM * imgui.get_font_size()
+    for number, (text, colour) in enumerate(badge_lines(app), 1):
         caption(text, ImVec2(at.x, at.y - number * height), colour)
 
 

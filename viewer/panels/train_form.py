@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
@@ -15,6 +16,7 @@ from splatview.viewer.panels.start_screen import fitted
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import Thumbnails
 from splatview.viewer.training import start
+from splatview.viewer.training.live import LiveTraining
 from splatview.viewer.training.start import DOWNSCALES, LENGTHS, TrainingStart
 
 NAME, DROPPED = "Train on photos", "Photos with cameras"
@@ -36,11 +38,15 @@ class TrainForm(Feature):
         self.thumbnails = Thumbnails(PHOTO_PX)
 
     def before_frame(self, app: AppState) -> None:
-        if app.dialog != "train":
+        if not self._shown(app):
             self.thumbnails.forget()
 
+    def _shown(self, app: AppState) -> bool:
+        on_page = app.page == "Train" and not app.panels_hidden and app.find(LiveTraining) is None
+        return app.dialog == "train" or on_page
+
     def busy(self, app: AppState) -> bool:
-        return app.dialog == "train" and self.thumbnails.busy
+        return self._shown(app) and self.thumbnails.busy
 
     def close(self, app: AppState) -> None:
         self.thumbnails.forget()
@@ -52,6 +58,26 @@ def show(app: AppState) -> None:
         _window(app, NAME, 34, _form)
     elif app.dialog == "capture":
         _window(app, DROPPED, 28, _question)
+
+
+def on_page(app: AppState) -> None:
+    """The form on the Train page of a window without a training, and captures that were trained on."""
+    widgets.note(
+        "Trains a scene on photos whose cameras are known (COLMAP, nerfstudio, or a list of cameras); it is "
+        "seen as it grows."
+    )
+    if app.dialog == "train":
+        widgets.note("The form is open.")
+        return
+    _form(app, closes=False)
+    state = app.feature(TrainingStart)
+    if app.preferences.recent_photos and not state.is_readying:
+        widgets.section("Recent")
+        for name in app.preferences.recent_photos:
+            room = imgui.get_content_region_avail().x
+            if imgui.selectable(widgets.item(fitted(printable(name), room), name), False)[0]:
+                app.post(start.look_at, Path(name))
+            widgets.tooltip(f"Looks through {printable(name)} again.")
 
 
 def _window(app: AppState, name: str, width: float, contents: Callable[[AppState], None]) -> None:
@@ -93,16 +119,18 @@ def _question(app: AppState) -> None:
         widgets.note(lacks, theme.WARNING)
 
 
-def _form(app: AppState) -> None:
+def _form(app: AppState, *, closes: bool = True) -> None:
     state = app.feature(TrainingStart)
     folder = printable(str(state.folder)) if state.folder is not None else "No folder yet"
     widgets.label("Photos", "A folder with a COLMAP model (sparse/0) or a transforms.json, and its photos.")
-    change = "Change..."
+    change = "Choose..." if state.folder is None else "Change..."
     room = imgui.get_content_region_avail().x - imgui.calc_text_size(change).x - 3 * imgui.get_font_size()
     imgui.text_unformatted(fitted(folder, room))
     widgets.tooltip(folder)
     widgets.beside(change)
-    widgets.button(change, "Another folder.", partial(app.post, start.choose_photos))
+    ask = start.choose_photos if closes else start.choose_for_page
+    tip = "The folder with the photos." if state.folder is None else "Another folder."
+    widgets.button(change, tip, partial(app.post, ask))
     if state.found is not None:
         _found(app, state)
         _choices(app, state)
@@ -113,7 +141,7 @@ def _form(app: AppState) -> None:
     if state.lacks:
         widgets.note(state.lacks, theme.WARNING)
     imgui.spacing()
-    _buttons(app, state)
+    _buttons(app, state, closes=closes)
 
 
 def _found(app: AppState, state: TrainingStart) -> None:
@@ -185,7 +213,7 @@ def _size(state: TrainingStart, factor: int) -> str:
     return f"{width // factor} x {height // factor} px"
 
 
-def _buttons(app: AppState, state: TrainingStart) -> None:
+def _buttons(app: AppState, state: TrainingStart, *, closes: bool) -> None:
     width = BUTTON_EM * imgui.get_font_size()
     if state.is_readying:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), "")
@@ -200,8 +228,9 @@ def _buttons(app: AppState, state: TrainingStart) -> None:
         width=width,
         lacks=lacks,
     )
-    imgui.same_line()
-    widgets.button("Cancel", "Closes the form (Escape).", partial(_close, app), width=width)
+    if closes:
+        imgui.same_line()
+        widgets.button("Cancel", "Closes the form (Escape).", partial(_close, app), width=width)
 
 
 def _close(app: AppState) -> None:

@@ -12,7 +12,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from splatview.trainer.background import Status, pace_of
 from splatview.viewer import theme
 from splatview.viewer.commands import keys_of
-from splatview.viewer.panels import photos, recipe, widgets
+from splatview.viewer.panels import photos, recipe, train_form, widgets
 from splatview.viewer.preferences import RANGES, TrainingUpdates
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
@@ -41,11 +41,7 @@ def show(app: AppState) -> None:
     """The Train page."""
     training = app.find(LiveTraining)
     if training is None:
-        widgets.note(
-            "No scene is in training in this window. Training begins from a folder of photos with their "
-            "cameras (COLMAP, nerfstudio, or a list of cameras)."
-        )
-        widgets.command_button(app, "Train on photos...", "train_photos")
+        train_form.on_page(app)
         return
     status = training.status
     headline(status)

@@ -21,6 +21,7 @@ from splatview.viewer.camera import CameraLists
 from splatview.viewer.editing.session import Editing
 from splatview.viewer.loading import EMPTY_SCENE
 from splatview.viewer.platform import give_way
+from splatview.viewer.preferences import with_recent
 from splatview.viewer.save import next_free
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.tasks import Task
@@ -276,6 +277,8 @@ def adopt(app: AppState, started: StartedTraining) -> None:
     app.scene, app.dialog = EMPTY_SCENE, None
     app.page, app.strip = "Train", "Curves"
     app.bookmarks, app.bookmark_index = [], -1
+    if start.folder is not None:
+        app.preferences = with_recent(app.preferences, start.folder, "recent_photos")
     start.started.append(started)
     started.training.start(app, on_change=start.wake)
     give_way()  # the training's thread is there already, and keeps its priority
@@ -294,8 +297,17 @@ def choose_photos(app: AppState) -> None:
     app.choose_files("Folder of the photos", lambda paths: app.post(open_form, paths[0]), kind="folder")
 
 
-def open_form(app: AppState, folder: Path) -> None:
+def choose_for_page(app: AppState) -> None:
+    """The same for the form on the Train page."""
+    app.choose_files("Folder of the photos", lambda paths: app.post(look_at, paths[0]), kind="folder")
+
+
+def look_at(app: AppState, folder: Path) -> None:
     app.feature(TrainingStart).choose(folder)
+
+
+def open_form(app: AppState, folder: Path) -> None:
+    look_at(app, folder)
     app.dialog = "train"
 
 
