@@ -261,7 +261,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     first = training.thread.post(lambda session: session.trainer.splats.next_id).result(60)
     ctx.item_click("//Edit/###let go")
     steps(hand, 150)
-    at = seen(hand, training.status.iteration)
+    seen(hand, training.status.iteration)
     region = training.status.settings.no_growth[0]
     found["born"] = int((training.shown.ids >= first).sum())
     inner = replace(region, half_extents=tuple(0.8 * half for half in region.half_extents))
@@ -273,7 +273,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.item_click("//Edit/Crop/Cut away in training")
     hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
     hand.wait(lambda: session_of(app) is None, "the view to go on")
-    seen(hand, at + 60)
+    seen(hand, training.status.iteration + 60)
     (sphere,) = training.status.settings.cut[0]
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
     beyond = np.linalg.norm((outside - sphere.centre) / sphere.half_extents, axis=1)

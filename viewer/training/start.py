@@ -158,7 +158,12 @@ class TrainingStart(Feature):
         return self._readying is not None
 
     def choose(self, folder: Path) -> None:
-        """Looks through `folder`."""
+        """Looks through `folder`; through the one above where that is the capture, and `folder` but a part of
+        it, such as its photos."""
+        if not is_capture(folder):
+            folder = next(
+                (above for above in list(folder.absolute().parents)[:2] if is_capture(above)), folder
+            )
         self.folder, self.found, self.problem = folder, None, ""
         if self._looking is not None:
             self._looking.cancel()
