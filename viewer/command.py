@@ -18,6 +18,8 @@ class Command:
     group: str
     """Heading on the help page."""
     run: Callable[[AppState], object]
+    shows: Callable[[AppState], object] | None = None
+    """What the palette runs of a command that also hides: who asks for a thing by name wants to see it."""
     keys: tuple[str, ...] = ()
     """Keys as the user reads them: "F", "Ctrl+Shift+O". Any of them runs the command."""
     menu: str = ""

@@ -62,6 +62,11 @@ def toggle_strip(app: AppState, name: str) -> None:
     arrange(app, strip="" if shown else name)
 
 
+def show_strip(app: AppState, name: str) -> None:
+    app.panels_hidden = False
+    arrange(app, strip=name)
+
+
 def toggle_panels(app: AppState) -> None:
     app.panels_hidden = not app.panels_hidden
 
@@ -80,6 +85,7 @@ def _page(name: str, title: str, *words: str) -> Command:
         title=f"{name}: {title}",
         group="Window",
         run=partial(toggle_page, page=name),
+        shows=partial(open_page, page=name),
         menu=name,
         words=words,
         checked=lambda app: app.page == name and not app.panels_hidden,
@@ -92,6 +98,7 @@ def _strip(name: str, title: str, *words: str, lacks: Callable[[AppState], str] 
         title=f"{name}: {title}",
         group="Window",
         run=partial(toggle_strip, name=name),
+        shows=partial(show_strip, name=name),
         menu=name,
         words=words,
         lacks=lacks,

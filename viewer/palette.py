@@ -108,6 +108,6 @@ def show(app: AppState) -> None:
     palette.fresh = False
     if run is not None:
         app.dialog = None
-        app.post(run.run)
+        app.post(run.shows or run.run)
     elif not opened:
         app.dialog = None

@@ -168,8 +168,13 @@ def browses(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.frames(4)
     found["above"] = rows(app)
     shoot(hand, "browser")
-    click_row(hand, rows(app).index("garden"), times=2)
-    hand.wait(lambda: rows(app) == ["deep.ply"], "the folder by mouse")
+    row = rows(app).index("garden")
+    for _ in range(3):  # where frames are slow the two clicks may be too far apart
+        click_row(hand, row, times=2)
+        hand.frames(20)
+        if rows(app) == ["deep.ply"]:
+            break
+    assert rows(app) == ["deep.ply"], "the folder by mouse"
     hand.frames(3)
     click_row(hand, 0)
     hand.frames(2)

@@ -18,13 +18,15 @@ from typing import Any
 
 import numpy as np
 from harness import in_window, make_parser, spread
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2
 
 from splatview.measure.machine import write_results
+from splatview.renderers import VisualMode
 from splatview.viewer import commands, layout
 from splatview.viewer.app import run_window
+from splatview.viewer.editing.cleanup import forget
 from splatview.viewer.editing.session import EditSession, session_of
-from splatview.viewer.state import AppState
+from splatview.viewer.state import AppState, Feature
 from splatview.viewer.view_aids import ViewAids
 
 SIZE = (1280, 800)
@@ -33,11 +35,34 @@ LIMIT = 60.0
 """Seconds for a picture in full."""
 
 
+class Frames(Feature):
+    """When frames began, and when the one had ended that first showed what is waited for."""
+
+    def __init__(self) -> None:
+        self.begun: list[float] = []
+        self.shown_at: float | None = None
+        self._answered: Callable[[], bool] = lambda: False
+        self._is_shown = False
+
+    def watch(self, answered: Callable[[], bool]) -> None:
+        self.begun.clear()
+        self.shown_at, self._is_shown, self._answered = None, False, answered
+
+    def before_frame(self, app: AppState) -> None:
+        now = time.perf_counter()
+        self.begun.append(now)
+        if self._is_shown and self.shown_at is None:
+            self.shown_at = now
+        self._is_shown = self._is_shown or self._answered()
+
+
 class Clicks:
     """The hands on one window, with a clock."""
 
     def __init__(self, app: AppState, ctx: Any):
         self.app, self.ctx = app, ctx
+        self.frames = Frames()
+        app.add(self.frames)
         self.found: dict[str, list[dict[str, float]]] = {}
 
     @property
@@ -57,53 +82,45 @@ class Clicks:
                 raise AssertionError("the window does not settle")
 
     def timed(self, name: str, act: Callable[[], object], answered: Callable[[], bool]) -> None:
-        """`act` gives the last event and waits for no frame."""
+        """`act` gives the last event."""
         self.settle()
-        begun = last = time.perf_counter()
-        longest = 0.0
+        assert not answered(), f"{name}: answered before it was asked"
+        self.frames.watch(answered)
+        begun = time.perf_counter()
         act()
-        while True:
+        while self.frames.shown_at is None:
             self.ctx.yield_(1)
-            now = time.perf_counter()
-            longest, last = max(longest, now - last), now
-            if answered():
-                break
-            if now - begun > LIMIT:
+            if time.perf_counter() - begun > LIMIT:
                 raise AssertionError(f"{name}: no answer")
-        answer = now - begun
+        shown = self.frames.shown_at
+        times = [begun, *(at for at in self.frames.begun if begun < at <= shown)]
         while self.app.waiting or self.app.picture.busy:
             self.ctx.yield_(1)
-        entry = {"answer": answer, "frame": longest, "whole": time.perf_counter() - begun}
+        entry = {
+            "answer": shown - begun,
+            "frame": float(np.diff(times).max()),
+            "whole": max(time.perf_counter(), shown) - begun,
+        }
         self.found.setdefault(name, []).append({key: 1000 * value for key, value in entry.items()})
 
-    def key(self, chord: str) -> Callable[[], None]:
-        """Press and release, as one event each."""
-        value = commands.chord(chord)
-        io = imgui.get_io()
-        modifiers = {imgui.Key.mod_ctrl, imgui.Key.mod_shift, imgui.Key.mod_alt}
-        held = [mod for mod in modifiers if int(value) & int(mod)]
-        main = imgui.Key(int(value) & ~sum(int(mod) for mod in held))
+    def key(self, name: str, chord: str, answered: Callable[[], bool]) -> None:
+        self.timed(name, lambda: self.ctx.key_down(commands.chord(chord)), answered)
+        self.ctx.key_up(commands.chord(chord))
 
-        def press() -> None:
-            for key in (*held, main):
-                io.add_key_event(key, True)
-            for key in (main, *held):
-                io.add_key_event(key, False)
-
-        return press
+    def button(self, name: str, ref: str, answered: Callable[[], bool]) -> None:
+        """A press on an item; timed is what follows the release."""
+        self.ctx.mouse_move(ref)
+        self.ctx.mouse_down(0)
+        self.timed(name, lambda: self.ctx.mouse_up(0), answered)
 
     def page(self, name: str) -> None:
-        ref = f"//##rail/{name}"
-        self.ctx.mouse_move(ref)
         shown = next(page.window for page in layout.PAGES if page.name == name)
 
         def there() -> bool:
             window = self.ctx.get_window_by_ref(f"//{shown}")
             return self.app.page == name and window is not None and window.active
 
-        self.ctx.mouse_down(0)
-        self.timed(f"page {name}", lambda: imgui.get_io().add_mouse_button_event(0, False), there)
-        self.ctx.mouse_up(0)
+        self.button(f"page {name}", f"//##rail/{name}", there)
 
     def place(self, x: float, y: float) -> ImVec2:
         view = self.ctx.window_info("//View").rect_full
@@ -120,10 +137,9 @@ class Clicks:
         before = len(self.session.document.history.done)
         self.timed(
             name,
-            lambda: imgui.get_io().add_mouse_button_event(0, False),
+            lambda: self.ctx.mouse_up(0),
             lambda: self.session.job is not None or len(self.session.document.history.done) > before,
         )
-        self.ctx.mouse_up(0)
 
 
 def go_through(clicks: Clicks) -> None:
@@ -131,58 +147,49 @@ def go_through(clicks: Clicks) -> None:
     app, ctx = clicks.app, clicks.ctx
     for page in ("Edit", "View", "Accuracy", "Train", "Scene"):
         clicks.page(page)
-    for key, mode in zip(
-        "234561", ("points", "ellipsoids", "depth", "overdraw", "normals", "splats"), strict=True
-    ):
-        clicks.timed(f"mode {mode}", clicks.key(key), lambda mode=mode: app.mode == mode)
+    modes: tuple[VisualMode, ...] = ("points", "ellipsoids", "depth", "overdraw", "normals", "splats")
+    for key, mode in zip("234561", modes, strict=True):
+        clicks.key(f"mode {mode}", key, lambda mode=mode: app.mode == mode)
+    document = clicks.session.document
+    clicks.key("select all", "Ctrl+A", lambda: document.counts.selected > 0)
+    clicks.key("select none", "Ctrl+Shift+A", lambda: document.counts.selected == 0)
     ctx.key_press(commands.chord("R"))
     clicks.stroke("rectangle", [(0.35, 0.3), (0.5, 0.4), (0.6, 0.6)])
-    document = clicks.session.document
-    selected = document.counts.selected
-    clicks.timed("delete", clicks.key("Delete"), lambda: document.counts.deleted >= selected)
-    clicks.timed("undo", clicks.key("Ctrl+Z"), lambda: document.counts.deleted == 0)
-    clicks.timed("redo", clicks.key("Ctrl+Y"), lambda: document.counts.deleted >= selected)
-    clicks.timed("undo", clicks.key("Ctrl+Z"), lambda: document.counts.deleted == 0)
+    clicks.settle()
+    clicks.key("delete", "Delete", lambda: document.counts.deleted > 0)
+    clicks.key("undo", "Ctrl+Z", lambda: document.counts.deleted == 0)
+    clicks.key("redo", "Ctrl+Y", lambda: document.counts.deleted > 0)
+    ctx.key_press(commands.chord("Ctrl+Z"))
     ctx.key_press(commands.chord("C"))
     clicks.stroke("brush", [(0.4, 0.5), (0.45, 0.52), (0.5, 0.5), (0.55, 0.55)])
     ctx.key_press(commands.chord("Escape"))
-    clicks.timed("select all", clicks.key("Ctrl+A"), lambda: document.counts.selected > selected)
-    clicks.timed("select none", clicks.key("Ctrl+Shift+A"), lambda: document.counts.selected == 0)
     aids = app.feature(ViewAids)
     for name, chord in (("centres", "Shift+M"), ("rings", "Shift+R")):
         for on in (True, False):
-            clicks.timed(
-                f"{name} {'on' if on else 'off'}",
-                clicks.key(chord),
-                lambda name=name, on=on: getattr(aids, name) == on,
-            )
+            title = f"{name} {'on' if on else 'off'}"
+            clicks.key(title, chord, lambda name=name, on=on: getattr(aids, name) == on)
     clicks.session.forms.open_section = "Clean up"
     clicks.settle()
     ctx.set_ref("//Edit")
-    ctx.mouse_move("Clean up/detectors/###clusters")
-    ctx.mouse_down(0)
     form = clicks.session.forms.clean
-    clicks.timed(
+    clicks.button(
         "detector: floaters",
-        lambda: imgui.get_io().add_mouse_button_event(0, False),
+        "Clean up/detectors/###clusters",
         lambda: clicks.session.job is not None or form.mask is not None,
     )
-    ctx.mouse_up(0)
     clicks.settle()
-    ctx.key_press(commands.chord("Escape"))
-    clicks.settle()
+    app.post(forget)
     clicks.session.forms.open_section = "Colour & opacity"
     clicks.settle()
     slider = ctx.item_info("Colour & opacity/##Brightness").rect_full
     ctx.mouse_teleport_to_pos(ImVec2(slider.min.x + 0.6 * slider.get_width(), slider.get_center().y))
     clicks.timed(
-        "slider: brightness",
-        lambda: imgui.get_io().add_mouse_button_event(0, True),
-        lambda: clicks.session.forms.previewing != "",
+        "slider: brightness", lambda: ctx.mouse_down(0), lambda: clicks.session.forms.previewing != ""
     )
     ctx.mouse_up(0)
     clicks.settle()
-    clicks.session.cancel_preview()
+    app.post(lambda app: clicks.session.cancel_preview())
+    clicks.settle()
 
 
 def window(scene: str, renderer: str, rounds: int, report: str) -> None:

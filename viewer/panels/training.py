@@ -64,6 +64,8 @@ def show(app: AppState) -> None:
         recipe.show(app, training)
     if widgets.fold(app, "Photos"):
         photos.show(app, training)
+    if status.state != "training":
+        widgets.command_button(app, "Train on other photos...", "train_photos")
 
 
 def headline(status: Status) -> None:
@@ -79,7 +81,9 @@ def headline(status: Status) -> None:
     )
     imgui.text_colored(theme.QUIET, left)
     goal = status.settings.iterations
-    text = f"{status.iteration:,} of {goal:,} steps" if goal else f"{status.iteration:,} steps"
+    # Where minutes end the run, its steps are a guess that the share does not follow.
+    counted = goal and abs(status.progress - status.iteration / goal) < 0.01
+    text = f"{status.iteration:,} of {goal:,} steps" if counted else f"{status.iteration:,} steps"
     imgui.push_style_color(imgui.Col_.plot_histogram, ImVec4(colour.x, colour.y, colour.z, 0.55))
     imgui.progress_bar(status.progress, (-1, imgui.get_font_size() * 1.5), f"{text}   {status.progress:.0%}")
     imgui.pop_style_color()
