@@ -81,9 +81,12 @@ class Clicks:
             if time.perf_counter() > limit:
                 raise AssertionError("the window does not settle")
 
-    def timed(self, name: str, act: Callable[[], object], answered: Callable[[], bool]) -> None:
-        """`act` gives the last event."""
-        self.settle()
+    def timed(
+        self, name: str, act: Callable[[], object], answered: Callable[[], bool], *, settled: bool = True
+    ) -> None:
+        """`act` gives the last event; `settled`: when all before it is done."""
+        if settled:
+            self.settle()
         assert not answered(), f"{name}: answered before it was asked"
         self.frames.watch(answered)
         begun = time.perf_counter()
@@ -94,7 +97,7 @@ class Clicks:
                 raise AssertionError(f"{name}: no answer")
         shown = self.frames.shown_at
         times = [begun, *(at for at in self.frames.begun if begun < at <= shown)]
-        while self.app.waiting or self.app.picture.busy:
+        while self.app.picture.busy:
             self.ctx.yield_(1)
         entry = {
             "answer": shown - begun,
@@ -107,11 +110,11 @@ class Clicks:
         self.timed(name, lambda: self.ctx.key_down(commands.chord(chord)), answered)
         self.ctx.key_up(commands.chord(chord))
 
-    def button(self, name: str, ref: str, answered: Callable[[], bool]) -> None:
+    def button(self, name: str, ref: str, answered: Callable[[], bool], *, settled: bool = True) -> None:
         """A press on an item; timed is what follows the release."""
         self.ctx.mouse_move(ref)
         self.ctx.mouse_down(0)
-        self.timed(name, lambda: self.ctx.mouse_up(0), answered)
+        self.timed(name, lambda: self.ctx.mouse_up(0), answered, settled=settled)
 
     def page(self, name: str) -> None:
         shown = next(page.window for page in layout.PAGES if page.name == name)
@@ -169,15 +172,18 @@ def go_through(clicks: Clicks) -> None:
             title = f"{name} {'on' if on else 'off'}"
             clicks.key(title, chord, lambda name=name, on=on: getattr(aids, name) == on)
     clicks.session.forms.open_section = "Clean up"
-    clicks.settle()
+    ctx.yield_(10)
     ctx.set_ref("//Edit")
-    form = clicks.session.forms.clean
-    clicks.button(
-        "detector: floaters",
-        "Clean up/detectors/###clusters",
-        lambda: clicks.session.job is not None or form.mask is not None,
+
+    def is_looked_for() -> bool:
+        job = clicks.session.job
+        return job is not None and job.title == "Looking for floaters"
+
+    clicks.button(  # while all are being counted
+        "detector: floaters", "Clean up/detectors/###clusters", is_looked_for, settled=False
     )
-    clicks.settle()
+    if (job := clicks.session.job) is not None:
+        job.cancel()
     app.post(forget)
     clicks.session.forms.open_section = "Colour & opacity"
     clicks.settle()
