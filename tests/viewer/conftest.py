@@ -158,6 +158,11 @@ class Launcher:
         clock.start()
         try:
             status = int(server.stdout.readline())
+        except BaseException:  # the test was given up: nobody would read how the process ended
+            os.kill(pid, signal.SIGKILL)
+            self.close()
+            self._server = None
+            raise
         finally:
             clock.cancel()
         if late.is_set():
