@@ -45,7 +45,7 @@ def test_a_face_follows_the_mouse_and_the_opposite_one_stays(camera, face):
     outwards = face.sign * Adjustment(rotation=BOX.rotation).R[:, face.axis]
     wanted = place_of(BOX, face) + 0.2 * outwards
     start = along(BOX, face, camera, *pixel(camera, place_of(BOX, face)))
-    assert start == pytest.approx(BOX.half_extents[face.axis], abs=1e-4)
+    assert start is not None and start == pytest.approx(BOX.half_extents[face.axis], abs=1e-4)
     moved = dragged(FaceDrag(face=face, crop=BOX, start=start), camera, *pixel(camera, wanted))
     np.testing.assert_allclose(place_of(moved, face), wanted, atol=1e-4)
     np.testing.assert_allclose(place_of(moved, opposite), place_of(BOX, opposite), atol=1e-9)

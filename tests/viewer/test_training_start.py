@@ -1,0 +1,60 @@
+"""The form of a new training, without a window."""
+
+from __future__ import annotations
+
+import time
+
+from splatview.viewer.command import Command
+from splatview.viewer.commands import COMMANDS
+from splatview.viewer.preferences import load_preferences, save_preferences, with_recent
+from splatview.viewer.state import AppState
+from splatview.viewer.training.start import TrainingStart
+
+
+def looked(app: AppState) -> TrainingStart:
+    start = app.feature(TrainingStart)
+    limit = time.monotonic() + 60
+    while start.is_looking:
+        assert time.monotonic() < limit
+        start.before_frame(app)
+        time.sleep(0.005)
+    return start
+
+
+def test_the_folder_of_the_photos_stands_for_its_capture(app, capture):
+    (photos,) = {path.parent for path in capture.rglob("*.png")}
+    assert photos != capture
+    app.feature(TrainingStart).choose(photos)
+    start = looked(app)
+    assert start.problem == "" and start.folder == capture
+    assert start.found is not None and len(start.found.photos) == 10
+
+
+def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    app.feature(TrainingStart).choose(tmp_path / "a" / "b")
+    assert str(tmp_path / "a" / "b") in looked(app).problem
+
+
+def test_captures_are_remembered_apart_from_scenes(app, tmp_path):
+    changed = with_recent(app.preferences, tmp_path / "photos", "recent_photos")
+    save_preferences(with_recent(changed, tmp_path / "scene.ply"))
+    read, complaint = load_preferences()
+    assert complaint is None
+    assert read.recent_photos == (str(tmp_path / "photos"),) and read.recent == (str(tmp_path / "scene.ply"),)
+
+
+def test_what_is_asked_for_by_name_is_shown_and_not_hidden(app):
+    page, strip = COMMANDS["page_train"], COMMANDS["strip_history"]
+
+    def by_name(command: Command) -> None:
+        assert command.shows is not None
+        command.shows(app)
+
+    for _ in range(2):
+        by_name(page)
+        by_name(strip)
+        assert (app.page, app.strip) == ("Train", "History")
+    page.run(app)
+    strip.run(app)
+    assert (app.page, app.strip) == ("", ""), "as a click on the rail does"
