@@ -6,15 +6,16 @@ the parts applied so far are reverted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
 from splatview.edit.kernels import marks as kernels
-from splatview.edit.state import SplatSet, State
+from splatview.edit.state import SceneFile, SplatSet, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import IDENTITY, MOST_ADJUSTMENTS, PALETTE_SHIFT, Adjustment, Crop
 from splatview.scene.gaussians import ARRAYS
@@ -125,6 +126,24 @@ class Recrop:
 
 
 @dataclass(frozen=True, eq=False)
+class Refile:
+    """Other names, switches or placements of the scene's files, or one file more."""
+
+    before: tuple[SceneFile, ...]
+    after: tuple[SceneFile, ...]
+
+    def apply(self, state: State) -> None:
+        state.set_files(self.after)
+
+    def revert(self, state: State) -> None:
+        state.set_files(self.before)
+
+    @property
+    def nbytes(self) -> int:
+        return ADJUSTMENT_BYTES * len(set(self.after) ^ set(self.before))
+
+
+@dataclass(frozen=True, eq=False)
 class Rewrite:
     """Other values of one attribute for some splats. The scene's array is not written to: the state gets a
     scene with a new one, which shares all others."""
@@ -155,9 +174,9 @@ class Append:
     """More splats, after the present ones. What was there before is cut out of the longer scene again: kept
     are only arrays of it that this one holds in another type, or not at all."""
 
-    def __init__(self, before: Gaussians, added: Gaussians, marks: np.ndarray) -> None:
-        """`marks`: (added,) uint32."""
-        self._added, self._marks = added, marks
+    def __init__(self, before: Gaussians, added: Gaussians, marks: np.ndarray, owners: np.ndarray) -> None:
+        """`marks`: (added,) uint32; `owners`: (added,) uint16."""
+        self._added, self._marks, self._owners = added, marks, owners
         # Made now: it may be in a thread, which `apply` is not.
         self._planned: Gaussians | None = concatenate([before, added])
         self._comments = before.comments
@@ -171,7 +190,9 @@ class Append:
 
     def apply(self, state: State) -> None:
         planned = self._planned or concatenate([state.gaussians, self._added])
-        state.set_scene(planned, np.concatenate([state.marks, self._marks]))
+        rows = ((state.marks, self._marks), (state.owners, self._owners))
+        marks, owners = (np.concatenate(both) for both in rows)
+        state.set_scene(planned, (marks, owners))
         self._planned = None
 
     def revert(self, state: State) -> None:
@@ -181,12 +202,12 @@ class Append:
         extras = {name[len(EXTRA) :]: values for name, values in arrays.items() if name.startswith(EXTRA)}
         own = {name: arrays[name] for name in ARRAYS}
         before = Gaussians(**own, extras=extras, comments=self._comments)
-        state.set_scene(before, state.marks[:count].copy())
+        state.set_scene(before, (state.marks[:count].copy(), state.owners[:count].copy()))
 
     @property
     def nbytes(self) -> int:
         kept = sum(own.nbytes for own in self._arrays.values() if own is not None)
-        return self._added.nbytes + self._marks.nbytes + kept
+        return self._added.nbytes + self._marks.nbytes + self._owners.nbytes + kept
 
 
 EXTRA = "extras."
@@ -230,6 +251,9 @@ class Change:
     parts: tuple[Part, ...] = ()
     notes: tuple[str, ...] = field(default=())
     """Further messages to the user."""
+    same_file: bool = False
+    """Whether a file written after it is the one written before it, although operations of its kind may alter
+    the file."""
 
     def apply(self, state: State) -> None:
         done: list[Part] = []
@@ -269,8 +293,14 @@ def splats_in_words(count: int) -> str:
     return "1 splat" if count == 1 else f"{count:,} splats"
 
 
-def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
+def readjust(
+    state: State,
+    splats: SplatSet,
+    later: Adjustment,
+    known: Mapping[Adjustment, Adjustment] = MappingProxyType({}),
+) -> Readjust:
     """Applies `later` after the adjustments of `splats`: one palette entry for all alike, none without use.
+    `known`: what comes of some adjustments to the last digit, in place of the product.
 
     Entries that only these splats used are reused for them, so moving one selection a thousand times takes
     one entry, and moving all splats writes to no mark.
@@ -292,7 +322,7 @@ def readjust(state: State, splats: SplatSet, later: Adjustment) -> Readjust:
     lookup = np.arange(len(before), dtype=np.uint32)
     new: list[tuple[int, Adjustment]] = []
     for entry in np.flatnonzero(moved):
-        adjustment = _then(before[entry], later)
+        adjustment = known.get(before[entry]) or _then(before[entry], later)
         if adjustment in slots:
             lookup[entry] = slots[adjustment]
         else:

@@ -122,7 +122,9 @@ class History:
             if (saved := next(places, -1)) < 0:
                 return True  # undone, and replaced by another step
         first, last = sorted((saved, self.position))
-        return any(step.operation.alters_file for step in self.steps[first:last])
+        return any(
+            step.operation.alters_file and not step.change.same_file for step in self.steps[first:last]
+        )
 
 
 ROWS = 1 << 14
@@ -173,6 +175,7 @@ class Document(State):
         """
         if len(gaussians) > MAX_SPLATS:
             raise InputError(f"{name}: has {len(gaussians):,} splats; at most {MAX_SPLATS:,} can be edited")
+        options.setdefault("files", ((name, len(gaussians)),))
         super().__init__(gaussians, **options)
         self.name = name
         self.listeners: list[Listener] = []

@@ -14,7 +14,7 @@ from splatview.edit.operations import Operation
 from splatview.edit.state import State
 from splatview.edit.tools import Tools
 from splatview.scene import Camera, Gaussians
-from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED, SceneEdits, shown
+from splatview.scene.edits import DELETED, PREVIEW, SceneEdits, shown
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 NO_LOSS = 100.0
@@ -156,6 +156,7 @@ def after(document: Document, change: Change) -> EditedScene:
     state = State(document.gaussians)
     state.marks = document.marks.copy()
     state.palette, state.crops = document.palette, document.crops
+    state.files, state.owners = document.files, document.owners
     for part in change.parts:
         if not isinstance(part, SaveOnce):
             part.apply(state)
@@ -169,7 +170,7 @@ def after(document: Document, change: Change) -> EditedScene:
         palette_version=document.edits.palette_version + 1,
         crops_version=document.edits.crops_version + 1,
         changes=(),
-        flags=flags & (SELECTED | HIDDEN | DELETED | LOCKED),
+        flags=flags & ~PREVIEW,
     )
     return state.gaussians, edits
 

@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +20,14 @@ from splatview.edit.serialization import to_json
 from splatview.edit.tools import NoTools, Tools
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.edits import (
+    ANY_LOCK,
     DELETED,
+    FILE_HIDDEN,
+    FILE_LOCKED,
     HIDDEN,
     IDENTITY,
     LOCKED,
+    NOT_SHOWN,
     PREVIEW,
     SELECTED,
     Adjustment,
@@ -108,6 +112,25 @@ class SplatSet:
         return self.count
 
 
+MOST_FILES = 1 << 16
+"""Most files of a scene: each splat has the number of its file in 16 bits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFile:
+    """One of the files that a scene under edit is made of."""
+
+    name: str
+    hidden: bool = False
+    locked: bool = False
+    """Whether tools, crops and clean-up leave its splats alone."""
+    removed: bool = False
+    """Whether it was taken out of the scene."""
+    placement: Adjustment = IDENTITY
+    """Where it was put: rotation, scale and translation of the coordinates in the file. What was done to a
+    selection of its splats is not in it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Counts:
     """Numbers of splats by their flags, crops apart."""
@@ -115,10 +138,10 @@ class Counts:
     total: int
     selected: int
     hidden: int
-    """Hidden and not deleted."""
+    """Hidden, or of a hidden file, and not deleted."""
     deleted: int
     locked: int
-    """Locked and not deleted."""
+    """Locked, or of a locked file, and not deleted."""
     shown: int
     """Neither hidden nor deleted."""
     selectable: int
@@ -142,13 +165,27 @@ class State:
         tools: Tools | None = None,
         load: Callable[..., Gaussians] = load_scene,
         save: Callable[[Gaussians, Path], None] = save_scene,
+        files: Sequence[tuple[str, int]] = (),
     ) -> None:
         """`folder` is what relative paths of operations start from (default: the working directory). `load`
-        and `save` read and write the scenes that operations name, as `load_scene` and `save_scene` do."""
+        and `save` read and write the scenes that operations name, as `load_scene` and `save_scene` do.
+        `files`: names and numbers of splats of the files that the scene was read from, in order; one of all
+        splats where none is given.
+
+        Raises:
+            ValueError: the files have more or fewer splats than the scene.
+        """
+        files = tuple(files) or (("scene", len(gaussians)),)
+        if sum(count for _, count in files) != len(gaussians) or len(files) > MOST_FILES:
+            raise ValueError(f"files must have {len(gaussians)} splats together")
         self.gaussians = gaussians
         """The scene to be drawn with `edits`; another object whenever its values or their number change."""
         self.marks = np.zeros(len(gaussians), np.uint32)
         """(N,) uint32, splat flags and palette index; only to be read."""
+        self.owners = np.repeat(np.arange(len(files), dtype=np.uint16), [count for _, count in files])
+        """(N,) uint16, index in `files` of each splat; only to be read."""
+        self.files: tuple[SceneFile, ...] = tuple(SceneFile(name=name) for name, _ in files)
+        """Those that were removed keep their place."""
         self.palette: tuple[Adjustment, ...] = (IDENTITY,)
         self.crops: tuple[Crop, ...] = ()
         self.folder = folder
@@ -166,6 +203,7 @@ class State:
         self._measurement: tuple[Hashable, np.ndarray] | None = None
         self._edits: tuple[tuple[int, ...], SceneEdits] | None = None
         self._counts: tuple[int, Counts] | None = None
+        self._file_counts: tuple[int, tuple[int, ...]] | None = None
 
     @property
     def room(self) -> float:
@@ -198,6 +236,8 @@ class State:
             flags |= HIDDEN * (counts.hidden > 0 or counts.deleted > 0)
             flags |= LOCKED * (counts.locked > 0 or counts.deleted > 0)
             flags |= PREVIEW * (self._highlighted > 0)
+            flags |= FILE_HIDDEN * any(file.hidden for file in self.files)
+            flags |= FILE_LOCKED * any(file.locked for file in self.files)
             edits = SceneEdits(
                 marks=self.marks,
                 palette=self.palette,
@@ -243,9 +283,18 @@ class State:
     @property
     def editable(self) -> np.ndarray:
         """Splats neither hidden, deleted, locked nor cropped away: (N,) bool."""
-        free = (self.marks & (HIDDEN | DELETED | LOCKED)) == 0
+        free = (self.marks & (NOT_SHOWN | ANY_LOCK)) == 0
         kept = self.cropped_in()
         return free & kept if len(kept) else free
+
+    @property
+    def file_counts(self) -> tuple[int, ...]:
+        """Numbers of splats of the `files`, without deleted ones; counted once after each change."""
+        version = self.marks_version
+        if self._file_counts is None or self._file_counts[0] != version:
+            counts = kernels.file_counts(self.marks, self.owners, len(self.files))
+            self._file_counts = (version, tuple(counts.tolist()))
+        return self._file_counts[1]
 
     def splats(self, care: int, value: int) -> SplatSet:
         """Splats whose flags within `care` are exactly `value`."""
@@ -321,12 +370,16 @@ class State:
         self.crops = crops
         self.crops_version += 1
 
-    def set_scene(self, gaussians: Gaussians, marks: np.ndarray | None = None) -> None:
-        """Replaces the scene, and its marks by `marks` if it has more or fewer splats."""
+    def set_files(self, files: tuple[SceneFile, ...]) -> None:
+        self.revision += 1
+        self.files = files
+
+    def set_scene(self, gaussians: Gaussians, rows: tuple[np.ndarray, np.ndarray] | None = None) -> None:
+        """Replaces the scene, and where it has more or fewer splats `marks` and `owners` by `rows`."""
         self.revision += 1
         self.gaussians = gaussians
         self.scene_version += 1
-        if marks is not None:
-            self.marks = marks
+        if rows is not None:
+            self.marks, self.owners = rows
             self.marks_version += 1
             self.changes.clear()

@@ -35,6 +35,9 @@ STEPS: tuple[dict[str, Any], ...] = (
     {"op": "hide"},
     {"op": "show"},
     {"op": "add_crop", "crop": {"half_extents": [2, 2, 2]}},
+    {"op": "lock_file", "file": 0, "locked": True},
+    {"op": "lock_file", "file": 0, "locked": False},
+    {"op": "place_file", "file": 0, "scale": 2},
     {"op": "select_all"},
     {"op": "delete"},
 )
@@ -57,4 +60,5 @@ def warm_up() -> None:
         document.apply(operation_from_json(step))
     document.jump(0)
     document.highlight(np.ones(COUNT, bool))
+    document.file_counts  # noqa: B018, compiled by being read
     positions_of(document.gaussians, document.edits)

@@ -13,6 +13,7 @@ import numpy as np
 
 from splatview.raster.compiling import inline
 from splatview.scene.edits import (
+    FILE_LOCKED,
     LARGEST_LOGIT,
     NOT_SHOWN,
     PALETTE_SHIFT,
@@ -76,8 +77,11 @@ def palette_row(edits, splat):
 @inline
 def is_shown(edits, splat, x, y, z):
     """Whether a splat is neither hidden nor deleted, and its adjusted mean not cropped away."""
-    if np.int64(edits.marks[splat]) & NOT_SHOWN:
+    mark = np.int64(edits.marks[splat])
+    if mark & NOT_SHOWN:
         return False
+    if mark & FILE_LOCKED:
+        return True
     kept = not edits.keeps_inside
     removed = False
     for index in range(edits.crops.shape[0]):

@@ -243,7 +243,13 @@ def crop_rows(crops: tuple[Crop, ...], centre: np.ndarray | None = None) -> np.n
 SELECTED, HIDDEN, DELETED, LOCKED, PREVIEW = 1, 2, 4, 8, 16
 """State flags of a mark. PREVIEW: what a tool would take, were it applied now; only ever lit up."""
 
-NOT_SHOWN = HIDDEN | DELETED
+FILE_HIDDEN, FILE_LOCKED = 32, 64
+"""State flags of a mark: the file that the splat came from is hidden, or locked. Crops leave a locked file's
+splats in the picture."""
+
+NOT_SHOWN = HIDDEN | DELETED | FILE_HIDDEN
+
+ANY_LOCK = LOCKED | FILE_LOCKED
 
 PALETTE_SHIFT = 8
 """A mark is flags | palette index << PALETTE_SHIFT."""
@@ -284,8 +290,9 @@ class SceneEdits:
 
     @property
     def hides(self) -> bool:
-        """Whether some splats may be hidden or deleted."""
-        return bool(self.flags & NOT_SHOWN)
+        """Whether flags may decide if a splat is shown: it is hidden or deleted, or its file is locked
+        against crops."""
+        return bool(self.flags & NOT_SHOWN) or bool(self.flags & FILE_LOCKED and self.crops_in_force)
 
     @property
     def crops_in_force(self) -> tuple[Crop, ...]:
@@ -329,8 +336,14 @@ def shown(gaussians: Gaussians, edits: SceneEdits, *, hidden: bool = False) -> n
     flags = DELETED if hidden else NOT_SHOWN
     kept = (edits.marks & flags) == 0
     if edits.crops_in_force:
-        kept &= cropped_in(edits.crops, adjusted_means(gaussians, edits))
+        kept &= inside_crops(gaussians, edits)
     return kept
+
+
+def inside_crops(gaussians: Gaussians, edits: SceneEdits) -> np.ndarray:
+    """Which splats the crops in force leave, those of locked files among them: (N,) bool."""
+    kept = cropped_in(edits.crops, adjusted_means(gaussians, edits))
+    return kept | ((edits.marks & FILE_LOCKED) != 0) if edits.flags & FILE_LOCKED else kept
 
 
 def bake(gaussians: Gaussians, edits: SceneEdits, *, hidden: bool = False) -> Gaussians:

@@ -13,7 +13,18 @@ import numpy as np
 
 from splatview.edit.kernels.compiling import in_pieces, inline, kernel
 from splatview.scene import Camera, Gaussians
-from splatview.scene.edits import PALETTE_SHIFT, SceneEdits, adjustment_rows, shown
+from splatview.scene.edits import (
+    ANY_LOCK,
+    DELETED,
+    FILE_LOCKED,
+    NOT_SHOWN,
+    PALETTE_SHIFT,
+    SceneEdits,
+    adjustment_rows,
+    shown,
+)
+
+NOT_SELECTABLE = NOT_SHOWN | ANY_LOCK
 
 
 class Places(NamedTuple):
@@ -127,8 +138,8 @@ def flag_counts(marks: np.ndarray) -> np.ndarray:
     for i in range(len(marks)):
         m = marks[i]
         kept = np.int64(~m >> np.uint32(2)) & 1
-        hides = np.int64(m >> np.uint32(1)) & 1
-        locks = np.int64(m >> np.uint32(3)) & 1
+        hides = np.int64(m >> np.uint32(1) | m >> np.uint32(5)) & 1
+        locks = np.int64(m >> np.uint32(3) | m >> np.uint32(6)) & 1
         selected += np.int64(m) & 1
         hidden += hides & kept
         deleted += 1 - kept
@@ -136,6 +147,15 @@ def flag_counts(marks: np.ndarray) -> np.ndarray:
         shown += kept & (1 - hides)
         free += kept & (1 - hides) & (1 - locks)
     return np.array([selected, hidden, deleted, locked, shown, free])
+
+
+@kernel
+def file_counts(marks: np.ndarray, owners: np.ndarray, files: int) -> np.ndarray:
+    """(files,) int64: number of splats of each file that are not deleted; owners (N,) uint16."""
+    counts = np.zeros((files, 2), np.int64)
+    for i in range(len(marks)):
+        counts[owners[i], np.int64((marks[i] & np.uint32(DELETED)) != 0)] += 1
+    return counts[:, 0].copy()
 
 
 @kernel
@@ -165,7 +185,7 @@ def selection_change(marks: np.ndarray, hits: np.ndarray, visible: np.ndarray, t
     for i in range(len(marks)):
         mark = marks[i]
         selected = (mark & np.uint32(1)) != 0
-        hit = hits[i] & visible[i] & ((mark & np.uint32(14)) == 0)
+        hit = hits[i] & visible[i] & ((mark & np.uint32(NOT_SELECTABLE)) == 0)
         missed = selected & (not hit)
         changed[i] = (missed & if_missed) | (hit & selected & if_hit) | (hit & (not selected) & if_new)
     return changed
@@ -181,13 +201,14 @@ def cropped_in(
     kept: np.ndarray,
 ) -> None:
     """kept[start:stop] (N,) bool: whether the crops, (C, CROP_ROW) as `crop_rows`, keep each splat, as in
-    `scene.edits.cropped_in`. Splats without any flag in `only` (0: all count) are kept unseen."""
+    `scene.edits.inside_crops`. Splats without any flag in `only` (0: all count) are kept unseen."""
     any_inside = False
     for c in range(len(crops)):
         any_inside = any_inside or crops[c, 13] == 1
     looked_at = np.uint32(only)
     for i in range(start, stop):
-        if only != 0 and (places.marks[i] & looked_at) == 0:
+        mark = places.marks[i]
+        if (only != 0 and (mark & looked_at) == 0) or (mark & np.uint32(FILE_LOCKED)) != 0:
             kept[i] = True
             continue
         x, y, z = place(places, i)
@@ -218,7 +239,7 @@ def set_highlight(marks: np.ndarray, mask: np.ndarray) -> tuple[int, int, int]:
     any_highlighted = len(mask) > 0
     for i in range(len(marks)):
         before = marks[i]
-        highlighted = any_highlighted and mask[i] and (before & np.uint32(14)) == 0
+        highlighted = any_highlighted and mask[i] and (before & np.uint32(NOT_SELECTABLE)) == 0
         after = (before | np.uint32(16)) if highlighted else (before & np.uint32(0xFFFFFFEF))
         count += highlighted
         if after != before:

@@ -9,6 +9,14 @@ from splatview.edit.operations.appearance import ColourGrade, Opacity, Size
 from splatview.edit.operations.base import Operation
 from splatview.edit.operations.cleanup import Decimate, Prune, Repair, SelectDetected
 from splatview.edit.operations.crop import AddCrop, ChangeCrop, DeleteCropped, EnableCrop, RemoveCrop
+from splatview.edit.operations.files import (
+    LockFile,
+    PlaceFile,
+    RemoveFile,
+    RenameFile,
+    SelectFile,
+    ShowFile,
+)
 from splatview.edit.operations.flags import Delete, Hide, Isolate, Lock, Show, Unlock
 from splatview.edit.operations.merge_split import Duplicate, Merge, Split
 from splatview.edit.operations.select import Grow, Select, SelectAll, SelectInverse, SelectNone, Shrink
@@ -49,6 +57,12 @@ OPERATIONS: dict[str, type[Operation]] = {
         Merge,
         Duplicate,
         Split,
+        ShowFile,
+        LockFile,
+        PlaceFile,
+        RenameFile,
+        RemoveFile,
+        SelectFile,
     )
 }
 

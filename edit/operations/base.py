@@ -8,10 +8,11 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from splatview.edit.changes import Change, Part, Recrop, Toggle, readjust, splats_in_words
+from splatview.edit.changes import Change, Part, Recrop, Refile, Toggle, readjust, splats_in_words
 from splatview.edit.serialization import from_json, to_json
-from splatview.edit.state import SplatSet, State
-from splatview.scene.edits import DELETED, LOCKED, SELECTED, Adjustment, Crop, quat_product
+from splatview.edit.state import SceneFile, SplatSet, State
+from splatview.scene import InputError
+from splatview.scene.edits import ANY_LOCK, DELETED, SELECTED, Adjustment, Crop, quat_product
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 
@@ -58,11 +59,12 @@ def check_scope(scope: str) -> None:
 
 
 def splats_of(state: State, scope: Scope) -> SplatSet:
-    return state.selected if scope == "selection" else state.splats(DELETED | LOCKED, 0)
+    return state.selected if scope == "selection" else state.splats(DELETED | ANY_LOCK, 0)
 
 
 def adjusting(state: State, scope: Scope, adjustment: Adjustment, verb: str) -> Change:
-    """The change that applies `adjustment` to the splats, and to the crops where the whole scene moves."""
+    """The change that applies `adjustment` to the splats; crops and files go along where the whole scene
+    moves."""
     splats = splats_of(state, scope)
     parts: list[Part] = []
     if len(splats) and adjustment != Adjustment():
@@ -70,6 +72,9 @@ def adjusting(state: State, scope: Scope, adjustment: Adjustment, verb: str) -> 
         if scope == "scene" and adjustment.moves and state.crops:
             moved = tuple(moved_crop(crop, adjustment) for crop in state.crops)
             parts.append(Recrop(state.crops, moved))
+        if scope == "scene" and adjustment.moves:
+            files = tuple(moved_file(file, adjustment) for file in state.files)
+            parts.append(Refile(state.files, files))
     return Change(title=f"{verb} {splats_in_words(len(splats))}", count=len(splats), parts=tuple(parts))
 
 
@@ -80,6 +85,24 @@ def moved_crop(crop: Crop, adjustment: Adjustment) -> Crop:
     cx, cy, cz = (adjustment.linear @ np.array(crop.centre) + np.array(adjustment.translation)).tolist()
     ex, ey, ez = (np.array(crop.half_extents) * adjustment.scale).tolist()
     return replace(crop, centre=(cx, cy, cz), half_extents=(ex, ey, ez), rotation=(w, x, y, z))
+
+
+def moved_file(file: SceneFile, adjustment: Adjustment) -> SceneFile:
+    """The file after `adjustment` of the whole scene. Raises InputError where that leaves the range of
+    numbers."""
+    if file.locked or file.removed:
+        return file
+    try:
+        return replace(file, placement=file.placement.then(similar(adjustment)))
+    except ValueError as error:
+        raise InputError(f"{file.name}: after what was done before, {error}") from None
+
+
+def similar(adjustment: Adjustment) -> Adjustment:
+    """What `adjustment` does to positions, alone."""
+    return Adjustment(
+        rotation=adjustment.rotation, scale=adjustment.scale, translation=adjustment.translation
+    )
 
 
 def require_rewrite(state: State, attribute: str, count: int) -> None:

@@ -16,7 +16,7 @@ from splatview.edit.selectors.base import finding_mask
 from splatview.edit.serialization import to_json
 from splatview.edit.state import SplatSet, State
 from splatview.scene import Camera, InputError
-from splatview.scene.edits import DELETED, LARGEST_LOGIT, LOCKED
+from splatview.scene.edits import ANY_LOCK, DELETED, LARGEST_LOGIT
 from splatview.scene.health import BRIGHT, EXTREME_LOG_SCALE, NEEDLE_RATIO, sh_bound
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -144,7 +144,7 @@ class Repair(Operation):
 
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         progress.step(0.0)
-        invalid = self._invalid(state) & ((state.marks & (DELETED | LOCKED)) == 0)
+        invalid = self._invalid(state) & ((state.marks & (DELETED | ANY_LOCK)) == 0)
         title = f"Repair {self.finding}: {splats_in_words(int(np.count_nonzero(invalid)))}"
         if REPAIRS[self.finding].endswith("deleted"):
             return deleting(state, invalid, title)

@@ -11,7 +11,7 @@ from splatview.edit.changes import Change, Part, Recrop, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation, deleting
 from splatview.edit.state import SplatSet, State
 from splatview.scene import InputError
-from splatview.scene.edits import DELETED, LOCKED, SELECTED, Crop, shown
+from splatview.scene.edits import ANY_LOCK, DELETED, SELECTED, Crop, shown
 from splatview.scene.errors import printable
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -95,7 +95,7 @@ class DeleteCropped(Operation):
             raise InputError("no crop is in force that could be made permanent")
         # By the exporter's own arithmetic: a splat on the very surface must not change sides.
         outside = ~shown(state.gaussians, state.edits, hidden=True) & ((state.marks & DELETED) == 0)
-        locked = outside & ((state.marks & LOCKED) != 0)
+        locked = outside & ((state.marks & ANY_LOCK) != 0)
         outside &= ~locked
         kept = tuple(crop for crop in state.crops if not crop.enabled)
         stay = int(np.count_nonzero(locked))

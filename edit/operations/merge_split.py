@@ -7,15 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from splatview.edit.changes import Append, Change, Part, SaveOnce, Toggle, splats_in_words
+from splatview.edit.changes import Append, Change, Part, Refile, SaveOnce, Toggle, splats_in_words
 from splatview.edit.operations.base import Operation
-from splatview.edit.state import MAX_SPLATS, State
+from splatview.edit.state import MAX_SPLATS, MOST_FILES, SceneFile, State
 from splatview.scene import Gaussians, InputError, concatenate
 from splatview.scene.edits import DELETED, PALETTE_SHIFT, SELECTED, bake
 from splatview.scene.errors import printable
 from splatview.scene.progress import NO_PROGRESS, Progress
 
-MARK_BYTES = 4
+MARK_BYTES = 4 + 2
+"""Of a splat: its mark and the number of its file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +33,15 @@ class Merge(Operation):
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         # The scene of both is made while the file's splats are held: two copies of those.
         other = state.load(state.path(self.path), room=state.room / 2)
-        marks = np.full(len(other), SELECTED, np.uint32)
-        title = f"Merge {splats_in_words(len(other))} of {printable(state.path(self.path).name)}"
-        return _appended(state, other, marks, title)
+        name, files = state.path(self.path).name, state.files
+        if not len(files) < MOST_FILES:
+            raise InputError(f"{name}: the scene is of {MOST_FILES:,} files already")
+        owners = np.full(len(other), len(files), np.uint16)
+        title = f"Merge {splats_in_words(len(other))} of {printable(name)}"
+        change = _appended(state, other, np.zeros(len(other), np.uint32), owners, title)
+        refile = Refile(files, (*files, SceneFile(name=name)))
+        # First the file, then splats that name it.
+        return replace(change, parts=(refile, *change.parts)) if change.parts else change
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +55,7 @@ class Duplicate(Operation):
         scene = state.gaussians
         state.require_room((len(scene) + 2 * len(selected)) * (scene.row_bytes + MARK_BYTES))
         at = selected.indices
-        return _appended(state, scene.take(at), state.marks[at], title)
+        return _appended(state, scene.take(at), state.marks[at], state.owners[at], title)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +91,9 @@ def _check_path(path: str) -> None:
         raise ValueError("path must name a file")
 
 
-def _appended(state: State, added: Gaussians, marks: np.ndarray, title: str) -> Change:
-    """Appends `added`, with the adjustments in marks (M,), and selects them alone."""
+def _appended(state: State, added: Gaussians, marks: np.ndarray, owners: np.ndarray, title: str) -> Change:
+    """Appends `added`, with the adjustments in marks (M,) and their files in owners (M,), and selects them
+    alone."""
     if not len(added):
         return Change(title=title, count=0)
     before = state.gaussians
@@ -95,7 +103,7 @@ def _appended(state: State, added: Gaussians, marks: np.ndarray, title: str) -> 
     state.require_room((len(before) + len(added)) * row + added.nbytes)
     selected = state.selected
     parts: list[Part] = [Toggle(selected, SELECTED)] if len(selected) else []
-    parts.append(Append(before, added, (marks & _ENTRY) | np.uint32(SELECTED)))
+    parts.append(Append(before, added, (marks & _ENTRY) | np.uint32(SELECTED), owners))
     return Change(title=title, count=len(added), parts=tuple(parts))
 
 

@@ -15,6 +15,7 @@ from splatview.renderers.modes import MODES, VisualMode
 from splatview.renderers.request import TINT_COUNT, Highlight
 from splatview.scene.edits import (
     CROP_ROW,
+    FILE_LOCKED,
     LOCKED,
     NOT_SHOWN,
     PALETTE_SHIFT,
@@ -80,6 +81,7 @@ class Editing:
             "TEXTURE_WIDTH": TEXTURE_WIDTH,
             "PALETTE_SHIFT": PALETTE_SHIFT,
             "NOT_SHOWN": NOT_SHOWN,
+            "FILE_LOCKED": FILE_LOCKED,
             "ROW_TEXELS": ROW // 4,
             "CROP_TEXELS": CROP_ROW // 4,
             "TINT_COUNT": TINT_COUNT,

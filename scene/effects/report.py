@@ -17,8 +17,7 @@ from splatview.scene.edits import (
     SELECTED,
     Adjustment,
     SceneEdits,
-    adjusted_means,
-    cropped_in,
+    inside_crops,
 )
 from splatview.scene.effects.appearance import (
     TRANSPARENCY,
@@ -239,7 +238,7 @@ def _crop(gaussians: Gaussians, edits: SceneEdits) -> Effect:
     n, crops = len(gaussians), edits.crops_in_force
     if not crops:
         return Effect(name="crop", on=False, why="there is no crop")
-    outside = n - int(cropped_in(crops, adjusted_means(gaussians, edits)).sum())
+    outside = n - int(inside_crops(gaussians, edits).sum())
     # One that cuts nothing off is computed all the same: what lies outside it is known only then.
     return Effect(
         name="crop",

@@ -1,6 +1,6 @@
 // A splat after its edits, by scene/edits.py: unchanged, at no cost, where no flag is set.
-// Flags: HIDES (some splats are hidden or deleted), ADJUSTS (some have an adjustment), CROPS,
-// ROW_TEXELS and CROP_TEXELS (of a row), and those of marks.
+// Flags: HIDES (some splats are hidden or deleted, or crops leave them alone), ADJUSTS (some have an adjustment),
+// CROPS, ROW_TEXELS and CROP_TEXELS (of a row), and those of marks.
 #include "common/projection.glsl"
 #include "common/marks.glsl"
 
@@ -70,12 +70,17 @@ bool is_cropped_in(vec3 position) {
 
 // Applies the edits to an unedited splat; false where they hide it.
 bool edit(uint splat, inout Splat s) {
-    if (HIDES && (mark_of(splat) & uint(NOT_SHOWN)) != 0u) return false;
+    bool uncropped = false;
+    if (HIDES) {
+        uint mark = mark_of(splat);
+        if ((mark & uint(NOT_SHOWN)) != 0u) return false;
+        uncropped = (mark & uint(FILE_LOCKED)) != 0u;
+    }
     if (ADJUSTS) {
         uint entry = adjustment_of(splat);
         if (entry != 0u) adjust(entry, s);
     }
-    if (CROPS && !is_cropped_in(s.position)) return false;
+    if (CROPS && !uncropped && !is_cropped_in(s.position)) return false;
     return true;
 }
 

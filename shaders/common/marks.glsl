@@ -1,5 +1,5 @@
 // Flags and palette index of each splat (marks of scene/edits.py); only programs that use them read the texture.
-// Flags: TEXTURE_WIDTH, PALETTE_SHIFT, NOT_SHOWN (state flags), TINT_COUNT.
+// Flags: TEXTURE_WIDTH, PALETTE_SHIFT, NOT_SHOWN and FILE_LOCKED (state flags), TINT_COUNT.
 #include "common/texels.glsl"
 
 uniform usampler2D u_marks;

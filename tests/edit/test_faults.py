@@ -43,6 +43,12 @@ FIELDS: dict[str, dict[str, Any]] = {
     "repair": {"finding": "quaternion lengths"},
     "merge": {"path": "other.ply"},
     "split": {"path": "part.ply"},
+    "show_file": {"file": 0, "shown": False},
+    "lock_file": {"file": 0, "locked": True},
+    "place_file": {"file": 0, "rotation": [1, 2, 0, 0], "scale": 2},
+    "rename_file": {"file": 0, "name": "other"},
+    "remove_file": {"file": 0},
+    "select_file": {"file": 1},
 }
 
 
@@ -68,6 +74,7 @@ def faults(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
         changes.Toggle,
         changes.Readjust,
         changes.Recrop,
+        changes.Refile,
         changes.Rewrite,
         changes.Append,
         changes.SaveOnce,
@@ -90,6 +97,7 @@ def document(edit_helpers) -> Document:
 
     document = Document(
         edit_helpers.make_scene(30),
+        files=(("a", 20), ("b", 10)),
         tools=Tools(),  # pyright: ignore[reportArgumentType]
         load=lambda path, room: edit_helpers.make_scene(5, seed=2),
         save=lambda scene, path: None,

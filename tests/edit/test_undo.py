@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from splatview.edit.document import Document
 from splatview.edit.operations import OPERATIONS, operation_from_json
 from splatview.scene import Camera, Gaussians, InputError, look_at
-from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
+from splatview.scene.edits import DELETED, FILE_HIDDEN, FILE_LOCKED, HIDDEN, LOCKED, SELECTED
 
 COUNT = 40
 
 coordinates = st.floats(-1.5, 1.5, width=32)
 vectors = st.tuples(coordinates, coordinates, coordinates).map(list)
 factors = st.floats(0.25, 4, width=32)
+file_numbers = st.integers(0, 2)
 scopes = st.sampled_from(["selection", "scene"])
 quats = st.lists(st.floats(-1, 1, width=32), min_size=4, max_size=4).filter(lambda q: max(map(abs, q)) > 0.1)
 
@@ -124,6 +125,12 @@ OPERATION_STEPS = {
     ),
     "merge": steps("merge", path=st.just("other.ply")),
     "split": steps("split", path=st.just("part.ply")),
+    "show_file": steps("show_file", file=file_numbers, shown=st.booleans()),
+    "lock_file": steps("lock_file", file=file_numbers, locked=st.booleans()),
+    "place_file": steps("place_file", file=file_numbers, rotation=quats, translation=vectors, scale=factors),
+    "rename_file": steps("rename_file", file=file_numbers, name=st.sampled_from(["a", "c"])),
+    "remove_file": steps("remove_file", file=file_numbers),
+    "select_file": steps("select_file", file=file_numbers, mode=st.sampled_from(["set", "add"])),
     "select_detected": steps(
         "select_detected",
         by=st.fixed_dictionaries({"kind": st.just("faint")}),
@@ -162,6 +169,7 @@ def make_document(edit_helpers):
     def make(saved: list[Any] | None = None) -> Document:
         return Document(
             scene,
+            files=(("a", COUNT - 9), ("b", 9)),
             tools=MadeUpTools(),
             load=lambda path, room: other,
             save=lambda part, path: None if saved is None else saved.append((part, path)),
@@ -181,7 +189,15 @@ def apply(document: Document, step: dict[str, Any]) -> bool:
 
 def invariants(document: Document) -> None:
     marks = document.marks
-    assert not ((marks & SELECTED) != 0)[(marks & (HIDDEN | DELETED | LOCKED)) != 0].any()
+    hidden, locked = HIDDEN | FILE_HIDDEN, LOCKED | FILE_LOCKED
+    assert not ((marks & SELECTED) != 0)[(marks & (hidden | DELETED | locked)) != 0].any()
+    for number, file in enumerate(document.files):
+        own = marks[document.owners == number]
+        assert (((own & FILE_HIDDEN) != 0) == file.hidden).all()
+        assert (((own & FILE_LOCKED) != 0) == file.locked).all()
+        assert document.file_counts[number] == int(((own & DELETED) == 0).sum())
+        assert not (file.removed and document.file_counts[number])
+    assert len(document.owners) == len(marks)
     assert (marks >> 8).max(initial=0) < len(document.palette)
     flags = np.bitwise_or.reduce(marks & 255, initial=0)
     assert int(flags) & ~document.edits.flags == 0
@@ -190,10 +206,10 @@ def invariants(document: Document) -> None:
     for flag, count in ((SELECTED, counts.selected), (DELETED, counts.deleted)):
         assert count == int(((marks & flag) != 0).sum())
     kept = marks[(marks & DELETED) == 0]
-    assert counts.hidden == int(((kept & HIDDEN) != 0).sum())
-    assert counts.locked == int(((kept & LOCKED) != 0).sum())
-    assert counts.shown == int(((kept & HIDDEN) == 0).sum())
-    assert counts.selectable == int(((kept & (HIDDEN | LOCKED)) == 0).sum())
+    assert counts.hidden == int(((kept & hidden) != 0).sum())
+    assert counts.locked == int(((kept & locked) != 0).sum())
+    assert counts.shown == int(((kept & hidden) == 0).sum())
+    assert counts.selectable == int(((kept & (hidden | locked)) == 0).sum())
 
 
 def test_every_operation_is_drawn():
@@ -205,7 +221,10 @@ def test_every_operation_is_drawn():
 @given(data=st.data())
 def test_one_step_and_back_and_again(make_document, edit_helpers, op, data):
     document = make_document()
-    before_steps = ("select", "add_crop", "transform", "hide", "lock", "select", "duplicate")
+    before_steps = (
+        *("select", "add_crop", "transform", "hide", "lock", "select", "duplicate"),
+        *("show_file", "lock_file", "place_file", "merge"),
+    )
     for before in data.draw(st.lists(st.sampled_from(before_steps), max_size=4)):
         apply(document, data.draw(OPERATION_STEPS[before]))
     if data.draw(st.booleans()):
