@@ -121,6 +121,8 @@ class SceneFile:
     """One of the files that a scene under edit is made of."""
 
     name: str
+    source: str = ""
+    """Path of the file, for the user."""
     hidden: bool = False
     locked: bool = False
     """Whether tools, crops and clean-up leave its splats alone."""
@@ -169,7 +171,7 @@ class State:
     ) -> None:
         """`folder` is what relative paths of operations start from (default: the working directory). `load`
         and `save` read and write the scenes that operations name, as `load_scene` and `save_scene` do.
-        `files`: names and numbers of splats of the files that the scene was read from, in order; one of all
+        `files`: paths and numbers of splats of the files that the scene was read from, in order; one of all
         splats where none is given.
 
         Raises:
@@ -184,7 +186,9 @@ class State:
         """(N,) uint32, splat flags and palette index; only to be read."""
         self.owners = np.repeat(np.arange(len(files), dtype=np.uint16), [count for _, count in files])
         """(N,) uint16, index in `files` of each splat; only to be read."""
-        self.files: tuple[SceneFile, ...] = tuple(SceneFile(name=name) for name, _ in files)
+        self.files: tuple[SceneFile, ...] = tuple(
+            SceneFile(name=Path(path).name, source=path) for path, _ in files
+        )
         """Those that were removed keep their place."""
         self.palette: tuple[Adjustment, ...] = (IDENTITY,)
         self.crops: tuple[Crop, ...] = ()

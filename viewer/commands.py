@@ -21,7 +21,7 @@ from splatview.viewer import open as opening
 from splatview.viewer import save as pictures
 from splatview.viewer.command import Command, needs
 from splatview.viewer.depth_of_field import DepthOfField
-from splatview.viewer.editing import cleanup, exporting, files, saving
+from splatview.viewer.editing import cleanup, exporting, files, saving, scene_files
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
 from splatview.viewer.entries import ENTRIES, reset_panels, toggle_panels
@@ -218,8 +218,9 @@ COMMANDS: dict[str, Command] = {
             words=("open", "load")),
         _file("open_folder", "", "Open a folder of scenes as a sequence", opening.choose_folder,
             "Open a folder...", words=("sequence", "frames", "4d", "animation", "directory")),
-        _file("add", "Ctrl+Shift+O", "Import: add another scene to this one", files.choose_addition,
-            "Import...", words=("append",), lacks=needs(lambda app: app.is_open, "Open a scene first")),
+        _file("import", "Ctrl+Shift+O Ctrl+M", "Import: add other files to this scene, a row each",
+            files.choose_import, "Import...", words=("import", "append", "merge", "combine", "add file"),
+            lacks=_a_scene_at_rest),
         _file("recent", "", "Recent: open a scene that was open before",
             partial(toggle_dialog, name="recent"),
             words=("open recent", "last files"),
@@ -242,8 +243,11 @@ COMMANDS: dict[str, Command] = {
             "Save recipe...", lacks=_a_scene_at_rest, words=("macro", "script", "batch")),
         _recipe("replay_recipe", "Ctrl+R", "Apply a recipe: do its steps", files.choose_recipe_to_replay,
             "Apply recipe...", lacks=_a_scene_at_rest, words=("load recipe", "replay")),
-        _file("merge", "Ctrl+M", "Merge another scene into this one, as a step of editing",
-            files.choose_merge, "Merge as an edit...", lacks=_a_scene_at_rest),
+        *(
+            _file(f"file_{id}", "", f"File of the scene: {title}", run, words=words,
+                lacks=partial(scene_files.lacks, unlocked=unlocked))
+            for id, title, run, unlocked, words in scene_files.COMMANDS
+        ),
         _file("split", "Ctrl+Shift+E", "Move the selection to a file of its own", files.choose_split,
             "Selection to its own file...", lacks=lambda app: _a_selection(app) or _a_scene_at_rest(app)),
         _file("start_screen", "", "Start screen: open, train, recent scenes, demo",

@@ -129,6 +129,8 @@ ENTRIES = (
     _page("Accuracy", "what each approximation saves and costs in this view", "quality", "error", "psnr",
         "pareto", "ladder"),
     _page("Train", "a scene from photos", "train", "training", "photos", "photogrammetry", "recipe"),
+    _scene("files", "Files", "Files of the scene: show, lock, move or remove each", "scene manager", "objects",
+        "file list"),
     _scene("problems", "Problems", "Problems of the scene: select and repair", "repair", "invalid", "health"),
     _scene("cameras", "Cameras", "Cameras that are loaded", "camera list", "colmap"),
     _view("bookmarks", "Bookmarks", "Bookmarks: views that were kept", "saved views"),

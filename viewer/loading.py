@@ -76,6 +76,8 @@ class LoadedScene:
     """The side that shows most; None of the demo, which has a view of its own, and where nothing is seen."""
     stamps: Mapping[Path, Stamp] = field(default_factory=dict)
     """Stamps of its files, just before they were read."""
+    counts: tuple[int, ...] = ()
+    """Number of splats of each of several files; () where one file has all."""
     sequence: SceneSequence | None = None
     """Sequence of which it is a frame."""
     frame: int = 0
@@ -185,23 +187,35 @@ class Examination(Task[None]):
         self.findings = tuple(findings)
 
 
-def load_files(paths: Sequence[Path], *, added_to: LoadedScene | None = None) -> Loading:
-    """Starts to load `paths` (at least one) into one scene, after what `added_to` holds already."""
+class FilesLoading(Loading):
+    """A scene of several files under way."""
+
+    def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
+        self.counts: list[int] = []
+        """Number of splats of each file that has been read."""
+        super().__init__(name, paths, read)
+
+    def _load(self, progress: Progress) -> LoadedScene:
+        return replace(super()._load(progress), counts=tuple(self.counts))
+
+
+def load_files(paths: Sequence[Path]) -> Loading:
+    """Starts to load `paths` (at least one) into one scene."""
+    if len(paths) == 1:
+        return Loading(printable(paths[0].name), paths, partial(load_scene, paths[0]))
     sizes = [os.path.getsize(path) if os.path.isfile(path) else 0 for path in paths]
     whole = max(sum(sizes), 1)
     before = [sum(sizes[:i]) for i in range(len(sizes))]
 
     def read(*, progress: Progress) -> Gaussians:
-        parts = [added_to.gaussians] if added_to else []
+        parts = []
         for path, size, start in zip(paths, sizes, before, strict=True):
             parts.append(load_scene(path, progress=progress.part(start / whole, (start + size) / whole)))
-        return concatenate(parts) if len(parts) > 1 else parts[0]
+            loading.counts.append(len(parts[-1]))
+        return concatenate(parts)
 
-    all_paths = (*(added_to.paths if added_to else ()), *paths)
-    name = all_paths[0].name if len(all_paths) == 1 else f"{all_paths[0].name} and {len(all_paths) - 1} more"
-    if added_to and not added_to.paths:
-        name = f"{added_to.name} and {name}"
-    return Loading(printable(name), all_paths, read)
+    loading = FilesLoading(printable(f"{paths[0].name} and {len(paths) - 1} more"), paths, read)
+    return loading
 
 
 class SequenceLoading(Loading):

@@ -89,7 +89,7 @@ def pause_or_resume(app: AppState) -> None:
 # fmt: off
 MENUS: dict[str, tuple[Entry, ...]] = {
     "File": (
-        "open", "open_folder", "add", recent_files, "merge", "reload", None,
+        "open", "open_folder", "import", recent_files, "reload", None,
         "save", "save_as", "export", "split", None,
         "train_photos", "start_screen", "demo", None,
         "open_cameras", None, "screenshot", "screenshot_as", None, "settings", None, "quit",

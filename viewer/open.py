@@ -42,19 +42,16 @@ def open_paths(app: AppState, paths: Sequence[Path], *, merge: bool = False) -> 
         begin(app, scenes)
 
 
-def begin(app: AppState, paths: Sequence[Path], *, add: bool = False) -> None:
+def begin(app: AppState, paths: Sequence[Path]) -> None:
     """Starts to load; a load under way is cancelled, and the shown scene stays until the new one is here.
     Where it has unsaved edits the user is asked first."""
-    if not add:
-        app.leave(partial(_begin, paths=paths))
-    else:
-        _begin(app, paths, added_to=app.scene if app.is_open else None)
+    app.leave(partial(_begin, paths=paths))
 
 
-def _begin(app: AppState, paths: Sequence[Path], added_to: LoadedScene | None = None) -> None:
+def _begin(app: AppState, paths: Sequence[Path]) -> None:
     cancel_loading(app, quiet=True)
     leave_start_screen(app)
-    app.loading = load_files([Path(path) for path in paths], added_to=added_to)
+    app.loading = load_files([Path(path) for path in paths])
 
 
 def leave_start_screen(app: AppState) -> None:

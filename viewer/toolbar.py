@@ -16,8 +16,9 @@ from splatview.edit.operations.crop import ChangeCrop, DeleteCropped, RemoveCrop
 from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.editing import commands
+from splatview.viewer.editing.edit_session import TRANSFORM, EditSession
 from splatview.viewer.editing.gizmos import KINDS
-from splatview.viewer.editing.session import TRANSFORM, EditSession, can_edit, post_edit, session_of
+from splatview.viewer.editing.session import can_edit, post_edit, session_of
 from splatview.viewer.editing.tool_state import (
     CROPPING,
     SELECTING,
@@ -27,7 +28,7 @@ from splatview.viewer.editing.tool_state import (
     ToolName,
     mode_of,
 )
-from splatview.viewer.editing.transform import finish
+from splatview.viewer.editing.transform import choose_subject, finish, subjects_of
 from splatview.viewer.panels import widgets
 from splatview.viewer.panels.crops import KIND_NAMES
 from splatview.viewer.state import AppState
@@ -297,15 +298,22 @@ def selecting(app: AppState, session: EditSession, right: float) -> None:
 def transforming(app: AppState, session: EditSession, right: float) -> None:
     """What the handles move, and the way to keep or drop numbers that were typed."""
     name(next(tool.label for tool in TOOLS if tool.name == session.tool))
-    if session.document.counts.selected:
-        scopes = (
-            ("selection", "Selection", "The handles are the selection's."),
-            ("scene", "Whole scene", "The handles are those of all splats that are not locked."),
-        )
-        scope = choices(right, scopes, session.scope)
-        if scope is not None:
-            session.forms.scope = "selection" if scope == "selection" else "scene"
-            post_edit(app, EditSession.cancel_preview)
+    subjects = subjects_of(session)
+    if len(subjects) > 1:
+        tips = {
+            "file": "The handles are those of the file whose row on the Scene page is active.",
+            "selection": "The handles are the selection's.",
+            "scene": "The handles are those of all splats that are not locked.",
+        }
+        wide = 9 * imgui.get_font_size()
+        entries = [(key, widgets.fitting(title, wide), tips[key]) for key, title in subjects]
+        subject = choices(right, entries, session.subject)
+        if subject is not None:
+            post_edit(app, choose_subject, next(key for key, _ in subjects if key == subject))
+        if (file := session.active_file) and session.subject == "file" and file.locked:
+            follow(right, imgui.calc_text_size("locked").x)
+            imgui.text_colored(theme.WARNING, "locked")
+            widgets.tooltip("Unlock the file on the Scene page to transform it.")
     else:
         follow(right, imgui.calc_text_size("whole scene").x)
         imgui.text_colored(theme.QUIET, "whole scene")

@@ -33,13 +33,14 @@ class Merge(Operation):
     def plan(self, state: State, progress: Progress = NO_PROGRESS) -> Change:
         # The scene of both is made while the file's splats are held: two copies of those.
         other = state.load(state.path(self.path), room=state.room / 2)
-        name, files = state.path(self.path).name, state.files
+        path, files = state.path(self.path), state.files
+        name = path.name
         if not len(files) < MOST_FILES:
             raise InputError(f"{name}: the scene is of {MOST_FILES:,} files already")
         owners = np.full(len(other), len(files), np.uint16)
         title = f"Merge {splats_in_words(len(other))} of {printable(name)}"
         change = _appended(state, other, np.zeros(len(other), np.uint32), owners, title)
-        refile = Refile(files, (*files, SceneFile(name=name)))
+        refile = Refile(files, (*files, SceneFile(name=name, source=str(path))))
         # First the file, then splats that name it.
         return replace(change, parts=(refile, *change.parts)) if change.parts else change
 

@@ -41,6 +41,8 @@ from splatview.scene.background import Background, Gradient, Panorama
 from splatview.scene.camera import with_parallel_rays
 from splatview.scene.edits import (
     DELETED,
+    FILE_HIDDEN,
+    FILE_LOCKED,
     HIDDEN,
     IDENTITY,
     LOCKED,
@@ -842,14 +844,17 @@ def some_marks(count: int, adjustments: int, flags: tuple[int, ...] = (), seed: 
 
 def edits_of(kind: str, count: int, place: np.ndarray = HERE) -> SceneEdits:
     """Edits of one kind, or of "all" at once."""
-    flags = (SELECTED, HIDDEN, DELETED, LOCKED, HIDDEN | DELETED, PREVIEW)
+    flags = {
+        "hidden": (SELECTED, HIDDEN, DELETED, LOCKED, HIDDEN | DELETED, PREVIEW),
+        "file locked": (FILE_LOCKED,),
+        "all": (SELECTED, HIDDEN, DELETED, LOCKED, PREVIEW, FILE_HIDDEN, FILE_LOCKED, HIDDEN | FILE_LOCKED),
+    }.get(kind, ())
     palette = every_kind(place) if kind in ("adjusted", "all") else (IDENTITY,)
-    hides = kind in ("hidden", "all")
     return SceneEdits(
-        marks=some_marks(count, len(palette), flags if hides else ()),
+        marks=some_marks(count, len(palette), flags),
         palette=palette,
-        crops=some_crops(place) if kind in ("cropped", "all") else (),
-        flags=31 if hides else 0,
+        crops=some_crops(place) if kind in ("cropped", "file locked", "all") else (),
+        flags=int(np.bitwise_or.reduce(np.array(flags, np.uint32), initial=0)),
     )
 
 
@@ -871,7 +876,7 @@ def assert_edited(
 
 @on(*FAST)
 @pytest.mark.parametrize("place", [HERE, AWAY], ids=["here", "far"])
-@pytest.mark.parametrize("kind", ["hidden", "adjusted", "cropped", "all"])
+@pytest.mark.parametrize("kind", ["hidden", "adjusted", "cropped", "file locked", "all"])
 def test_edits_are_seen_as_they_are_baked(backend, random_gaussians: Make, kind, place):
     scene = moved(random_gaussians(300), place) if place.any() else random_gaussians(300)
     assert_edited(backend, scene, edits_of(kind, 300, place), edited_view(place))

@@ -17,9 +17,8 @@ from splatview.edit.operations.transform import Transform
 from splatview.scene.edits import Crop
 from splatview.scene.framing import bulk, robust_box
 from splatview.viewer.camera import frame_all, shown_sample
+from splatview.viewer.editing.edit_session import TRANSFORM, EditSession
 from splatview.viewer.editing.session import (
-    TRANSFORM,
-    EditSession,
     session_for_edit,
     session_of,
     with_session,

@@ -28,6 +28,7 @@ from splatview.viewer.editing.session import (
 )
 from splatview.viewer.editing.target import AT_REST
 from splatview.viewer.loading import stamp_of, stamps_of
+from splatview.viewer.preferences import with_recent
 from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
@@ -143,33 +144,26 @@ def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -
     session.start(title, work, done, edits=True)
 
 
-def choose_merge(app: AppState) -> None:
-    """Adds a file's splats as an edit, which can be undone and replayed."""
+def choose_import(app: AppState) -> None:
+    """Adds files to the scene as an edit, which can be undone and replayed."""
     if not check_at_rest(app):
         return
-    app.choose_files("Merge another scene", lambda paths: app.post(merge_files, paths), kind="scene")
+    app.choose_files("Import scenes", lambda paths: app.post(import_files, paths), kind="scene")
 
 
 @with_session
-def merge_files(app: AppState, session: EditSession, paths: Sequence[Path]) -> None:
-    """Each is a step of its own; one that cannot be read ends it."""
-    if paths:
-        merge = Merge(path=str(paths[0].absolute()))
-        session.apply_slowly(merge, f"Reading {paths[0].name}", then=lambda: merge_files(app, paths[1:]))
+def import_files(app: AppState, session: EditSession, paths: Sequence[Path]) -> None:
+    """Each is a step and a row of its own, the last one active; one that cannot be read ends it."""
+    if not paths:
+        return
+    path = paths[0].absolute()
 
+    def done() -> None:
+        session.activate_file(len(session.document.files) - 1)
+        app.preferences = with_recent(app.preferences, path)
+        import_files(app, paths[1:])
 
-def choose_addition(app: AppState) -> None:
-    app.choose_files("Add a scene", lambda paths: app.post(add_files, paths), kind="scene")
-
-
-def add_files(app: AppState, paths: Sequence[Path]) -> None:
-    """Opens the scene that is open again with those of `paths` besides. Where it is edited that would leave
-    the edits behind, so there each file is a step of editing."""
-    session = session_of(app)
-    if session is not None and session.document.history.position:
-        merge_files(app, paths)
-    else:
-        opening.begin(app, paths, add=True)
+    session.apply_slowly(Merge(path=str(path)), f"Reading {path.name}", then=done)
 
 
 def choose_split(app: AppState) -> None:

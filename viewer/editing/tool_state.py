@@ -33,6 +33,9 @@ Depth = Literal["through", "front"]
 Mode = Literal["set", "add", "remove", "intersect"]
 """Combination of a new selection with the one before."""
 
+Subject = Literal[Scope, "file"]
+"""What a transform is of: the scope of an operation, or the active file."""
+
 Point = tuple[float, float]
 """px from the picture's top left corner."""
 
@@ -235,7 +238,7 @@ class HealthForm:
 class Forms:
     """Values that are filled in on the editing panels until they are applied."""
 
-    scope: Scope = "selection"
+    scope: Subject = "selection"
     move: MoveForm = field(default_factory=MoveForm)
     look: LookForm = field(default_factory=LookForm)
     how: How = "scale"
@@ -243,6 +246,10 @@ class Forms:
     range: RangeForm = field(default_factory=RangeForm)
     clean: CleanForm = field(default_factory=CleanForm)
     health: HealthForm = field(default_factory=HealthForm)
+    file: int = -1
+    """Index of the file whose row is active; -1: none."""
+    file_angles: Euler = (0.0, 0.0, 0.0)
+    """Its rotation as it was typed, of the angles that mean the same."""
     crop: int = -1
     """Index of the crop with the handles; -1: none."""
     crop_handles: int = 0

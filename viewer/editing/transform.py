@@ -8,14 +8,17 @@ import numpy as np
 from imgui_bundle import ImVec2
 
 from splatview.edit.kernels.marks import positions_of
+from splatview.edit.operations.files import PlaceFile
 from splatview.edit.operations.transform import Transform
 from splatview.scene import Camera
-from splatview.scene.edits import Adjustment
+from splatview.scene.edits import DELETED, Adjustment
+from splatview.scene.errors import printable
 from splatview.scene.framing import robust_bounds
 from splatview.viewer.editing import gizmos
+from splatview.viewer.editing.edit_session import TRANSFORM, EditSession
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import TRANSFORM, EditSession, post_edit
-from splatview.viewer.editing.tool_state import MoveForm, Place
+from splatview.viewer.editing.session import post_edit
+from splatview.viewer.editing.tool_state import MoveForm, Place, Subject
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
@@ -29,22 +32,47 @@ def preview(session: EditSession) -> None:
     form = session.forms.move
     if any(not np.isfinite(v) for v in (*form.translation, *form.rotation)) or not form.scale > 0:
         return
-    operation = Transform(
+    change = Transform(
         scope=session.scope,
         translation=form.translation,
         rotation=quat_of(form.rotation),
         scale=form.scale,
         pivot=pivot(session),
     )
-    session.preview(TRANSFORM, operation)
+    if session.subject != "file":
+        session.preview(TRANSFORM, change)
+        return
+    session.cancel_preview()  # the file's place is that before it
+    file = session.active_file
+    if file is not None:
+        try:
+            operation = placed(session.forms.file, file.placement.then(change.adjustment))
+        except ValueError as error:
+            session.problem = f"{file.name}: {error}"
+        else:
+            session.preview(TRANSFORM, operation)
+
+
+def placed(number: int, placement: Adjustment) -> PlaceFile:
+    return PlaceFile(
+        file=number,
+        rotation=placement.rotation,
+        translation=placement.translation,
+        scale=placement.scale,
+    )
 
 
 def pivot(session: EditSession) -> Place:
     """The middle of what is to be moved, as it is without the preview; kept while one is in force."""
-    key = (session.scope, session.document.versions)
+    key = (session.subject, session.forms.file, session.document.versions)
     if session.pivot is None or (session.forms.previewing != TRANSFORM and session.pivot[0] != key):
         document = session.document
-        splats = document.selected.indices if session.scope == "selection" else np.arange(len(document.marks))
+        if session.subject == "file":
+            splats = np.flatnonzero((document.owners == session.forms.file) & (document.marks & DELETED == 0))
+        elif session.scope == "selection":
+            splats = document.selected.indices
+        else:
+            splats = np.arange(len(document.marks))
         chosen = splats[:: max(1, len(splats) // SAMPLE)]
         places = positions_of(document.gaussians, document.edits)[chosen]
         x, y, z = (float(value) for value in robust_bounds(places)[0])
@@ -85,6 +113,21 @@ def handles(app: AppState, session: EditSession, camera: Camera, corner: ImVec2)
         x, y, z = (new[:3, 3] - centre).tolist()
         form.translation = (x, y, z)
     post_edit(app, preview)
+
+
+def subjects_of(session: EditSession) -> list[tuple[Subject, str]]:
+    """What a transform may be of now, with its name."""
+    file, subjects = session.active_file, list[tuple[Subject, str]]()
+    if file is not None:
+        subjects.append(("file", printable(file.name)))
+    if session.document.counts.selected:
+        subjects.append(("selection", "Selection"))
+    return [*subjects, ("scene", "Whole scene")]
+
+
+def choose_subject(session: EditSession, subject: Subject) -> None:
+    session.cancel_preview()
+    session.forms.scope, session.forms.move = subject, MoveForm()
 
 
 def finish(session: EditSession) -> None:

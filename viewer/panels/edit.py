@@ -14,10 +14,8 @@ from splatview.edit.operations.transform import Orient
 from splatview.viewer import theme
 from splatview.viewer.camera import bounds
 from splatview.viewer.editing import cleanup, commands, transform
+from splatview.viewer.editing.edit_session import LOOK, TRANSFORM, EditSession
 from splatview.viewer.editing.session import (
-    LOOK,
-    TRANSFORM,
-    EditSession,
     at_rest,
     can_edit,
     post_edit,
@@ -146,10 +144,21 @@ UPS: tuple[tuple[str, Place], ...] = (
 
 
 def show_transform(app: AppState, session: EditSession) -> None:
-    if choose_scope(session):
-        session.forms.move = MoveForm()
-        post_edit(app, EditSession.cancel_preview)
-    by_numbers(app, session)
+    subjects = transform.subjects_of(session)
+    chosen = widgets.combo(
+        "Applies to",
+        session.subject,
+        [key for key, _ in subjects],
+        "What is moved: the active file of the Scene page, the selected splats, or all that are neither "
+        "deleted nor locked.",
+        [title for _, title in subjects],
+    )
+    if chosen is not None:
+        post_edit(app, transform.choose_subject, chosen)
+    if session.subject == "file" and (file := session.active_file) and file.locked:
+        widgets.note(f"{file.name} is locked: unlock it on the Scene page to move it.")
+    else:
+        by_numbers(app, session)
     for number, tool in enumerate(TRANSFORMING):
         if number:
             imgui.same_line()

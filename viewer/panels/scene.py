@@ -17,7 +17,7 @@ from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.commands import apply
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.loading import Examination
-from splatview.viewer.panels import camera, crops, widgets
+from splatview.viewer.panels import camera, crops, files, widgets
 from splatview.viewer.panels.clean import quality
 from splatview.viewer.state import AppState
 
@@ -71,7 +71,10 @@ def show(app: AppState) -> None:
         widgets.note("Nothing is open yet. Drop a scene on the window, or open one:")
         widgets.command_button(app, "Open...", "open")
         return
-    files(app)
+    if widgets.fold(app, "Files", opened=True):
+        imgui.push_id("files")
+        files.show(app)
+        imgui.pop_id()
     session = session_of(app)
     if session is not None and widgets.fold(app, "Crops", opened=True):
         imgui.push_id("crops")
@@ -83,17 +86,6 @@ def show(app: AppState) -> None:
         examination(app, app.examination)
     if widgets.fold(app, "Details"):
         details(app)
-
-
-def files(app: AppState) -> None:
-    """The files of the scene."""
-    scene = app.scene
-    for path in scene.paths:
-        widgets.fact("File", path.name, str(path))
-    if not scene.paths:
-        widgets.fact("Scene", scene.name, "Made by the program itself; open a file to replace it.")
-    widgets.fact("Splats", f"{len(scene.gaussians):,}", "Gaussians in the scene, invalid ones included.")
-    imgui.spacing()
 
 
 def details(app: AppState) -> None:
