@@ -12,6 +12,7 @@ import numpy as np
 
 from splatview.edit.changes import Change
 from splatview.edit.operations.base import Operation
+from splatview.edit.operations.select import SelectNone
 from splatview.edit.state import MAX_SPLATS, State
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import bake
@@ -101,9 +102,14 @@ class History:
         """Of those in force: the others go when a step is added."""
         return self.nbytes - sum(undone.nbytes for undone in self.steps[self.position :])
 
-    def mark_saved(self) -> None:
-        """Notes that the steps in force are in a file."""
-        self._saved = self.steps[self.position - 1] if self.position else None
+    def mark_saved(self, position: int | None = None) -> None:
+        """Notes that the steps in force, or the first `position` of them, are in a file."""
+        at = self.position if position is None else position
+        self._saved = self.steps[at - 1] if at else None
+
+    def mark_changed(self) -> None:
+        """Notes that the last saved file is not what any of these steps made."""
+        self._saved = ELSEWHERE
 
     @property
     def modified(self) -> bool:
@@ -126,6 +132,9 @@ class History:
             step.operation.alters_file and not step.change.same_file for step in self.steps[first:last]
         )
 
+
+ELSEWHERE = Step(SelectNone(), Change(title="", count=0))
+"""Stands for a saved state that no step leads to."""
 
 ROWS = 1 << 14
 """Splats that a fingerprint is made of, evenly spread: enough to tell scenes apart, in milliseconds."""

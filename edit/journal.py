@@ -1,8 +1,12 @@
 """Autosave: each step is written to a journal as it is done, so that a crash loses nothing.
 
-One JSON object per line: first the scene, then ``{"do": step}`` and ``{"position": steps in force}``. The
-file is locked as long as its program runs and removed when that ends well; a journal without a lock was left
-by a crash.
+One JSON object per line: first the scene, then ``{"do": step}`` and ``{"position": steps in force}``, where
+the second may also have ``"kept": {file: copy}`` or ``"saved": file, "at": steps``. The file is locked as
+long as its program runs and removed when that ends well; a journal without a lock was left by a crash.
+
+Steps start from the files as they were opened. One that is written over stays beside the journal until that
+goes, as a hard link that costs nothing, so that steps before and after saving, and undoing them, can be
+restored to the bit.
 """
 
 from __future__ import annotations
@@ -11,14 +15,16 @@ import contextlib
 import json
 import os
 import secrets
+import shutil
 import threading
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from splatview.edit.document import Document, Event, Step
-from splatview.edit.operations import Operation, operation_from_json
+from splatview.edit.operations import Merge, Operation, operation_from_json
 from splatview.edit.recipe import Recipe
 from splatview.scene import InputError
 from splatview.scene.formats.io import take_lock
@@ -27,6 +33,9 @@ FORMAT = "splatview_journal"
 VERSION = 1
 
 SUFFIX = ".journal.jsonl"
+
+LONGEST_NAME = 100
+"""Characters that a copy has of its file's name, the last ones."""
 
 LOCK_SECONDS = 1.0
 """Longest wait for the lock: far longer than another program takes to look at a new journal."""
@@ -41,11 +50,14 @@ _NO_JOURNAL = (ValueError, KeyError, TypeError, AttributeError, OverflowError, R
 class Journal:
     """Records the steps of `document` from now on. Never raises: see `problem`."""
 
-    def __init__(self, document: Document, folder: Path, *, scene: Path | None = None) -> None:
-        """`folder` is made at the first step, if need be; `scene` is the file that was opened."""
+    def __init__(self, document: Document, folder: Path, *, scenes: Sequence[Path] = ()) -> None:
+        """`folder` is made at the first step, if need be; `scenes` are the files that were opened."""
         self.problem: str | None = None
         """Why nothing is saved any more, for the user; None: all is well."""
-        self._document, self._folder, self._scene = document, folder, scene
+        self.scenes = tuple(scenes)
+        self._kept: dict[Path, Path] = {}
+        self._owns_kept = True
+        self._document, self._folder = document, folder
         self._file: IO[bytes] | None = None
         self._path: Path | None = None
         self._synced = 0.0
@@ -65,6 +77,52 @@ class Journal:
             if not keep:
                 with contextlib.suppress(OSError):
                     self._path.unlink()
+        if not keep and self._owns_kept:
+            for copy in self._kept.values():
+                _remove(copy)
+
+    def keep(self, target: Path) -> None:
+        """To be called before `target` is written over: if steps start from it, what is in it now stays."""
+        real = Path(os.path.realpath(target))
+        operations = [step.operation for step in self._document.history.steps]
+        merged = [self._document.path(one.path) for one in operations if isinstance(one, Merge)]
+        sources = {os.path.realpath(path) for path in (*self.scenes, *merged)}
+        if str(real) not in sources or real in self._kept or self.problem is not None:
+            return
+        try:
+            if self._file is None:
+                self._begin(self._document.history.position)
+            if self._path is not None and os.path.lexists(real):
+                name = self._path.name.removesuffix(SUFFIX)
+                copy = self._folder / f"{name}-{len(self._kept)}-{real.name[-LONGEST_NAME:]}"
+                _link_or_copy(real, copy)
+                self._kept[real] = copy
+                self._append(self._kept_line)
+        except OSError as error:
+            self._give_up(error)
+
+    def saved(self, target: Path, *, at: int | None = None) -> None:
+        """The steps in force, or the first `at` of them, are in the file `target` now."""
+        if self._file is not None:
+            position = self._document.history.position
+            at = position if at is None else at
+            self._write({"saved": str(target.absolute()), "at": at, "position": position})
+
+    def continue_from(self, abandoned: AbandonedJournal) -> None:
+        """Before its steps are done again: this journal starts from the same files."""
+        self.scenes, self._kept, self._owns_kept = abandoned.scenes, dict(abandoned.kept), False
+
+    def replace(self, abandoned: AbandonedJournal) -> None:
+        """Its steps have been done again: this journal stands for that one."""
+        self._owns_kept = True
+        if abandoned.saved is not None:
+            self.saved(abandoned.saved, at=abandoned.saved_at)
+        abandoned.discard(copies=False)
+
+    @property
+    def _kept_line(self) -> dict[str, Any]:
+        kept = {str(path): str(copy) for path, copy in self._kept.items()}
+        return {"kept": kept, "position": self._document.history.position}
 
     def _listen(self, event: Event, step: Step) -> None:
         if event == "apply":
@@ -77,12 +135,16 @@ class Journal:
             return
         try:
             if self._file is None:
-                self._begin()
+                self._begin(max(self._document.history.position - 1, 0))
             self._append(line)
         except OSError as error:
-            self.problem = f"{self._folder}: steps are not autosaved: {error.strerror or error}"
+            self._give_up(error)
 
-    def _begin(self) -> None:
+    def _give_up(self, error: OSError) -> None:
+        self.problem = f"{self._folder}: steps are not autosaved: {error.strerror or error}"
+
+    def _begin(self, done: int) -> None:
+        """Makes the file, with the first `done` steps, which were there before the journal."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._path = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}{SUFFIX}"
         self._file = open(self._path, "xb", buffering=0)  # noqa: SIM115, open as long as the document
@@ -94,14 +156,15 @@ class Journal:
             {
                 FORMAT: VERSION,
                 "scene": document.identity,
-                "path": None if self._scene is None else str(self._scene.absolute()),
+                "paths": [str(scene.absolute()) for scene in self.scenes],
                 "folder": None if document.folder is None else str(document.folder.absolute()),
                 "time": time.time(),
             }
         )
-        # Steps from before there was a journal.
-        for step in document.history.steps[: max(document.history.position - 1, 0)]:
+        for step in document.history.steps[:done]:
             self._append({"do": step.operation.to_json()})
+        if self._kept:
+            self._append({**self._kept_line, "position": done})
 
     def _append(self, line: dict[str, Any]) -> None:
         if self._file is None:
@@ -120,17 +183,49 @@ class AbandonedJournal:
     """The journal of a program that did not end well."""
 
     file: Path
-    scene: Path | None
-    """The file that was open."""
+    scenes: tuple[Path, ...]
+    """The files that were opened."""
     recipe: Recipe
     """The steps that were in force."""
     time: float
     """Time of the first step, seconds since the epoch."""
+    kept: Mapping[Path, Path]
+    """Copies of files that have been written over since."""
+    saved: Path | None = None
+    """The file in which the scene was saved last."""
+    saved_at: int | None = None
+    """Steps that are in it; None where some of those have been undone and replaced."""
 
-    def discard(self) -> None:
-        """Removes the file."""
+    @property
+    def scene(self) -> Path | None:
+        """The first of the files."""
+        return self.scenes[0] if self.scenes else None
+
+    @property
+    def opened(self) -> list[Path]:
+        """What is to be opened: each file, or its copy."""
+        return [self.source(path) for path in self.scenes]
+
+    def source(self, path: Path) -> Path:
+        """`path`, or the copy of what it was."""
+        return self.kept.get(Path(os.path.realpath(path)), path)
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether something would be lost without it."""
+        steps = self.recipe.steps
+        if self.saved is None:
+            return bool(steps)
+        if self.saved_at is None or self.saved_at > len(steps):
+            return True
+        return any(step.alters_file for step in steps[self.saved_at :])
+
+    def discard(self, *, copies: bool = True) -> None:
+        """Removes the file, and the `copies` that it has."""
         with contextlib.suppress(OSError):
             self.file.unlink()
+        for copy in self.kept.values() if copies else ():
+            _remove(copy)
 
 
 def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
@@ -145,10 +240,10 @@ def find_abandoned_journals(folder: Path) -> list[AbandonedJournal]:
                     continue
                 lines = file.read().split(b"\n")
             journal = _read(path, lines)
-            if journal.recipe.steps:
+            if journal.unsaved:
                 found.append(journal)
             else:
-                journal.discard()  # all was undone: there is nothing to restore
+                journal.discard()  # all was undone, or saved: there is nothing to restore
     return sorted(found, key=lambda journal: journal.time, reverse=True)
 
 
@@ -159,6 +254,8 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
         raise ValueError(f"a journal of version {head[FORMAT]}")
     steps: list[Operation] = []
     position = 0
+    kept: dict[Path, Path] = {}
+    saved: tuple[Path, list[Operation]] | None = None
     # The text behind the last line break was being written when the program ended.
     for text in lines[1:-1]:
         try:
@@ -170,6 +267,10 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
                 position = len(steps)
             else:
                 position = min(max(int(line["position"]), 0), len(steps))
+                if "kept" in line:
+                    kept = {Path(path): Path(copy) for path, copy in line["kept"].items()}
+                if "saved" in line:
+                    saved = (Path(line["saved"]), steps[: int(line["at"])])
         except (InputError, *_NO_JOURNAL):
             break  # the lines before are whole
     folder = head["folder"]
@@ -178,13 +279,44 @@ def _read(path: Path, lines: list[bytes]) -> AbandonedJournal:
         scene=dict(head["scene"]),
         folder=None if folder is None else Path(folder),
     )
-    scene = head["path"]
+    if "paths" in head:
+        scenes = tuple(Path(scene) for scene in head["paths"])
+    else:  # before there were several
+        scenes = () if head["path"] is None else (Path(head["path"]),)
+    in_file = saved is not None and all(
+        then is now for then, now in zip(saved[1], recipe.steps, strict=False)
+    )
     return AbandonedJournal(
         file=path,
-        scene=None if scene is None else Path(scene),
+        scenes=scenes,
         recipe=recipe,
         time=float(head["time"]),
+        kept=kept,
+        saved=None if saved is None else saved[0],
+        saved_at=len(saved[1]) if saved is not None and in_file else None,
     )
+
+
+def _link_or_copy(source: Path, copy: Path) -> None:
+    """The same bytes under another name, whatever takes the old one's place: a link where the file system has
+    them. A folder is gone through."""
+    if source.is_dir():
+        copy.mkdir()
+        for entry in source.iterdir():
+            _link_or_copy(entry, copy / entry.name)
+        return
+    try:
+        os.link(source, copy)
+    except OSError:
+        shutil.copyfile(source, copy)
+
+
+def _remove(copy: Path) -> None:
+    if copy.is_dir():
+        shutil.rmtree(copy, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            copy.unlink()
 
 
 def _write_whole(file: IO[bytes], line: bytes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -28,7 +29,7 @@ from splatview.scene.formats import load_scene
 
 scene, folder = map(Path, sys.argv[1:])
 document = Document(load_scene(scene), name=scene.name)
-journal = Journal(document, folder, scene=scene)
+journal = Journal(document, folder, scenes=[scene])
 for step in (%r, %r, {"op": "select_all"}, {"op": "delete"}):
     document.apply(operation_from_json(step))
 document.undo()
@@ -67,6 +68,104 @@ def test_what_a_killed_program_did_comes_back(tmp_path: Path, scene_file, edit_h
     assert edit_helpers.everything(document) == edit_helpers.everything(by_hand)
     journal.discard()
     assert find_abandoned_journals(folder) == []
+
+
+SAVES = """
+import os, signal, sys
+from pathlib import Path
+from splatview.edit.document import Document, export
+from splatview.edit.journal import Journal
+from splatview.edit.operations import operation_from_json
+from splatview.scene.formats import load_scene
+
+scene, folder, after = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+document = Document(load_scene(scene), name=scene.name)
+journal = Journal(document, folder, scenes=[scene])
+for step in (SELECT, {"op": "delete"}, {"op": "add_crop", "crop": {"half_extents": [0.6, 0.6, 0.6]}}):
+    document.apply(operation_from_json(step))
+journal.keep(scene)
+export(document, scene)
+journal.saved(scene)
+if after == "edits":
+    for step in ({"op": "remove_crop", "index": 0}, {"op": "transform", "scope": "scene", "scale": 2}):
+        document.apply(operation_from_json(step))
+elif after == "undo":
+    document.undo()
+elif after == "select":
+    document.apply(operation_from_json({"op": "select_all"}))
+os.kill(os.getpid(), signal.SIGKILL)
+""".replace("SELECT", repr(SELECT))
+
+NO_LINKS = """
+import os
+def fail(*_): raise OSError(1, "no links")
+os.link = fail
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+@pytest.mark.parametrize(
+    ("after", "before"), [("edits", ""), ("edits", NO_LINKS), ("undo", ""), ("select", ""), ("nothing", "")]
+)
+def test_a_kill_after_saving_over_the_file_costs_no_edit(
+    tmp_path: Path, scene_file, edit_helpers, after, before
+):
+    from splatview.scene.formats import load_scene
+
+    scene, folder = scene_file(), tmp_path / "journals"
+    original = scene.read_bytes()
+    done = subprocess.run([sys.executable, "-c", before + SAVES, scene, folder, after], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert scene.read_bytes() != original, "saved"
+    left = find_abandoned_journals(folder)
+    if after in ("nothing", "select"):
+        assert left == [] and list(folder.iterdir()) == [], "all of it is in the file"
+        return
+    (journal,) = left
+    (opened,) = journal.opened
+    assert opened.read_bytes() == original
+    assert (journal.saved, journal.saved_at) == (scene, 3)
+    document = Document(load_scene(opened), name=scene.name)
+    check_scene(journal.recipe, document)
+    replay(journal.recipe, document)
+    by_hand = Document(load_scene(opened), name=scene.name)
+    steps = [SELECT, {"op": "delete"}, {"op": "add_crop", "crop": {"half_extents": [0.6, 0.6, 0.6]}}]
+    steps += [{"op": "remove_crop", "index": 0}, {"op": "transform", "scope": "scene", "scale": 2}]
+    for step in steps if after == "edits" else steps[:2]:
+        by_hand.apply(operation_from_json(step))
+    assert edit_helpers.everything(document) == edit_helpers.everything(by_hand)
+    journal.discard()
+    assert list(folder.iterdir()) == []
+
+
+def test_a_merged_file_that_is_written_over_is_kept_too(document, tmp_path, scene_file):
+    other = scene_file("other.ply", count=7)
+    content = other.read_bytes()
+    journal = Journal(document, tmp_path / "journals")
+    document.apply(operation_from_json({"op": "merge", "path": str(other)}))
+    journal.keep(tmp_path / "elsewhere.ply")
+    journal.keep(other)
+    other.unlink()
+    other.write_bytes(b"something else")
+    forget(journal)
+    (found,) = find_abandoned_journals(tmp_path / "journals")
+    assert found.source(other).read_bytes() == content
+    assert found.source(tmp_path / "elsewhere.ply") == tmp_path / "elsewhere.ply"
+    journal.close()
+    assert list((tmp_path / "journals").iterdir()) == []
+
+
+def test_a_journal_of_before_there_were_several_files_is_read(document, tmp_path):
+    journal = Journal(document, tmp_path, scenes=[tmp_path / "a.ply"])
+    document.apply(operation_from_json(SELECT))
+    forget(journal)
+    (path,) = tmp_path.iterdir()
+    lines = path.read_text().splitlines(keepends=True)
+    head = json.loads(lines[0])
+    head["path"] = head.pop("paths")[0]
+    path.write_text("".join([json.dumps(head) + "\n", *lines[1:]]))
+    (found,) = find_abandoned_journals(tmp_path)
+    assert found.scenes == (tmp_path / "a.ply",) and len(found.recipe.steps) == 1
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ class FullDisk:
 def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, room) -> None:
     """What was written before is whole, and the user is told once that the rest is not autosaved."""
     document = Document(load_scene(scene), name=scene.name)
-    journal = Journal(document, tmp_path / "journals", scene=scene)
+    journal = Journal(document, tmp_path / "journals", scenes=[scene])
     begin = journal._begin
 
     def begin_on_a_full_disk() -> None:
@@ -258,7 +258,7 @@ from splatview.viewer.preferences import Preferences, save_preferences
 
 scene, config, number = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 document = Document(load_scene(scene), name=scene.name)
-journal = Journal(document, config / "journals", scene=scene)
+journal = Journal(document, config / "journals", scenes=[scene])
 view = look_from(*map(np.array, ((0.0, 0, 3), (0.0, 0, 0), (0.0, 1, 0))))
 print("ready", flush=True)
 while True:
@@ -344,7 +344,7 @@ def test_a_journal_that_another_program_looks_at_as_it_begins_is_locked_all_the_
 
     monkeypatch.setattr(journals, "take_lock", taken)
     document = Document(load_scene(scene), name=scene.name)
-    journal = Journal(document, tmp_path / "journals", scene=scene)
+    journal = Journal(document, tmp_path / "journals", scenes=[scene])
     document.apply(SelectAll())
     monkeypatch.setattr(journals, "take_lock", take_lock)
     assert tries == [False, False, False, True]

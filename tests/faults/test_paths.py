@@ -246,7 +246,7 @@ def test_the_window_complains_of_bad_paths(scene, place, monkeypatch, kind):
     actions: list[Callable[[], object]] = [
         lambda: opening.open_paths(app, [ply]),
         lambda: opening.open_paths(app, [json]),
-        lambda: files.merge_files(app, [ply]),
+        lambda: files.import_files(app, [ply]),
         lambda: files.replay_file(app, json),
         *([] if kind.startswith("/dev") else written),
         lambda: camera.keep_bookmarks(app),

@@ -25,7 +25,8 @@ from splatview.viewer.camera import bounds
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing import files
 from splatview.viewer.editing import session as changed_scene
-from splatview.viewer.editing.files import add_files
+from splatview.viewer.editing.files import import_files
+from splatview.viewer.editing.scene_files import rows
 from splatview.viewer.editing.session import Editing, EditSession, session_of
 from splatview.viewer.loading import Examination
 from splatview.viewer.open import open_paths
@@ -238,38 +239,30 @@ def test_what_the_user_has_set_stays() -> None:
     assert followed(near, before, called_for).model == replace(called_for.model, near=1.0)
 
 
-def test_files_are_added_to_an_edited_scene_as_steps(
-    app, open_scene, random_gaussians, tmp_path, wait_for_loading
-) -> None:
+def test_imported_files_are_steps_and_rows(app, open_scene, random_gaussians, tmp_path) -> None:
     session = open_scene(random_gaussians(40))
+    view = app.view
     paths = [tmp_path / "b.ply", tmp_path / "c.ply"]
     for path, splats in zip(paths, (5, 6), strict=True):
         save_scene(random_gaussians(splats), path)
-    session.apply(Select(by=Everything()))
-    add_files(app, paths)
+    import_files(app, paths)
     settle(app)
-    assert session_of(app) is session
+    assert session_of(app) is session and app.view is view
     assert len(app.scene.gaussians) == 51
-    assert len(session.document.history.done) == 3
-    session.document.history.trim(0, keep=0)
-    add_files(app, paths[:1])
+    assert [row.splats for row in rows(app)] == [40, 5, 6]
+    assert session.active_file is session.document.files[2]
+    assert app.preferences.recent[:2] == (str(paths[1]), str(paths[0]))
+    session.undo()
     settle(app)
-    assert session_of(app) is session, "edited, though nothing can be undone"
-    assert len(app.scene.gaussians) == 56
-    session.document.history.mark_saved()  # or opening another would ask first
-    session = open_scene(random_gaussians(40))
-    settle(app)
-    add_files(app, paths[:1])
-    wait_for_loading(app)
-    assert session_of(app) is not session, "nothing is edited: opened afresh"
-    assert len(app.scene.gaussians) == 45
+    assert [row.splats for row in rows(app)] == [40, 5] and session.active_file is None
+    assert session.subject != "file"
 
 
-def test_a_file_that_cannot_be_read_ends_adding(app, open_scene, random_gaussians, tmp_path) -> None:
+def test_a_file_that_cannot_be_read_ends_the_import(app, open_scene, random_gaussians, tmp_path) -> None:
     session = open_scene(random_gaussians(40))
     session.apply(Select(by=Everything()))
     save_scene(random_gaussians(5), tmp_path / "b.ply")
-    add_files(app, [tmp_path / "b.ply", tmp_path / "none.ply", tmp_path / "b.ply"])
+    import_files(app, [tmp_path / "b.ply", tmp_path / "none.ply", tmp_path / "b.ply"])
     settle(app)
     assert "none.ply" in app.problem
     assert len(app.scene.gaussians) == 45

@@ -296,7 +296,7 @@ def test_what_no_trainer_understands_is_refused(app, training, operation):
     assert session.document.previewed is None
 
 
-@pytest.mark.parametrize("action", ["merge", "split", "save_recipe", "replay_recipe"])
+@pytest.mark.parametrize("action", ["import", "split", "save_recipe", "replay_recipe"])
 def test_files_of_edits_are_of_scenes_at_rest(app, training, action):
     app.choose_files = lambda *args, **kwargs: pytest.fail("asks for a file")
     COMMANDS[action].run(app)

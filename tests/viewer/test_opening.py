@@ -68,16 +68,6 @@ def test_several_files_are_merged_in_order(app, ply, wait_for_loading, random_ga
     assert [name.rsplit("/")[-1] for name in app.preferences.recent] == ["a.ply", "b.ply"]
 
 
-def test_adding_keeps_what_is_there_and_the_view(app, ply, wait_for_loading):
-    open_paths(app, [ply("a", 10)])
-    wait_for_loading(app)
-    view = app.view
-    begin(app, [ply("b", 5)], add=True)
-    wait_for_loading(app)
-    assert len(app.scene.gaussians) == 15
-    assert app.view is view
-
-
 def test_reading_again_takes_what_is_new_and_keeps_the_view(app, ply, wait_for_loading):
     path = ply("a", 10)
     open_paths(app, [path])

@@ -327,6 +327,16 @@ class EditSession:
         step = self.document.redo()
         self.news = f"Redone: {step.title}" if step else "Nothing to redo"
 
+    def before_writing(self, target: Path) -> None:
+        """What steps start from stays, if it is in `target`. To be called in the thread that writes."""
+        if self.journal is not None:
+            self.journal.keep(target)
+
+    def written(self, target: Path) -> None:
+        """`target` holds the steps in force, if those count as saved."""
+        if self.journal is not None and not self.document.history.modified:
+            self.journal.saved(target)
+
     def close(self) -> None:
         """Ends what is under way. Edits that are in no file stay in the journal, for the next start."""
         if self.job is not None:

@@ -242,6 +242,7 @@ def write_export(app: AppState, session: EditSession) -> None:
             session.stamps.update(stamps_of([target]))
         if whole:
             session.document.history.mark_saved()
+            session.written(target)
         session.news = f"Exported {measured.found.splats:,} splats to {target}: {measured.found.in_words}"
         for loss in measured.found.lost:
             app.tell(f"{target.name}: {loss}")
@@ -249,4 +250,8 @@ def write_export(app: AppState, session: EditSession) -> None:
         if app.dialog == DIALOG:
             app.dialog = None
 
-    session.start(f"Exporting {target.name}", lambda progress: measured.write(target, progress), done)
+    def work(progress: Progress) -> None:
+        session.before_writing(target)
+        measured.write(target, progress)
+
+    session.start(f"Exporting {target.name}", work, done)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +69,7 @@ def export_to(app: AppState, session: EditSession, path: Path) -> None:
     found: list[Conversion] = []
 
     def work(progress: Progress) -> int:
+        session.before_writing(target)
         return export(
             document,
             target,
@@ -77,6 +79,7 @@ def export_to(app: AppState, session: EditSession, path: Path) -> None:
     def done(count: int) -> None:
         if Path(os.path.realpath(target)) in session.stamps:
             session.stamps.update(stamps_of([target]))
+        session.written(target)
         session.news = f"Exported {count:,} splats to {target}: {found[0].in_words}"
         for loss in found[0].lost:
             app.tell(f"{target.name}: {loss}")
@@ -127,19 +130,33 @@ def replay_file(app: AppState, session: EditSession, path: Path) -> None:
     replay_on(app, session, recipe, f"Replaying {path.name}")
 
 
-def replay_on(app: AppState, session: EditSession, recipe: Recipe, title: str) -> None:
-    """Does every step again, as steps of this history. The document waits for it: nothing else may edit."""
+def replay_on(
+    app: AppState,
+    session: EditSession,
+    recipe: Recipe,
+    title: str,
+    *,
+    source: Callable[[Path], Path] = lambda path: path,
+    then: Callable[[], object] = lambda: None,
+) -> None:
+    """Does every step again, as steps of this history, and `then` what follows. The document waits for it:
+    nothing else may edit. `source`: where what was in a file that steps name is now."""
     session.cancel_preview()
-    folder, session.document.folder = session.document.folder, recipe.folder or session.document.folder
+    document = session.document
+    before = document.folder, document.load
+    load = document.load
+    document.folder = recipe.folder or document.folder
+    document.load = lambda path, **options: load(source(path), **options)
 
     def work(progress: Progress) -> None:
         try:
-            replay(recipe, session.document, progress=progress)
+            replay(recipe, document, progress=progress)
         finally:
-            session.document.folder = folder
+            document.folder, document.load = before
 
     def done(_: None) -> None:
         session.news = f"{len(recipe.steps)} steps done again"
+        then()
 
     session.start(title, work, done, edits=True)
 
@@ -206,11 +223,12 @@ def look_for_abandoned(app: AppState) -> None:
 
 def restore(app: AppState, journal: AbandonedJournal) -> None:
     """Opens the journal's scene; its steps follow when that is loaded."""
-    if journal.scene is None or not os.path.lexists(journal.scene):
-        app.complain(f"{journal.scene}: is no longer there, so its edits cannot be restored")
-        return
+    for path in journal.opened:
+        if not os.path.lexists(path):
+            app.complain(f"{path}: is no longer there, so its edits cannot be restored")
+            return
     app.feature(Restoring).journal = journal
-    opening.open_paths(app, [journal.scene])
+    opening.open_paths(app, journal.opened, merge=True)
 
 
 class Restoring(Feature):
@@ -224,7 +242,9 @@ class Restoring(Feature):
 
     def before_frame(self, app: AppState) -> None:
         journal, session = self.journal, session_of(app)
-        if journal is None or session is None or app.loading is not None or app.scene_path != journal.scene:
+        if journal is None or session is None or app.loading is not None:
+            return
+        if app.scene.paths != tuple(journal.opened):
             return
         self.journal = None
         try:
@@ -232,12 +252,44 @@ class Restoring(Feature):
         except InputError as error:
             app.complain(f"The scene has changed since it was edited: {error}")
             return
+        if session.journal is not None:
+            session.journal.continue_from(journal)
+        replay_on(
+            app,
+            session,
+            journal.recipe,
+            "Restoring",
+            source=journal.source,
+            then=lambda: restored(app, session, journal),
+        )
+
+
+def restored(app: AppState, session: EditSession, journal: AbandonedJournal) -> None:
+    """The steps of `journal` are done again: the scene is that of the files that were open."""
+    paths = journal.scenes if journal.saved is None else (journal.saved,)
+    if app.scene.paths != paths:
+        name = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+        copies = {str(copy) for copy in journal.kept.values()}
+        app.scene = replace(app.scene, paths=paths, name=name)
+        session.stamps.update(stamps_of(paths))
+        app.prefer(recent=tuple(path for path in app.preferences.recent if path not in copies))
+        for path in reversed(paths):
+            app.preferences = with_recent(app.preferences, path)
+    history = session.document.history
+    if journal.saved is not None:
+        if journal.saved_at is None or journal.saved_at > history.position:
+            history.mark_changed()
+        else:
+            history.mark_saved(journal.saved_at)
+    if session.journal is not None:
+        session.journal.replace(journal)
+    else:
         journal.discard()
-        replay_on(app, session, journal.recipe, "Restoring")
 
 
 def described(journal: AbandonedJournal) -> str:
     """One line for the list."""
     name = journal.scene.name if journal.scene else "?"
+    name += f" and {len(journal.scenes) - 1} more" if len(journal.scenes) > 1 else ""
     when = time.strftime("%d %b %H:%M", time.localtime(journal.time))
     return f"{name}: {len(journal.recipe.steps)} steps of {when}"

@@ -27,6 +27,9 @@ OPERATIONS = {
 GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes x right, y down, z forward to x right, y up, z backward."""
 
+SIZE = 0.18
+"""Length of the handles, in halves of the picture's width: ImGuizmo's own 0.1 are 30 px at 1000 x 700."""
+
 FAR = 1e5
 """World units: of the far plane, which is of no account to handles."""
 
@@ -42,6 +45,7 @@ def handles(
         return None
     guizmo.push_id(name)
     guizmo.set_orthographic(camera.orthographic)
+    guizmo.set_gizmo_size_clip_space(SIZE)
     guizmo.set_drawlist(imgui.get_window_draw_list())
     guizmo.set_rect(corner.x, corner.y, camera.width, camera.height)
     placed = _columns(matrix)

@@ -70,7 +70,8 @@ def own_file(app: AppState) -> tuple[Path | None, str]:
     session, path = session_of(app), app.scene_path
     if path is None:
         return None, "The scene is in no file yet"
-    if len(app.scene.paths) > 1:
+    merged = session is not None and sum(not file.removed for file in session.document.files) > 1
+    if len(app.scene.paths) > 1 or (merged and path != app.feature(Saving).agreed):
         return None, "The scene is of several files"
     known = format_of(path)
     if known is None or known.write is None:
@@ -191,6 +192,7 @@ def write(
     session.cancel_preview()
 
     def work(progress: Progress) -> int:
+        session.before_writing(target)
         return export(
             document,
             target,
@@ -199,6 +201,7 @@ def write(
 
     def done(count: int) -> None:
         session.stamps.update(stamps_of([target]))
+        session.written(target)
         session.news = f"Saved {count:,} splats to {target}: {found[0].in_words}"
         for loss in found[0].lost:
             app.tell(f"{target.name}: {loss}")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, wraps
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal
@@ -22,13 +22,36 @@ from splatview.scene.edits import Adjustment, Crop, SceneEdits, is_graded
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.edit_session import EditSession
-from splatview.viewer.editing.target import LiveScene
 from splatview.viewer.loading import Examination, LoadedScene
 from splatview.viewer.state import Feature
 from splatview.viewer.tasks import Task
 
 if TYPE_CHECKING:
     from splatview.viewer.state import AppState
+
+
+class LiveScene(Protocol):
+    """A scene that changes while it is shown, in training or as a sequence: edited by way of snapshots."""
+
+    at_rest: bool
+    """Whether every edit of a snapshot can be done and kept."""
+
+    def is_shown(self, app: AppState) -> bool:
+        """Whether the window shows a snapshot of it that can be edited."""
+        ...
+
+    def freeze(self, app: AppState) -> EditSession | None:
+        """A session on the shown snapshot, which stays until it is released."""
+        ...
+
+    def release(self, app: AppState) -> None:
+        """Closes the session: snapshots are followed again."""
+        ...
+
+    def export(self, app: AppState) -> None:
+        """Asks where the scene goes, and writes it as it is then."""
+        ...
+
 
 LOAD_SECONDS = 0.012
 """Share of each frame, in seconds, for giving the picture a changed scene."""
@@ -78,9 +101,7 @@ class Editing(Feature):
             app.tell(f"{error}; it can be looked at")
             return
         self.session = EditSession(document=document, stamps=dict(scene.stamps))
-        self.session.journal = Journal(
-            document, config_folder() / JOURNALS, scene=scene.paths[0] if len(scene.paths) == 1 else None
-        )
+        self.session.journal = Journal(document, config_folder() / JOURNALS, scenes=scene.paths)
 
     def leave(self) -> None:
         """Closes the session for good, its edits with it: another frame is shown."""
@@ -141,8 +162,8 @@ class Editing(Feature):
         if session.job is not None:
             session.job.cancel()
             session.job.join(LEAVING_SECONDS)
-        offered = len(app.scene.paths) == 1
-        kept = offered and session.journal is not None and session.document.history.unsaved
+        journal = session.journal
+        kept = journal is not None and bool(journal.scenes) and session.document.history.unsaved
         session.close()
         return "the edits are in no file yet; the next start offers to restore them" if kept else None
 

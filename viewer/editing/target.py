@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -13,10 +13,6 @@ from splatview.edit.operations import Operation
 from splatview.scene.edits import DELETED, Crop
 from splatview.trainer.background import BackgroundTraining, Snapshot
 from splatview.trainer.run import TrainingRun
-
-if TYPE_CHECKING:
-    from splatview.viewer.editing.session import EditSession
-    from splatview.viewer.state import AppState
 
 SENT_TO_TRAINER = frozenset({"delete", "delete_cropped", "prune"})
 """Operations whose deletions the trainer repeats."""
@@ -37,29 +33,6 @@ REFUSALS = {
 AT_REST = "That is for scenes at rest: stop and save the training, then open its file"
 
 NO_WAY_BACK = "What was deleted from the training comes back only by training"
-
-
-class LiveScene(Protocol):
-    """A scene that changes while it is shown, in training or as a sequence: edited by way of snapshots."""
-
-    at_rest: bool
-    """Whether every edit of a snapshot can be done and kept."""
-
-    def is_shown(self, app: AppState) -> bool:
-        """Whether the window shows a snapshot of it that can be edited."""
-        ...
-
-    def freeze(self, app: AppState) -> EditSession | None:
-        """A session on the shown snapshot, which stays until it is released."""
-        ...
-
-    def release(self, app: AppState) -> None:
-        """Closes the session: snapshots are followed again."""
-        ...
-
-    def export(self, app: AppState) -> None:
-        """Asks where the scene goes, and writes it as it is then."""
-        ...
 
 
 class EditTarget(Protocol):

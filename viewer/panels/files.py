@@ -73,9 +73,7 @@ def list_row(app: AppState, row: Row, refusal: str) -> None:
     imgui.table_next_row()
     imgui.table_next_column()
     eye = icons.ICON_FA_EYE_SLASH if file.hidden else icons.ICON_FA_EYE
-    tip = (
-        f"{'Shows' if file.hidden else 'Hides'} it: in the picture, in counts, in exports of what is visible."
-    )
+    tip = f"{'Shows' if file.hidden else 'Hides'} it: in the picture, in counts, in exports of what is seen."
     toggle = partial(app.post, scene_files.toggle_eye, row)
     switch(f"{eye}###eye", tip, refusal, toggle, quiet=file.hidden)
     imgui.table_next_column()
@@ -90,7 +88,7 @@ def list_row(app: AppState, row: Row, refusal: str) -> None:
     )
     imgui.align_text_to_frame_padding()
     imgui.begin_disabled(refusal != "")
-    pressed, _ = imgui.selectable(widgets.item(fits, "row"), row.active)
+    pressed, _ = imgui.selectable(f"{widgets.item(fits, '')}#row", row.active)
     imgui.end_disabled()
     where = file.source if file.source not in ("", file.name) else ""
     widgets.tooltip("\n".join(filter(None, (name if fits != name else "", where, refusal))))
