@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -189,7 +189,11 @@ class Document(State):
         self.name = name
         self.listeners: list[Listener] = []
         # Now, rather than keeping the unedited scene.
-        self.identity = {"name": name, "count": len(gaussians), "fingerprint": fingerprint(gaussians)}
+        self.identity: dict[str, Any] = {
+            "name": name,
+            "count": len(gaussians),
+            "fingerprint": fingerprint(gaussians),
+        }
         """Name, count and fingerprint of the unedited scene."""
         self.history = History()
         self.allow(budget)
@@ -204,6 +208,13 @@ class Document(State):
     def room(self) -> float:
         grown = (len(self.gaussians) - self.identity["count"]) * self.gaussians.row_bytes
         return self.budget - grown - self.history.nbytes_done
+
+    def name_files(self, name: str, paths: Sequence[Path]) -> None:
+        """Before the first step: the scene is `name`, and its files are `paths`, though it was read from
+        copies of them."""
+        self.name = self.identity["name"] = name
+        pairs = zip(self.files, paths, strict=True)
+        self.set_files(tuple(replace(file, name=path.name, source=str(path)) for file, path in pairs))
 
     def plan(self, operation: Operation, *, progress: Progress = NO_PROGRESS) -> Planned:
         """The change that `operation` would make now; for slow ones in another thread, while nothing is

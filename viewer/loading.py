@@ -190,13 +190,15 @@ class Examination(Task[None]):
 class FilesLoading(Loading):
     """A scene of several files under way."""
 
-    def __init__(self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians]):
-        self.counts: list[int] = []
-        """Number of splats of each file that has been read."""
+    def __init__(
+        self, name: str, paths: Sequence[Path], read: Callable[..., Gaussians], counts: Sequence[int]
+    ):
+        """`counts`: to which `read` adds the number of splats of each file."""
+        self._counts = counts
         super().__init__(name, paths, read)
 
     def _load(self, progress: Progress) -> LoadedScene:
-        return replace(super()._load(progress), counts=tuple(self.counts))
+        return replace(super()._load(progress), counts=tuple(self._counts))
 
 
 def load_files(paths: Sequence[Path]) -> Loading:
@@ -211,11 +213,11 @@ def load_files(paths: Sequence[Path]) -> Loading:
         parts = []
         for path, size, start in zip(paths, sizes, before, strict=True):
             parts.append(load_scene(path, progress=progress.part(start / whole, (start + size) / whole)))
-            loading.counts.append(len(parts[-1]))
+            counts.append(len(parts[-1]))
         return concatenate(parts)
 
-    loading = FilesLoading(printable(f"{paths[0].name} and {len(paths) - 1} more"), paths, read)
-    return loading
+    counts: list[int] = []
+    return FilesLoading(printable(f"{paths[0].name} and {len(paths) - 1} more"), paths, read, counts)
 
 
 class SequenceLoading(Loading):

@@ -54,6 +54,17 @@ MEANT = {
     "help": "toggle_help",
     "keys": "toggle_help",
     "hide": "hide",
+    "import": "import",
+    "merge": "import",
+    "scene manager": "section_files",
+    "file list": "section_files",
+    "hide file": "file_eye",
+    "visibility": "file_eye",
+    "lock file": "file_lock",
+    "move file": "file_move",
+    "reset transform": "file_reset",
+    "select file": "file_select",
+    "remove file": "file_remove",
 }
 """What is typed -> the command that comes first. There are no films and keyframes yet."""
 

@@ -252,6 +252,7 @@ class Restoring(Feature):
         except InputError as error:
             app.complain(f"The scene has changed since it was edited: {error}")
             return
+        session.document.name_files(str(journal.recipe.scene["name"]), journal.scenes)
         if session.journal is not None:
             session.journal.continue_from(journal)
         replay_on(
