@@ -62,7 +62,7 @@ def test_what_a_killed_program_did_comes_back(tmp_path: Path, scene_file, edit_h
     document = Document(load_scene(scene), name=scene.name)
     check_scene(journal.recipe, document)
     replay(journal.recipe, document)
-    by_hand = Document(load_scene(scene))
+    by_hand = Document(load_scene(scene), name=scene.name)
     for step in (SELECT, TURN):
         by_hand.apply(operation_from_json(step))
     assert edit_helpers.everything(document) == edit_helpers.everything(by_hand)
