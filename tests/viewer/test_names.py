@@ -93,7 +93,7 @@ def test_names_are_shown_as_they_are(opened, frame, tmp_path, monkeypatch):
     monkeypatch.setattr(menus.imgui, "end_menu", lambda: None)
     app.preferences = with_recent(app.preferences, path)
     journal = AbandonedJournal(
-        file=tmp_path / "j\udce9", scene=path, recipe=Recipe(steps=(), scene={}), time=0.0
+        file=tmp_path / "j\udce9", scenes=(path,), recipe=Recipe(steps=(), scene={}), time=0.0, kept={}
     )
     app.feature(Restoring).abandoned = [journal]
     app.dialog = "restore"
