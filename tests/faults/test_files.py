@@ -95,7 +95,7 @@ def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, ro
     journal = Journal(document, tmp_path / "journals", scenes=[scene])
     begin = journal._begin
 
-    def begin_on_a_full_disk() -> None:
+    def begin_on_a_full_disk(done: int) -> None:
         open_file = open
 
         def limited(*arguments: Any, **options: Any) -> Any:
@@ -104,7 +104,7 @@ def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, ro
         monkeypatch.setattr(journals, "take_lock", lambda file: True)
         monkeypatch.setattr("builtins.open", limited)
         try:
-            begin()
+            begin(done)
         finally:
             monkeypatch.setattr("builtins.open", open_file)
 
