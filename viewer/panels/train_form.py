@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -125,7 +126,7 @@ def _form(app: AppState, *, closes: bool = True) -> None:
     widgets.label("Photos", "A folder with a COLMAP model (sparse/0) or a transforms.json, and its photos.")
     change = "Choose..." if state.folder is None else "Change..."
     room = imgui.get_content_region_avail().x - imgui.calc_text_size(change).x - 3 * imgui.get_font_size()
-    imgui.text_unformatted(fitted(folder, room))
+    imgui.text_unformatted(path_in(folder, room))
     widgets.tooltip(folder)
     widgets.beside(change)
     ask = start.choose_photos if closes else start.choose_for_page
@@ -201,10 +202,15 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     room = (
         imgui.get_content_region_avail().x - imgui.calc_text_size("Change...").x - 3 * imgui.get_font_size()
     )
-    imgui.text_unformatted(fitted(printable(str(form.output)), room))
+    imgui.text_unformatted(path_in(printable(str(form.output)), room))
     widgets.tooltip(str(form.output))
     widgets.beside(change)
     widgets.button(change, "Another place or name.", partial(app.post, start.choose_output))
+
+
+def path_in(text: str, room: float) -> str:
+    """A path, or its last part where there is no room for it."""
+    return text if imgui.calc_text_size(text).x <= room else fitted(os.path.basename(text) or text, room)
 
 
 def _size(state: TrainingStart, factor: int) -> str:
