@@ -148,7 +148,7 @@ class Clicks:
 def go_through(clicks: Clicks) -> None:
     """Everything once."""
     app, ctx = clicks.app, clicks.ctx
-    for page in ("Edit", "View", "Accuracy", "Train", "Scene"):
+    for page in ("View", "Edit", "Accuracy", "Train", "Scene"):  # Edit is open at the end
         clicks.page(page)
     modes: tuple[VisualMode, ...] = ("points", "ellipsoids", "depth", "overdraw", "normals", "splats")
     for key, mode in zip("234561", modes, strict=True):
