@@ -217,20 +217,20 @@ def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixel
 
 @inline
 def add_background(pixels, first_pixel, transmittance, d_background):
-    """Writes the sum of final transmittance times gradient by colour over a tile to d_background (3,)."""
+    """Writes the sum of final transmittance times gradient by colour over a tile to d_background (3,). Uses
+    up `pixels`."""
     red = green = blue = spread(pixels.dtype.type(0))
     for at in range(0, TILE_PIXELS, LANES):
         final, base = load(transmittance, first_pixel + at), at * PIXEL_VECTORS
         red = fma(final, load(pixels, base + 2 * LANES), red)
         green = fma(final, load(pixels, base + 3 * LANES), green)
         blue = fma(final, load(pixels, base + 4 * LANES), blue)
-    total = aligned(LANES, pixels.dtype)
-    store(total, 0, sum_lanes((red, green, blue)))
+    store(pixels, 0, sum_lanes((red, green, blue)))
     for channel in range(3):
-        d_background[channel] = total[channel]
+        d_background[channel] = pixels[channel]
 
 
-@kernel
+@kernel(allocates=True)
 def differentiate_tiles(
     start,
     stop,

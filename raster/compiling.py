@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -64,20 +64,27 @@ if _CACHE is not None:
 _kernels: list[Any] = []
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = False) -> Any:
     """Compiles an entry point: called from Python, releases the GIL, cached on disk.
 
     Sums may be contracted to fused multiply-adds; nothing else is taken lightly, NaN least of all.
+
+    `allocates`: it makes arrays. Only such kernels count references: a count around every array that is
+    handed on or sliced is an atomic operation on a cache line that all threads share, and took half of the
+    time of loops over splats and pairs.
     """
+    if function is None:
+        return partial(kernel, allocates=allocates)
     folder = cache_folder(Path(function.__code__.co_filename).parent)
-    compiled = compiled_into(folder, function, fastmath={"contract"})
+    compiled = compiled_into(folder, function, fastmath={"contract"}, _nrt=allocates)
     _kernels.append(compiled)
     return compiled
 
 
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles a helper that kernels call; LLVM folds it into them."""
-    return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})(function)
+    """Compiles a helper that kernels call; LLVM folds it into them. It makes no arrays, and calls nothing
+    that returns new ones: references are not counted."""
+    return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)(function)
 
 
 def cache_stamp() -> str:

@@ -167,13 +167,24 @@ def _add_contributions(
 
 @inline
 def contribution_chunk(
-    gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, place, first_row, pairs, surfels
+    gathered,
+    count,
+    rows,
+    alive,
+    log2_cut,
+    log2_share,
+    max_alpha,
+    pixels,
+    place,
+    first_row,
+    pairs,
+    surfels,
+    scratch,
 ):
     """Walks gathered splats; the j-th one's sum of contributions goes to pairs[first_row + j]. In `pixels`
     the largest contribution so far takes the place of red, and its splat's place in the tile's list that of
-    green; the first gathered splat is at `place`."""
+    green; the first gathered splat is at `place`. scratch (LANES,) is room to work in."""
     number = gathered.dtype.type
-    scratch = aligned(LANES, pairs.dtype)
     for j in range(count):
         b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
         log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
@@ -212,7 +223,7 @@ def contribution_chunk(
         pairs[first_row + j] = scratch[0]
 
 
-@kernel
+@kernel(allocates=True)
 def contribution_tiles(
     start, stop, offsets, base, lists, records, surfels, view, termination, least_coverage, pairs, ids
 ):
@@ -222,7 +233,7 @@ def contribution_tiles(
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, records.dtype)
     transmittance, n_contrib = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
-    alive = np.empty(2 * STRIPS, np.int64)
+    alive, scratch = np.empty(2 * STRIPS, np.int64), aligned(LANES, pairs.dtype)
     height, width = ids.shape
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
@@ -254,6 +265,7 @@ def contribution_tiles(
                 position,
                 pairs,
                 surfels,
+                scratch,
             )
             position += count
             some = terminate_pixels(
@@ -349,7 +361,7 @@ def count_work(
     )
 
 
-@kernel
+@kernel(allocates=True)
 def count_tiles(start, stop, offsets, base, lists, records, surfels, view, early_stop, counts):
     """Adds to counts (H, W) int32 the splats blended in each pixel of tiles [start, stop), as
     `forward.draw_tiles` has them: arguments as there."""

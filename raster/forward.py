@@ -331,7 +331,7 @@ def write_pixels(pixels, left, top, first_pixel, background, transmittance, imag
                 pixel[3] = 1 - T
 
 
-@kernel
+@kernel(allocates=True)
 def draw_tiles(
     start,
     stop,

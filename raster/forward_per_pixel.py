@@ -94,7 +94,7 @@ def hold_back(held, count, depth, alpha, splat):
     held[HELD_DEPTH, place], held[HELD_ALPHA, place], held[HELD_SPLAT, place] = depth, alpha, splat
 
 
-@kernel
+@kernel(allocates=True)
 def draw_tiles_by_pixel(
     start, stop, offsets, base, lists, records, surfels, view, depths, slopes, background, stop_below, image
 ):

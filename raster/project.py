@@ -40,13 +40,19 @@ from splatview.raster.parameters import HALF_LOG2_E
 from splatview.raster.simd import (
     LANES,
     aligned,
+    any_above,
+    converted,
     exp_lanes,
     fill,
+    fma,
     keep_if_at_least,
     keep_if_below,
     load,
+    load_rows,
     log2_lanes,
     store,
+    store_rows,
+    widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
@@ -153,37 +159,57 @@ def squared_extent(view, log2_opacity):
 
 @inline
 def sh_basis(x, y, z, degree, basis):
-    """Writes (degree + 1)² basis functions at a unit direction to `basis` (16,); see `scene.sh`."""
-    basis[0] = SH_C0
+    """Writes (degree + 1)² basis functions at unit directions to the columns `basis` (16·LANES,); see
+    `scene.sh`."""
+    set_column(basis, 0, fill(x, SH_C0))
     if degree >= 1:
-        basis[1] = -SH_C1 * y
-        basis[2] = SH_C1 * z
-        basis[3] = -SH_C1 * x
+        set_column(basis, 1, -SH_C1 * y)
+        set_column(basis, 2, SH_C1 * z)
+        set_column(basis, 3, -SH_C1 * x)
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        basis[4] = SH_C2[0] * x * y
-        basis[5] = SH_C2[1] * y * z
-        basis[6] = SH_C2[2] * (2 * zz - xx - yy)
-        basis[7] = SH_C2[3] * x * z
-        basis[8] = SH_C2[4] * (xx - yy)
+        set_column(basis, 4, SH_C2[0] * x * y)
+        set_column(basis, 5, SH_C2[1] * y * z)
+        set_column(basis, 6, SH_C2[2] * (2 * zz - xx - yy))
+        set_column(basis, 7, SH_C2[3] * x * z)
+        set_column(basis, 8, SH_C2[4] * (xx - yy))
         if degree >= 3:
-            basis[9] = SH_C3[0] * y * (3 * xx - yy)
-            basis[10] = SH_C3[1] * x * y * z
-            basis[11] = SH_C3[2] * y * (4 * zz - xx - yy)
-            basis[12] = SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
-            basis[13] = SH_C3[4] * x * (4 * zz - xx - yy)
-            basis[14] = SH_C3[5] * z * (xx - yy)
-            basis[15] = SH_C3[6] * x * (xx - 3 * yy)
+            set_column(basis, 9, SH_C3[0] * y * (3 * xx - yy))
+            set_column(basis, 10, SH_C3[1] * x * y * z)
+            set_column(basis, 11, SH_C3[2] * y * (4 * zz - xx - yy))
+            set_column(basis, 12, SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy))
+            set_column(basis, 13, SH_C3[4] * x * (4 * zz - xx - yy))
+            set_column(basis, 14, SH_C3[5] * z * (xx - yy))
+            set_column(basis, 15, SH_C3[6] * x * (xx - 3 * yy))
+
+
+SH_BLOCKS = 3
+"""Vectors that hold a splat's 16·3 coefficients."""
+
+SH_COLUMNS = SH_BLOCKS * LANES
 
 
 @inline
-def sh_sum(sh, splat, basis, count):
-    """0.5 + SH of a splat: three float64 numbers, not yet cut at 0. Not finite where a coefficient is not."""
-    red = green = blue = 0.5
+def load_sh(flat_sh, starts, count, coefficients):
+    """The first `count` numbers of LANES splats' rows of SH, as columns: coefficients (SH_COLUMNS·LANES,) in
+    their dtype. Changes starts (LANES,) int64, where the rows begin."""
+    block = 0
+    while block * LANES < count:
+        load_rows(flat_sh, starts, min(count - block * LANES, LANES), coefficients, block * LANES * LANES)
+        starts += LANES
+        block += 1
+
+
+@inline
+def sh_sum(coefficients, basis, count):
+    """0.5 + SH of a group: three columns of float64, not yet cut at 0. Not finite where a coefficient is
+    not."""
+    red = green = blue = fill(column(basis, 0), 0.5)
     for k in range(count):
-        red += basis[k] * sh[splat, k, 0]
-        green += basis[k] * sh[splat, k, 1]
-        blue += basis[k] * sh[splat, k, 2]
+        weight = column(basis, k)
+        red = fma(weight, widened(column(coefficients, 3 * k)), red)
+        green = fma(weight, widened(column(coefficients, 3 * k + 1)), green)
+        blue = fma(weight, widened(column(coefficients, 3 * k + 2)), blue)
     return red, green, blue
 
 
@@ -344,7 +370,52 @@ def project_group(view, optics, surfels, lanes):
     set_column(lanes, FOOTPRINT + LOG2_DROP, log2_lanes(one - min(opacity, most_alpha)))
 
 
-@kernel
+@inline
+def shade_group(degree, coefficients, basis, lanes):
+    """Fills the columns of colours, of the directions in the columns; what has none that is finite is not
+    drawn."""
+    dx, dy, dz = three_columns(lanes, TOWARDS)
+    sh_basis(dx, dy, dz, degree, basis)
+    red, green, blue = sh_sum(coefficients, basis, (degree + 1) * (degree + 1))
+    drawn, infinite = column(lanes, DRAWN), fill(red, np.inf)
+    drawn = keep_if_below(drawn, abs(red), infinite)  # guard: finite colours
+    drawn = keep_if_below(drawn, abs(green), infinite)  # guard: finite colours
+    drawn = keep_if_below(drawn, abs(blue), infinite)  # guard: finite colours
+    set_column(lanes, DRAWN, drawn)
+    set_three(lanes, FOOTPRINT + RED, red, green, blue)
+
+
+@inline
+def cut_colours(lanes):
+    """Cuts the columns of colours at 0; what is beyond float32 is not drawn."""
+    red, green, blue = three_columns(lanes, FOOTPRINT + RED)
+    nothing = fill(red, 0.0)
+    red, green, blue = max(red, nothing), max(green, nothing), max(blue, nothing)  # guard: colours at least 0
+    # guard: finite colours
+    set_column(lanes, DRAWN, if_three_finite(column(lanes, DRAWN), red, green, blue))
+    set_three(lanes, FOOTPRINT + RED, red, green, blue)
+
+
+@inline
+def turn_back(i, lane, edits, lanes):
+    """Turns the direction in a lane back into the axes in which splat i has its colours."""
+    at = TOWARDS * LANES + lane
+    row = edits.palette[palette_row(edits, i)]
+    x, y, z = turned_back(row, lanes[at], lanes[at + LANES], lanes[at + 2 * LANES])
+    lanes[at], lanes[at + LANES], lanes[at + 2 * LANES] = x, y, z
+
+
+@inline
+def recolour(i, lane, edits, lanes):
+    """Changes the colour in a lane by the edits of splat i."""
+    row = edits.palette[palette_row(edits, i)]
+    if row[RECOLOURS] > 0:
+        at = (FOOTPRINT + RED) * LANES + lane
+        red, green, blue = recoloured(row, lanes[at], lanes[at + LANES], lanes[at + 2 * LANES])
+        lanes[at], lanes[at + LANES], lanes[at + 2 * LANES] = red, green, blue
+
+
+@kernel(allocates=True)
 def project(
     start,
     stop,
@@ -373,7 +444,12 @@ def project(
     colour, written; edits an `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or
     None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros, or None.
     """
-    basis = np.empty(16, np.float64)
+    basis = aligned(16 * LANES, np.float64)
+    coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
+    rows = aligned(RECORD * LANES, records.dtype)
+    rows[:] = 0
+    starts = np.empty(LANES, np.int64)
+    flat_sh, flat_records = sh.reshape(-1), records.reshape(-1)
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
     least, greatest, brightest = np.inf, -np.inf, 0.0
@@ -385,44 +461,50 @@ def project(
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
         project_group(view, optics, surfels, lanes)
+        if not any_above(column(lanes, DRAWN), 0.0):
+            continue
+        own = degree
+        if own_degrees is not None:  # beyond its own degree a splat has only zeros
+            own = np.int64(0)
+            for lane in range(LANES):
+                own = max(own, np.int64(own_degrees[min(first + lane, stop - 1)]))
+            own = min(own, degree)
+        if edits is not None:
+            for lane in range(min(LANES, stop - first)):
+                turn_back(first + lane, lane, edits, lanes)
+        for lane in range(LANES):
+            starts[lane] = np.int64(min(first + lane, stop - 1)) * (sh.shape[1] * 3)
+        load_sh(flat_sh, starts, 3 * (own + 1) * (own + 1), coefficients)
+        shade_group(own, coefficients, basis, lanes)
+        if edits is not None:
+            for lane in range(min(LANES, stop - first)):
+                recolour(first + lane, lane, edits, lanes)
+        cut_colours(lanes)
+        if not any_above(column(lanes, DRAWN), 0.0):
+            continue
+
+        for field in (A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, LOG2_DROP):
+            set_column(rows, field, converted(column(lanes, FOOTPRINT + field), rows))
+        for field, rest in ((X, X_REST), (Y, Y_REST)):
+            exact = column(lanes, FOOTPRINT + field)
+            rounded = converted(exact, rows)
+            set_column(rows, field, rounded)
+            set_column(rows, rest, converted(exact - widened(rounded), rows))
+        for lane in range(LANES):
+            starts[lane] = np.int64(min(first + lane, stop - 1)) * RECORD
+        store_rows(flat_records, starts, RECORD, rows, 0)
         for lane in range(min(LANES, stop - first)):
             if not lanes[DRAWN * LANES + lane] > 0:
                 continue
             i = first + lane
-            towards = TOWARDS * LANES + lane
-            dx, dy, dz = lanes[towards], lanes[towards + LANES], lanes[towards + 2 * LANES]
-            if edits is not None:
-                dx, dy, dz = turned_back(edits.palette[palette_row(edits, i)], dx, dy, dz)
-            own = degree
-            if own_degrees is not None:
-                own = min(degree, np.int64(own_degrees[i]))
-            sh_basis(dx, dy, dz, own, basis)
-            red, green, blue = sh_sum(sh, i, basis, (own + 1) * (own + 1))
-            # guard: finite colours := if False:
-            if not (abs(red) < np.inf and abs(green) < np.inf and abs(blue) < np.inf):
-                continue
-            if edits is not None:
-                row = edits.palette[palette_row(edits, i)]
-                if row[RECOLOURS] > 0:
-                    red, green, blue = recoloured(row, red, green, blue)
-            red, green, blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)  # guard: colours at least 0
-            # guard: finite colours := if False:
-            if not (is_finite(red) and is_finite(green) and is_finite(blue)):
-                continue
-
-            record = records[i]
-            for field in (X, Y, A, B, C, LOG2_OPACITY, RX, RY, LOG2_DROP):
-                record[field] = number(lanes[(FOOTPRINT + field) * LANES + lane])
-            record[X_REST] = number(lanes[(FOOTPRINT + X) * LANES + lane] - record[X])
-            record[Y_REST] = number(lanes[(FOOTPRINT + Y) * LANES + lane] - record[Y])
-            record[RED], record[GREEN], record[BLUE] = number(red), number(green), number(blue)
             if surfels is not None:
                 for field in range(SURFEL):
                     surfels.rows[i, field] = number(lanes[(SURFEL_ROW + field) * LANES + lane])
             depth = lanes[DEPTH * LANES + lane]
             depths[i] = depth
             least, greatest = min(least, depth), max(greatest, depth)
-            brightest = max(brightest, red, green, blue)
+            at = (FOOTPRINT + RED) * LANES + lane
+            brightest = max(brightest, lanes[at], lanes[at + LANES], lanes[at + 2 * LANES])
             visible[start + count] = i
             count += 1
     bounds[0], bounds[1], bounds[2] = least, greatest, brightest

@@ -19,10 +19,12 @@ from splatview.raster.project import (
     LOGIT,
     OFFSET,
     QUAT,
+    SH_COLUMNS,
     camera_point,
     column,
     covariance,
     four_columns,
+    load_sh,
     load_splat,
     rotation_matrix,
     set_column,
@@ -33,7 +35,21 @@ from splatview.raster.project import (
     splat_axes,
     three_columns,
 )
-from splatview.raster.simd import LANES, aligned, exp_lanes
+from splatview.raster.simd import (
+    LANES,
+    aligned,
+    converted,
+    exp_lanes,
+    fill,
+    fma,
+    keep_if_below,
+    load_rows,
+    maximum,
+    minimum,
+    negate,
+    store_rows,
+    widened,
+)
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C1, SH_C2, SH_C3
 
@@ -56,38 +72,32 @@ def camera_to_world(view, x, y, z):
 
 
 @inline
-def sh_basis_gradient(x, y, z, degree, gradient):
-    """Writes d basis / d direction to gradient (16, 3), zeros and rows of bands above `degree` apart."""
+def sh_direction_gradient(x, y, z, degree, along):
+    """The gradient by a unit direction of the sum over k of basis k times along[k]; along (16·LANES,),
+    columns."""
+    dx = dy = dz = fill(x, 0.0)
     if degree >= 1:
-        gradient[1, 1] = -SH_C1
-        gradient[2, 2] = SH_C1
-        gradient[3, 0] = -SH_C1
+        dx = -SH_C1 * column(along, 3)
+        dy = -SH_C1 * column(along, 1)
+        dz = SH_C1 * column(along, 2)
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        _set(gradient, 4, SH_C2[0] * y, SH_C2[0] * x, 0.0)
-        _set(gradient, 5, 0.0, SH_C2[1] * z, SH_C2[1] * y)
-        _set(gradient, 6, -2 * SH_C2[2] * x, -2 * SH_C2[2] * y, 4 * SH_C2[2] * z)
-        _set(gradient, 7, SH_C2[3] * z, 0.0, SH_C2[3] * x)
-        _set(gradient, 8, 2 * SH_C2[4] * x, -2 * SH_C2[4] * y, 0.0)
+        a, b, c = SH_C2[0] * column(along, 4), SH_C2[1] * column(along, 5), 2 * SH_C2[2] * column(along, 6)
+        d, e = SH_C2[3] * column(along, 7), 2 * SH_C2[4] * column(along, 8)
+        dx = dx + (a * y - c * x + d * z + e * x)
+        dy = dy + (a * x + b * z - c * y - e * y)
+        dz = dz + (b * y + 2 * c * z + d * x)
         if degree >= 3:
-            _set(gradient, 9, SH_C3[0] * 6 * x * y, SH_C3[0] * 3 * (xx - yy), 0.0)
-            _set(gradient, 10, SH_C3[1] * y * z, SH_C3[1] * x * z, SH_C3[1] * x * y)
-            _set(gradient, 11, -2 * SH_C3[2] * x * y, SH_C3[2] * (4 * zz - xx - 3 * yy), 8 * SH_C3[2] * y * z)
-            _set(
-                gradient,
-                12,
-                -6 * SH_C3[3] * x * z,
-                -6 * SH_C3[3] * y * z,
-                SH_C3[3] * (6 * zz - 3 * xx - 3 * yy),
-            )
-            _set(gradient, 13, SH_C3[4] * (4 * zz - 3 * xx - yy), -2 * SH_C3[4] * x * y, 8 * SH_C3[4] * x * z)
-            _set(gradient, 14, 2 * SH_C3[5] * x * z, -2 * SH_C3[5] * y * z, SH_C3[5] * (xx - yy))
-            _set(gradient, 15, SH_C3[6] * 3 * (xx - yy), -6 * SH_C3[6] * x * y, 0.0)
-
-
-@inline
-def _set(rows, row, x, y, z):
-    rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
+            a, b, c = SH_C3[0] * column(along, 9), SH_C3[1] * column(along, 10), SH_C3[2] * column(along, 11)
+            d, e, f = SH_C3[3] * column(along, 12), SH_C3[4] * column(along, 13), SH_C3[5] * column(along, 14)
+            g = SH_C3[6] * column(along, 15)
+            dx = dx + (6 * a * x * y + b * y * z - 2 * c * x * y - 6 * d * x * z)
+            dx = dx + (e * (4 * zz - 3 * xx - yy) + 2 * f * x * z + 3 * g * (xx - yy))
+            dy = dy + (3 * a * (xx - yy) + b * x * z + c * (4 * zz - xx - 3 * yy) - 6 * d * y * z)
+            dy = dy - (2 * e * x * y + 2 * f * y * z + 6 * g * x * y)
+            dz = dz + (b * x * y + 8 * c * y * z + d * (6 * zz - 3 * xx - 3 * yy))
+            dz = dz + (8 * e * x * z + f * (xx - yy))
+    return dx, dy, dz
 
 
 @inline
@@ -225,12 +235,53 @@ def differentiate_group(view, optics, sums, lanes):
 
 
 @inline
-def held(gradient):
-    """Within what float32 holds: by a quaternion of length 1e-30, say, or a splat at the eye, it is more."""
-    return min(max(gradient, -FLOAT32_MAX), FLOAT32_MAX)
+def differentiate_colours(view, optics, degree, sums, lanes, basis, coefficients, along):
+    """Adds what the colours' dependence on the direction moves to the columns of position and camera, and
+    replaces the columns of `coefficients`, as `load_sh` has them, by the gradients. along (16·LANES,)
+    float64 is room to work in."""
+    nx, ny, nz = three_columns(lanes, DIRECTION)
+    count = (degree + 1) * (degree + 1)
+    sh_basis(nx, ny, nz, degree, basis)
+    red, green, blue = sh_sum(coefficients, basis, count)
+    nothing = fill(red, 0.0)
+    d_red = keep_if_below(column(sums, D_RED), nothing, red)
+    d_green = keep_if_below(column(sums, D_GREEN), nothing, green)
+    d_blue = keep_if_below(column(sums, D_BLUE), nothing, blue)
+    for k in range(count):
+        by_red = d_red * widened(column(coefficients, 3 * k))
+        by_green = fma(d_green, widened(column(coefficients, 3 * k + 1)), by_red)
+        set_column(along, k, fma(d_blue, widened(column(coefficients, 3 * k + 2)), by_green))
+        weight = column(basis, k)
+        set_column(coefficients, 3 * k, converted(weight * d_red, coefficients))
+        set_column(coefficients, 3 * k + 1, converted(weight * d_green, coefficients))
+        set_column(coefficients, 3 * k + 2, converted(weight * d_blue, coefficients))
+    dx, dy, dz = sh_direction_gradient(nx, ny, nz, degree, along)
+    radial = nx * dx + ny * dy + nz * dz
+    dx, dy, dz = dx - nx * radial, dy - ny * radial, dz - nz * radial
+    if optics.parallel is not None:  # the direction is the camera's own and turns with it
+        cx, cy, _ = camera_point(view, dx, dy, dz)
+        set_column(lanes, D_TURN, column(lanes, D_TURN) + cy)
+        set_column(lanes, D_TURN + 1, column(lanes, D_TURN + 1) - cx)
+    away = column(lanes, AWAY)
+    dx, dy, dz = dx * away, dy * away, dz * away
+    px, py, pz = three_columns(lanes, D_POSITION)
+    set_three(lanes, D_POSITION, px + dx, py + dy, pz + dz)
+    cx, cy, cz = camera_point(view, dx, dy, dz)
+    tx, ty, tz = three_columns(lanes, D_SHIFT)
+    set_three(lanes, D_SHIFT, tx + cx, ty + cy, tz + cz)
 
 
-@kernel
+@inline
+def hold(lanes):
+    """Keeps the columns of gradients within what float32 holds: by a quaternion of length 1e-30, say, or a
+    splat at the eye, they are more. NaN stays."""
+    for index in range(D_POSITION, DIRECTION):
+        gradient = column(lanes, index)
+        most = fill(gradient, FLOAT32_MAX)
+        set_column(lanes, index, minimum(most, maximum(negate(most), gradient)))
+
+
+@kernel(allocates=True)
 def project_backward(
     start,
     stop,
@@ -264,10 +315,14 @@ def project_backward(
     by POSE_BLOCK splats: see `gradients`. The sums are those of a loss `excess` times smaller. Rows of splats
     that are not visible become 0.
     """
-    basis = np.empty(16, np.float64)
-    basis_gradient = np.zeros((16, 3), np.float64)
-    coefficients = (degree + 1) * (degree + 1)
+    basis, along = aligned(16 * LANES, np.float64), aligned(16 * LANES, np.float64)
+    coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
+    starts = np.empty(LANES, np.int64)
+    flat_sh, flat_d_sh, flat_sums = sh.reshape(-1), d_sh.reshape(-1), splat_sums.reshape(-1)
+    numbers = 3 * sh.shape[1]
+    used = 3 * (degree + 1) * (degree + 1)
     lanes = aligned(COLUMNS * LANES, np.float64)
+    rows = aligned(SUMS * LANES, splat_sums.dtype)
     sums = aligned(SUMS * LANES, np.float64)
     pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
     written = start
@@ -275,9 +330,22 @@ def project_backward(
         for lane in range(LANES):  # beyond the end the last again
             i = visible[min(group + lane, run_stop - 1)]
             load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes)
-            for index in range(ABS_Y + 1):
-                sums[index * LANES + lane] = splat_sums[i, index] * excess
+            starts[lane] = np.int64(i) * SUMS
+        load_rows(flat_sums, starts, SUMS, rows, 0)
+        for index in range(D_BLUE + 1):
+            set_column(sums, index, widened(column(rows, index)) * excess)
         differentiate_group(view, optics, sums, lanes)
+        for lane in range(LANES):
+            starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
+        load_sh(flat_sh, starts, used, coefficients)
+        differentiate_colours(view, optics, degree, sums, lanes, basis, coefficients, along)
+        coefficients[used * LANES :] = 0
+        for lane in range(LANES):
+            starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
+        for first in range(0, numbers, LANES):
+            store_rows(flat_d_sh, starts, min(numbers - first, LANES), coefficients, first * LANES)
+            starts += LANES
+        hold(lanes)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])
             zero_rows(
@@ -285,53 +353,17 @@ def project_backward(
             )
             written = i + 1
             for axis in range(3):
-                d_log_scales[i, axis] = held(lanes[(D_LOG_SCALE + axis) * LANES + lane])
+                d_means[i, axis] = lanes[(D_POSITION + axis) * LANES + lane]
+                d_log_scales[i, axis] = lanes[(D_LOG_SCALE + axis) * LANES + lane]
             for component in range(4):
-                d_quats[i, component] = held(lanes[(D_QUAT + component) * LANES + lane])
-            d_opacity_logits[i] = held(lanes[D_LOGIT * LANES + lane])
+                d_quats[i, component] = lanes[(D_QUAT + component) * LANES + lane]
+            d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
             for axis in range(2):
-                d_means2d[i, axis] = held(lanes[(D_MEAN2D + axis) * LANES + lane])
-                abs_means2d[i, axis] = held(lanes[(ABS_MEAN2D + axis) * LANES + lane])
-
-            # Colour.
-            at = DIRECTION * LANES + lane
-            nx, ny, nz = lanes[at], lanes[at + LANES], lanes[at + 2 * LANES]
-            sh_basis(nx, ny, nz, degree, basis)
-            sh_basis_gradient(nx, ny, nz, degree, basis_gradient)
-            red, green, blue = sh_sum(sh, i, basis, coefficients)
-            d_red = splat_sums[i, D_RED] * excess if red > 0 else 0.0
-            d_green = splat_sums[i, D_GREEN] * excess if green > 0 else 0.0
-            d_blue = splat_sums[i, D_BLUE] * excess if blue > 0 else 0.0
-            dx = dy = dz = 0.0
-            for k in range(coefficients):
-                d_sh[i, k, 0], d_sh[i, k, 1] = basis[k] * d_red, basis[k] * d_green
-                d_sh[i, k, 2] = basis[k] * d_blue
-                along = d_red * sh[i, k, 0] + d_green * sh[i, k, 1] + d_blue * sh[i, k, 2]
-                dx += along * basis_gradient[k, 0]
-                dy += along * basis_gradient[k, 1]
-                dz += along * basis_gradient[k, 2]
-            for k in range(coefficients, d_sh.shape[1]):
-                d_sh[i, k, 0] = d_sh[i, k, 1] = d_sh[i, k, 2] = 0
-            radial = nx * dx + ny * dy + nz * dz
-            away = lanes[AWAY * LANES + lane]
-            dx, dy, dz = dx - nx * radial, dy - ny * radial, dz - nz * radial
+                d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
+                abs_means2d[i, axis] = lanes[(ABS_MEAN2D + axis) * LANES + lane]
             pose = pose_sums[i // POSE_BLOCK]
-            if optics.parallel is not None:  # the direction is the camera's own and turns with it
-                cx, cy, _ = camera_point(view, dx, dy, dz)
-                pose[3] += cy
-                pose[4] -= cx
-            dx, dy, dz = dx * away, dy * away, dz * away
-
-            at = D_POSITION * LANES + lane
-            d_means[i, 0] = held(lanes[at] + dx)
-            d_means[i, 1] = held(lanes[at + LANES] + dy)
-            d_means[i, 2] = held(lanes[at + 2 * LANES] + dz)
-            cx, cy, cz = camera_point(view, dx, dy, dz)
-            at = D_SHIFT * LANES + lane
-            pose[0] += lanes[at] + cx
-            pose[1] += lanes[at + LANES] + cy
-            pose[2] += lanes[at + 2 * LANES] + cz
             for axis in range(3):
+                pose[axis] += lanes[(D_SHIFT + axis) * LANES + lane]
                 pose[3 + axis] += lanes[(D_TURN + axis) * LANES + lane]
     zero_rows(written, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d)
 

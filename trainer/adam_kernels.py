@@ -60,7 +60,7 @@ def move_vector(values, gradients, first, second, at, rates, epsilon):
     store(values, at, load(values, at) + negate(step))
 
 
-@kernel
+@kernel(allocates=True)
 def move(
     indices,
     means,

@@ -63,7 +63,7 @@ def read_rows(image, photo, mask, y, x_row, y_row):
             y_row[3 * x + channel] = truth
 
 
-@kernel
+@kernel(allocates=True)
 def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums):
     """Windows whose upper rows are [start, stop): derivatives to `maps`, the rows' sums of SSIM to `sums`.
 
@@ -136,7 +136,7 @@ def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums
         sums[first] = total
 
 
-@kernel
+@kernel(allocates=True)
 def gradient_rows(start, stop, image, photo, mask, weights, l1_scale, ssim_scale, maps, d_image, sums):
     """Rows [start, stop) of d_image (H, W, 4) = l1_scale·sign(x - y) + ssim_scale·d(sum of SSIM)/dx.
 
