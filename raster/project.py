@@ -470,15 +470,15 @@ def project(
                 own = max(own, np.int64(own_degrees[min(first + lane, stop - 1)]))
             own = min(own, degree)
         if edits is not None:
-            for lane in range(min(LANES, stop - first)):
-                turn_back(first + lane, lane, edits, lanes)
+            for lane in range(LANES):
+                turn_back(min(first + lane, stop - 1), lane, edits, lanes)
         for lane in range(LANES):
             starts[lane] = np.int64(min(first + lane, stop - 1)) * (sh.shape[1] * 3)
         load_sh(flat_sh, starts, 3 * (own + 1) * (own + 1), coefficients)
         shade_group(own, coefficients, basis, lanes)
         if edits is not None:
-            for lane in range(min(LANES, stop - first)):
-                recolour(first + lane, lane, edits, lanes)
+            for lane in range(LANES):
+                recolour(min(first + lane, stop - 1), lane, edits, lanes)
         cut_colours(lanes)
         if not any_above(column(lanes, DRAWN), 0.0):
             continue

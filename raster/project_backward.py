@@ -348,9 +348,10 @@ def project_backward(
         hold(lanes)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])
-            zero_rows(
-                written, i, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d
-            )
+            if written < i:
+                zero_rows(
+                    written, i, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d
+                )
             written = i + 1
             for axis in range(3):
                 d_means[i, axis] = lanes[(D_POSITION + axis) * LANES + lane]
@@ -371,10 +372,13 @@ def project_backward(
 @inline
 def zero_rows(start, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d):
     for i in range(start, stop):
-        d_means[i] = 0
-        d_quats[i] = 0
-        d_log_scales[i] = 0
+        for axis in range(3):
+            d_means[i, axis] = d_log_scales[i, axis] = 0
+        for component in range(4):
+            d_quats[i, component] = 0
         d_opacity_logits[i] = 0
-        d_sh[i] = 0
-        d_means2d[i] = 0
-        abs_means2d[i] = 0
+        for k in range(d_sh.shape[1]):
+            for channel in range(3):
+                d_sh[i, k, channel] = 0
+        for axis in range(2):
+            d_means2d[i, axis] = abs_means2d[i, axis] = 0
