@@ -144,7 +144,8 @@ def background_training(
     """The run that a window watches, its thread waiting to begin; arguments as of `train_in_window`."""
     ready = prepare(options, console, Alone())
     say(console, opening(ready))
-    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
+    strategies = (ready.trainer.settings.strategy,)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens, strategies=strategies)
     run = TrainingRun(
         ready.trainer,
         ready.held_out,
@@ -227,13 +228,16 @@ def start_from_window(arguments: Sequence[str], report: Callable[[str], None]) -
     )
 
 
+NOTHING_TRAINED = "nothing was trained, and nothing written"
+
+
 def _conclude(console: Console, ready: Run, thread: BackgroundTraining) -> None:
     """Says where everything is."""
     status, outputs = thread.status, ready.outputs
     if status.state == "done":
         print_summary(make_console(stderr=False), ready.trainer, status.evaluation, outputs)
     elif status.saved_at is None:
-        console.print("nothing was trained, and nothing written")
+        console.print(NOTHING_TRAINED)
     else:
         say(console, f"stopped at step {status.iteration:,}: {_as_far(outputs)}")
 
@@ -385,7 +389,8 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
     except ToldElsewhere:
         return EXIT_BAD_INPUT
     say(console, opening_lines(ready))
-    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens)
+    strategies = (ready.trainer.settings.strategy,)
+    started += ready.uncounted + ready_kernels(console, lens=ready.has_lens, strategies=strategies)
     return _follow(ready.trainer) if group.rank > 0 else _lead(ready, options, console, started)
 
 
@@ -426,7 +431,8 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             with stopping_between_steps(trainer.group):
                 completed = session.run()
         except (PeerLost, PluginError) as error:
-            raise InputError(f"{error}; {_as_far(outputs)}") from None
+            kept = _as_far(outputs) if session.has_trained else NOTHING_TRAINED
+            raise InputError(f"{error}; {kept}") from None
     if not completed:
         say(
             console,

@@ -7,7 +7,7 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
 from splatview.scene.effects.effect import Effect
@@ -190,16 +189,18 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
 
 
-def ready_kernels(console: Console, *, lens: bool = False) -> float:
+def ready_kernels(
+    console: Console, *, lens: bool = False, strategies: Iterable[str] = tuple(STRATEGIES)
+) -> float:
     """Compiles or loads the kernels; returns the seconds of compiling, which count against no budget.
 
-    `lens`: those for photos through a lens.
+    `lens`: those for photos through a lens; `strategies`: those of these alone.
     """
     from splatview.trainer.warm_up import warm_up
 
     begun = time.perf_counter()
     with console.status("Readying the kernels (once per installation: about a minute)"):
-        warm_up(lens=lens)
+        warm_up(lens=lens, strategies=strategies)
     seconds = time.perf_counter() - begun
     if seconds < COMPILED_SECONDS:
         return 0.0
@@ -222,6 +223,8 @@ def process_age() -> float:
 
 def _demo(console: Console) -> tuple[Path, float]:
     """The folder of the demo's photos, and the seconds that making them took."""
+    from splatview.renderers.demo_cache import cached_demo_capture
+
     begun = time.perf_counter()
     title = "Taking pictures of the demo scene (once per installation)"
     folder = _with_status(console, title, lambda progress: cached_demo_capture(progress=progress))

@@ -192,6 +192,7 @@ class TrainingRun:
         """Latest scores on the held-out photos."""
         self.evaluated_at = 0
         """Step of `evaluation`."""
+        self._first = trainer.counters.iteration
         self.stopwatch = Stopwatch(started - trainer.counters.seconds)
         # The first is due at once: a run killed in its first minute can be resumed too.
         self._checkpointed = -math.inf
@@ -204,6 +205,11 @@ class TrainingRun:
         """Wall-clock time of the run, earlier parts included, pauses not."""
         return self.stopwatch.seconds
 
+    @property
+    def has_trained(self) -> bool:
+        """Whether a step has been taken since the run, or this part of it, began."""
+        return self.trainer.counters.iteration > self._first
+
     def run(self) -> bool:
         """Trains to the end, saves the scene, and returns true; false after Ctrl-C.
 
@@ -211,8 +217,8 @@ class TrainingRun:
         told and tried again: the disk may have room by then.
 
         Raises:
-            PeerLost: another process of the run has ended; what there is has been saved.
-            PluginError: the user's loss failed; what there is has been saved.
+            PeerLost: another process of the run has ended; what was trained has been saved.
+            PluginError: the user's loss failed; what was trained has been saved.
             NothingSeen: no photo shows the scene, which is not saved.
             InputError: the scene could not be saved where it should; the message says where it is.
         """
@@ -223,7 +229,8 @@ class TrainingRun:
         except KeyboardInterrupt:
             completed = False
         except (PeerLost, PluginError):
-            self.keep()
+            if self.has_trained:  # otherwise there is nothing that was not there before
+                self.keep()
             raise
         except NothingSeen:  # such a scene is worth nothing
             raise

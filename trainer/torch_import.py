@@ -5,6 +5,7 @@ Nothing that views, edits or converts imports torch; `pip install splatview` com
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import sys
 import threading
@@ -38,12 +39,19 @@ class TorchImport:
         """Raises InputError where torch is not installed."""
         require_torch()
         self._error: Exception | None = None
+        # Modules are never garbage: looking for it among their objects took a sixth of the start.
+        self._collects = gc.isenabled()
+        gc.disable()
         self._thread = threading.Thread(target=self._work, name="splatview-torch", daemon=True)
         self._thread.start()
 
     def wait(self) -> None:
         """Returns when torch can be used. Raises InputError where it cannot."""
         self._thread.join()
+        if self._collects:
+            gc.freeze()  # nor do later collections look at what has been imported
+            gc.enable()
+            self._collects = False
         if self._error is not None:
             reason = " ".join(str(self._error).split())
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -16,16 +17,16 @@ from splatview.trainer.views import TrainView, TrainViews
 BARREL = Lens(model="SIMPLE_RADIAL", parameters=(-0.1,))
 
 
-def warm_up(*, lens: bool = False) -> None:
+def warm_up(*, lens: bool = False, strategies: Iterable[str] = STRATEGIES) -> None:
     """Takes about a second where kernels are cached, and a minute, once per installation, where not.
 
-    `lens`: those for photos through a lens, rather than a pinhole.
+    `lens`: those for photos through a lens, rather than a pinhole; `strategies`: those of these alone.
     """
     camera = look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
     view = TrainView(replace(camera, lens=BARREL if lens else None), np.zeros((16, 16, 3), np.uint8))
     points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
     colours = np.full((32, 3), 128, np.uint8)
-    for strategy in STRATEGIES:
+    for strategy in strategies:
         settings = TrainSettings(iterations=2, strategy=strategy, refine_until=1.0, max_splats=32)
         trainer = Trainer(TrainViews([view], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:

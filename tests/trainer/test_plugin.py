@@ -194,6 +194,18 @@ def test_a_failure_keeps_the_scene_and_names_what_is_saved(capture_folder, tmp_p
     assert headless(capture_folder, output, *resume, "--plugin", "none", "--iterations", "45") == 0
 
 
+def test_a_failure_at_the_first_step_writes_nothing(capture_folder, tmp_path, capsys) -> None:
+    path, output = written(tmp_path, WRONG["raises"][0]), tmp_path / "x.ply"
+    output.write_bytes(b"of before")
+    assert headless(capture_folder, output, "--plugin", str(path)) == 2
+    (line,) = lines_of(capsys)
+    assert "my_loss.py:2: loss failed at step 1" in line and line.endswith(
+        "; nothing was trained, and nothing written"
+    )
+    assert output.read_bytes() == b"of before"
+    assert sorted(file.name for file in tmp_path.iterdir() if file.is_file()) == ["my_loss.py", "x.ply"]
+
+
 def test_a_resumed_run_with_a_plugin_goes_on_bit_for_bit(capture_folder, tmp_path) -> None:
     whole, part = tmp_path / "whole.ply", tmp_path / "part.ply"
     plugin = ("--plugin", str(EXAMPLES / "entropy.py"))
