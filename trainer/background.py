@@ -26,6 +26,7 @@ from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
 from splatview.scene.formats import save_scene
 from splatview.trainer.checkpoint import save_checkpoint
+from splatview.trainer.counters import PluginError
 from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
@@ -207,6 +208,8 @@ class BackgroundTraining:
         self._step_due = self._snapshot_due = 0.0
         self._step_ended: float | None = None
         self._unseen = self._unsaved = False
+        self._sound = False
+        """Whether the trainer is whole after a failure."""
         trainer = training_run.trainer
         self.status = Status(
             state="training",
@@ -408,6 +411,7 @@ class BackgroundTraining:
             self._steps_wanted = 0
             self._training_run.stopwatch.pause()
             self._unseen = True
+            self._sound = isinstance(error, PluginError)  # a step with such a loss has not happened
             self._tell(state="failed", failure=one_line(error), rate=0.0)
             try:
                 self._publish()
@@ -553,11 +557,12 @@ class BackgroundTraining:
         self.on_change()
 
     def _keep(self) -> None:
-        """Writes scene and checkpoint. After a failure the checkpoint is left as it was before: that one
-        is known to be good. Raises InputError: the scene could not be saved where it should."""
+        """Writes scene and checkpoint. After a failure, but of the user's loss, the checkpoint is left as it
+        was before: that one is known to be good. Raises InputError: the scene could not be saved where it
+        should."""
         self._tell(activity="Saving")
         try:
-            if self.status.state == "failed":
+            if self.status.state == "failed" and not self._sound:
                 self._training_run.save_scene()
             else:
                 self._training_run.keep()

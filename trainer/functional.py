@@ -75,6 +75,15 @@ class Visibility:
         indices = np.concatenate(self.pieces)
         return torch.from_numpy(np.maximum(frame.records[indices, RX], frame.records[indices, RY]))
 
+    def include(self, other: Visibility) -> None:
+        """Counts what another picture of the same splats shows as shown by this one."""
+        mask = self.visible
+        before = int(mask.sum())
+        mask[other.indices] = True
+        if int(mask.sum()) > before:
+            union = np.flatnonzero(mask.numpy()).astype(np.int32)
+            self.pieces = np.array_split(union, max(len(self.pieces), 1))
+
     def on_backward(self, function: Callable[[Visibility], None]) -> None:
         """Has `function` called with this once `means2d` and `abs_means2d` are there."""
         self._on_backward.append(function)
@@ -329,14 +338,30 @@ def rasterize_depth(
 
     Differentiable by all arguments, by drawing depths as colours. Arguments are those of `rasterize`.
     """
+    return depth_and_visibility(means, quats, log_scales, opacity_logits, camera, settings, threads=threads)[
+        0
+    ]
+
+
+def depth_and_visibility(
+    means: torch.Tensor,
+    quats: torch.Tensor,
+    log_scales: torch.Tensor,
+    opacity_logits: torch.Tensor,
+    camera: Camera,
+    settings: RenderSettings | None = None,
+    *,
+    threads: int | None = None,
+) -> tuple[torch.Tensor, Visibility]:
+    """`rasterize_depth`, and what shows in it."""
     axis = torch.tensor(camera.R_camera_world[2], dtype=means.dtype)
     eye = torch.tensor(camera.eye, dtype=means.dtype)
     depths = (means - eye) @ axis
     # A colour is 0.5 + SH_C0·sh, and nothing behind the eye is drawn.
     sh = ((depths - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
     black = replace(settings or RenderSettings(), background=(0.0, 0.0, 0.0))
-    picture, _ = rasterize(means, quats, log_scales, opacity_logits, sh, camera, black, threads=threads)
-    return picture[..., 0] / picture[..., 3].clamp_min(LEAST_ALPHA)
+    picture, info = rasterize(means, quats, log_scales, opacity_logits, sh, camera, black, threads=threads)
+    return picture[..., 0] / picture[..., 3].clamp_min(LEAST_ALPHA), info
 
 
 def photo_loss(

@@ -26,7 +26,7 @@ import torch
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.formats.io import require_regular_file
 from splatview.trainer.counters import PluginError
-from splatview.trainer.functional import rasterize_depth
+from splatview.trainer.functional import Visibility, depth_and_visibility
 
 FUNCTION = "loss"
 """Name of the function in a file."""
@@ -74,6 +74,8 @@ class LossStep:
         """Settings that pictures are drawn with."""
         self.used_photo_loss = False
         """Whether `photo_loss` has been read."""
+        self.depth_visibility: Visibility | None = None
+        """What the picture of `depth` shows, where it has been asked for."""
         self._image, self._splats, self._photo_loss = image, splats, photo_loss
         self._threads, self._check = threads, check
 
@@ -88,7 +90,8 @@ class LossStep:
 
     @cached_property
     def splats(self) -> SplatTensors:
-        """All splats. Only those that the photo shows are moved in this step."""
+        """All splats. Only those that the photo shows, or `depth` if it is asked for, are moved in this step;
+        what is split or cloned is decided by the photo alone."""
         views = SplatTensors(*(tensor.view_as(tensor) for tensor in self._splats))
         for name, view in views._asdict().items():
             view.register_hook(self._check(name))
@@ -112,9 +115,10 @@ class LossStep:
     @cached_property
     def _depth(self) -> torch.Tensor:
         means, quats, log_scales, opacity_logits, _ = self.splats
-        return rasterize_depth(
+        depth, self.depth_visibility = depth_and_visibility(
             means, quats, log_scales, opacity_logits, self.camera, self.settings, threads=self._threads
         )
+        return depth
 
 
 class LossPlugin:

@@ -278,23 +278,24 @@ class Trainer:
             loss = usual_loss()
             loss.backward()
         else:
+            step = LossStep(
+                image=image,
+                photo=photo,
+                mask=mask,
+                camera=view.camera,
+                splats=splats,
+                iteration=number,
+                progress=progress,
+                settings=drawn_as,
+                photo_loss=usual_loss,
+                threads=self.threads,
+                check=self.loss.hooks(number),
+            )
             with clock.stage("plugin"):
-                loss = self.loss(
-                    LossStep(
-                        image=image,
-                        photo=photo,
-                        mask=mask,
-                        camera=view.camera,
-                        splats=splats,
-                        iteration=number,
-                        progress=progress,
-                        settings=drawn_as,
-                        photo_loss=usual_loss,
-                        threads=self.threads,
-                        check=self.loss.hooks(number),
-                    )
-                )
+                loss = self.loss(step)
             self.loss.backward(loss, number)
+            if step.depth_visibility is not None:  # it shows splats that dropout takes out of the picture
+                info.include(step.depth_visibility)
         if exposure is not None and exposure.grad is not None:
             self.exposures.add_gradient(view.camera.name, exposure.grad.numpy())
         for name, milliseconds in info.milliseconds.items():

@@ -70,6 +70,23 @@ def test_a_plugin_of_nothing_changes_no_bit(make_trainer) -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_what_dropout_takes_out_of_the_picture_moves_by_its_depth(make_trainer) -> None:
+    trainer: Trainer = make_trainer(strategy="classic", resolution=(), iterations=10, dropout=0.9, seed=3)
+    trainer.counters.iteration = 8
+    kept = []
+
+    def loss(step):
+        depth = step.depth().mean()
+        kept.append(step.depth_visibility.visible)
+        return 0 * step.image.mean() + depth
+
+    trainer.loss = LossPlugin(loss)
+    before = copied(trainer.splats.arrays)
+    trainer.step()
+    moved = (trainer.splats.arrays.means != before.means).any(axis=1)
+    assert kept[0].sum() > 40 and moved[kept[0].numpy()].mean() > 0.9
+
+
 def test_a_plugin_can_replace_the_photo_loss(make_trainer) -> None:
     trainer: Trainer = make_trainer(iterations=100, resolution=())
     trainer.loss = LossPlugin(lambda step: (step.image[..., :3] - step.photo / 255).square().mean())

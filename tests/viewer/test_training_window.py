@@ -68,6 +68,24 @@ def test_a_failing_trainer_is_told_and_its_scene_stays(drive, capture, tmp_path)
     assert len(load_scene(tmp_path / "toy.ply")) > 0
 
 
+def test_a_plugin_that_fails_is_told_and_can_be_resumed(drive, capture, tmp_path):
+    path = tmp_path / "my_loss.py"
+    path.write_text(
+        "def loss(step):\n    if step.iteration == 9:\n        raise ValueError('mine')\n"
+        "    return step.photo_loss + 0 * step.depth().mean()\n"
+    )
+    found = drive("plugin_fails", capture, script=SCRIPT, train=["--plugin", str(path)])
+    assert f"{path}:3: loss failed at step 9: ValueError: mine" in found["problem"]
+    assert (found["state"], found["iteration"]) == ("failed", 8)
+    assert found["scene_stays"] and found["problem_after"] is None
+    assert "Traceback" not in found["output"]
+    checkpoint, output = tmp_path / "toy.checkpoint.safetensors", tmp_path / "toy.ply"
+    assert load_checkpoint(checkpoint).counters.iteration == 8 and len(load_scene(output)) > 0
+    resumed = ["--headless", "-o", str(output), "--resume", str(checkpoint), "--plugin", "none"]
+    assert main(["train", str(capture), *resumed, "--iterations", "12"]) == 0
+    assert load_checkpoint(checkpoint).counters.iteration == 12
+
+
 @pytest.mark.parametrize("by_signal", [False, True])
 def test_closing_in_the_middle_saves(drive, capture, tmp_path, by_signal):
     found = drive("closes", capture, script=SCRIPT, signal=by_signal)

@@ -181,6 +181,19 @@ def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["went_on"] = training.status.state
 
 
+def plugin_fails(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """The user's loss fails: it is told, training stops, and the window lives."""
+    training = training_of(app)
+    hand.wait(lambda: app.problem is not None, "the dialog")
+    hand.frames(5)
+    found["problem"], found["state"] = app.problem, training.status.state
+    found["iteration"] = training.status.iteration
+    hand.ctx.item_click("//That did not work/OK")
+    hand.frames(10)
+    found["scene_stays"] = app.is_open and len(app.scene.gaussians) == training.status.gaussians
+    found["problem_after"] = app.problem
+
+
 def closes(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The window is closed in the middle of training, by Ctrl-C if `signal` is asked for."""
     seen(hand, 5)
@@ -362,7 +375,7 @@ def main() -> int:
 
 
 functions: dict[str, Callable[[AppState, Hand, dict[str, Any], dict[str, Any]], None]] = {
-    function.__name__: function for function in (all_of_it, breaks, closes, elsewhere, edits)
+    function.__name__: function for function in (all_of_it, breaks, plugin_fails, closes, elsewhere, edits)
 }
 
 
