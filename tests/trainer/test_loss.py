@@ -54,7 +54,11 @@ def test_loss_and_gradient_are_those_of_float64_autograd(height, width, weight, 
     np.testing.assert_allclose(exact.d_image, gradient, rtol=0, atol=1e-12 * np.abs(gradient).max())
     single = photo_loss(image.astype(np.float32), photo, Workspace(), ssim_weight=weight)
     assert single.loss == pytest.approx(expected.item(), abs=1e-6)
-    np.testing.assert_allclose(single.d_image, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max())
+    # Nearer than this float32 cannot tell which of the two is brighter.
+    told = np.abs(image[..., :3] - photo / 255.0) > 1e-6
+    ours, exactly = single.d_image[..., :3][told], gradient[..., :3][told]
+    assert told.mean() > 0.99
+    np.testing.assert_allclose(ours, exactly, rtol=0, atol=1e-5 * np.abs(gradient).max())
 
 
 def test_ssim_is_that_of_the_metrics() -> None:
