@@ -19,6 +19,7 @@ from splatview.scene.formats.packing import (
     arrays_of,
     check_room,
     empty_arrays,
+    rows_of,
     scene_of,
     storable_in_z_order,
 )
@@ -81,11 +82,10 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
     from splatview.scene.formats.kernels.decoding import decode_compressed_ply
 
     arrays = empty_arrays(vertex.count, SH_COEFFICIENTS.index(rest.shape[1] // 3 + 1))
-    tables = (QUAT_LEVELS, LOGITS, SH_LEVELS)
     over_splats(
         decode_compressed_ply,
         vertex.count,
-        *(bounds, words, rest, SHARES, tables, tuple(arrays.values())),
+        *(bounds, words, rest, SHARES, (QUAT_LEVELS, LOGITS), rows_of(arrays)),
         progress=progress.part(0.5, 1.0),
         step=CHUNK,
     )
@@ -97,10 +97,6 @@ SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))
 
 QUAT_LEVELS = (np.arange(1024) * np.float64(np.float32(2 / 1023)) - 1).astype(np.float32) * SQRT_HALF
 """Component of a quaternion for each number of 10 bits."""
-
-SH_LEVELS = ((np.arange(256) + 0.5) / 256 - 0.5).astype(np.float32) * np.float32(SH_RANGE)
-"""Coefficient of each byte: the middle of its step, but for the two ends."""
-SH_LEVELS[[0, 255]] = -SH_RANGE / 2, SH_RANGE / 2
 
 
 def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> None:

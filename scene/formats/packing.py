@@ -108,6 +108,12 @@ def empty_arrays(count: int, degree: int) -> dict[str, np.ndarray]:
     return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
 
 
+def rows_of(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """`empty_arrays` as kernels fill them: SH as rows (N, 3 x coefficients)."""
+    shape = len(arrays["sh"]), 3 * arrays["sh"].shape[1]
+    return (*(arrays[name] for name in ARRAYS[:-1]), arrays["sh"].reshape(shape))
+
+
 def scene_of(arrays: dict[str, np.ndarray], comments: tuple[str, ...] = ()) -> Gaussians:
     """The scene of `empty_arrays` that were filled."""
     means, quats, log_scales, opacity_logits, sh = (arrays[name] for name in ARRAYS)

@@ -141,12 +141,23 @@ class PlyBody:
                 self.skip(earlier)
             self._passed.add(earlier.name)
         self._passed.add(element.name)
-        start = 0
-        for block in self.blocks(element):
+        start, progress = 0, progress or self._progress
+        stored = _as_stored(element, targets, self.header)
+        for block in self.blocks(element) if stored is None else self._fill(stored, element):
             stop = start + len(block)
-            _unpack(block, targets, start, stop, self.path)
+            if stored is None:
+                _unpack(block, targets, start, stop, self.path)
             start = stop
-            (progress or self._progress).step(start / element.count)
+            progress.step(start / element.count)
+
+    def _fill(self, rows: np.ndarray, element: PlyElement) -> Iterator[np.ndarray]:
+        """Fills the `rows` (N, columns) of an array that is as the file has them, and yields each piece."""
+        step = max(1, CHUNK_BYTES // rows[:1].nbytes)
+        for start in range(0, len(rows), step):
+            part = rows[start : start + step]
+            if self._file.readinto(part.data.cast("B")) < part.nbytes:
+                raise self._ended(element)
+            yield part
 
     def read(self, size: int) -> bytes:
         """Bytes of a binary body. Raises EOFError where a damaged list asks for more than any file has."""
@@ -239,6 +250,16 @@ class PlyBody:
             f"{self.path}: the file ends within the {element.count:,} rows of {element.name} that its "
             "header promises; it is truncated, or was cut while it was read"
         )
+
+
+def _as_stored(element: PlyElement, targets: Sequence[Target], header: Header) -> np.ndarray | None:
+    """The rows of the only target where they are the file's to the byte, so that nothing is between them."""
+    if header.is_ascii or len(targets) != 1 or not element.count:
+        return None
+    rows = targets[0].rows(0, element.count)
+    dtypes = {np.dtype(dtype).newbyteorder(header.byte_order) for dtype in scalar_types(element).values()}
+    same = list(scalar_types(element)) == list(targets[0].names) and len(element.properties) == rows.shape[1]
+    return rows if same and dtypes == {rows.dtype} else None
 
 
 def _unpack(block: np.ndarray, targets: Sequence[Target], start: int, stop: int, path: Path) -> None:

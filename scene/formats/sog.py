@@ -13,7 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,6 +28,7 @@ from splatview.scene.formats.packing import (
     check_room,
     empty_arrays,
     parsed_json,
+    rows_of,
     scene_of,
 )
 from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
@@ -297,14 +298,14 @@ def _decoded(
     else:
         log_scales, colours = _levels(meta["scales"], 3), _levels(meta["sh0"], 4)
         colours, logits = colours[:3], colours[3]
-    arrays = empty_arrays(n, SH_COEFFICIENTS.index(palette.per_channel + 1))
+    arrays = empty_arrays(n, SH_COEFFICIENTS.index(1 + palette.shape[1] // 3))
     over_splats(
         decode_sog,
         n,
         tuple(texels),
-        (palette.pixels, palette.entries),
-        (means, QUAT_LEVELS, log_scales, colours, logits, palette.levels),
-        tuple(arrays.values()),
+        palette,
+        (means, QUAT_LEVELS, log_scales, colours, logits),
+        rows_of(arrays),
         progress=progress.part(0.7, 1.0),
     )
     tag = TAGS.get(str(meta.get("model", "")))
@@ -323,25 +324,12 @@ def _levels(entry: dict[str, Any], count: int) -> np.ndarray:
     return _between(low, high, np.arange(256)[None], 255).astype(np.float32)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Palette:
-    pixels: np.ndarray
-    """(H, W, 4) uint8: the coefficients of an entry lie side by side, and PALETTE_COLUMNS entries."""
-    entries: int
-    """Labels from here on are none, and mean zeros."""
-    per_channel: int
-    levels: np.ndarray
-    """(256,) float32: what a byte means."""
+NO_PALETTE = np.zeros((1, 0), np.float32)
 
 
-NO_PALETTE = _Palette(
-    pixels=np.zeros((1, 1, 4), np.uint8), entries=0, per_channel=0, levels=np.zeros(256, np.float32)
-)
-NO_PALETTE.pixels.setflags(write=False)
-
-
-def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> _Palette:
-    """The bands above the constant one. Raises InputError, KeyError and ValueError."""
+def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> np.ndarray:
+    """(entries + 1, 3 x coefficients) float32: the bands above the constant one, for each label. The last is
+    zeros, for labels that are none. Raises InputError, KeyError and ValueError."""
     name = _names(shn, 2)[0]
     most = int(shn["count"]) if version == 2 else 2**16
     if not 0 < most <= 2**16:
@@ -361,8 +349,11 @@ def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> _Palette
     else:
         low, high = float(shn["mins"]), float(shn["maxs"])
         levels = (low + (high - low) * (np.arange(256) / np.float32(255))).astype(np.float32)
-    entries = min(most, len(pixels) * PALETTE_COLUMNS)
-    return _Palette(pixels=pixels, entries=entries, per_channel=per_channel, levels=levels)
+    # The coefficients of an entry lie side by side, and so do PALETTE_COLUMNS entries.
+    rows = pixels[..., :3].reshape(len(pixels) * PALETTE_COLUMNS, 3 * per_channel)[:most]
+    palette = np.zeros((len(rows) + 1, rows.shape[1]), np.float32)
+    np.take(levels, rows, out=palette[:-1])
+    return palette
 
 
 def _names(entry: dict[str, Any], count: int) -> list[Any]:

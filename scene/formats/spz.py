@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatview.scene.edits import quat_product
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import atomic_write
@@ -31,6 +32,7 @@ from splatview.scene.formats.packing import (
     empty_arrays,
     gunzipped,
     in_slices,
+    rows_of,
     scene_of,
     storable_in_z_order,
     too_short,
@@ -300,14 +302,18 @@ def _arrays(
     flips = axis_flips(frame)
     axes, turn, signs = flips or NO_FLIPS
     units = axes if halves else np.ldexp(axes, -header.fraction_bits)
+    # The turn of axes that change their signs alone moves components, and changes signs of theirs.
+    components = quat_product(np.broadcast_to(turn, (4, 4)), np.eye(4, dtype=np.float32)[[1, 2, 3, 0]])
+    places = np.abs(components).argmax(axis=1)
+    factors = np.repeat(signs[1 : arrays["sh"].shape[1]], 3) / np.float32(128)
     over_splats(
         decode_spz,
         n,
         (blocks[0], blocks[1].reshape(-1), *blocks[2:]),
         (not halves, three_bytes),
-        (LOGITS, COLOUR_LEVELS, SCALE_LEVELS, XYZ_LEVELS if three_bytes else QUAT_LEVELS, SH_LEVELS),
-        (units, turn, signs),
-        tuple(arrays.values()),
+        (LOGITS, COLOUR_LEVELS, SCALE_LEVELS, XYZ_LEVELS if three_bytes else QUAT_LEVELS),
+        (units, places, components[np.arange(4), places], factors),
+        rows_of(arrays),
         progress=progress,
     )
     if flips is None:
@@ -321,8 +327,7 @@ COLOUR_LEVELS = (np.arange(256, dtype=np.float32) / np.float32(255) - np.float32
     COLOUR_SCALE
 )
 SCALE_LEVELS = np.arange(256, dtype=np.float32) / np.float32(16) - 10
-SH_LEVELS = (np.arange(256, dtype=np.float32) - 128) / 128
-"""What each byte means."""
+"""What each byte means; one of SH, less 128, is 128 times the coefficient."""
 
 XYZ_LEVELS = np.arange(256, dtype=np.float32) / np.float32(127.5) - 1
 """Component of a quaternion for each byte, up to version 2."""

@@ -1,7 +1,7 @@
 """Rows of packed files to the arrays of a scene.
 
 Tables hold what every byte or word of few bits means. Outputs are those of `Gaussians`, all of as many rows
-as there are splats; each call fills rows [start, stop).
+as there are splats, `sh` as rows (N, 3 x coefficients); each call fills rows [start, stop).
 """
 
 from __future__ import annotations
@@ -13,14 +13,27 @@ from splatview.scene.sh import SH_C0
 
 
 @inline
+def _whole(a, b, c):
+    """The component that makes the length of a quaternion 1; 0 for damaged ones, which are too long."""
+    return np.sqrt(max(np.float32(1) - (a * a + b * b + c * c), np.float32(0)))
+
+
+@inline
+def _others(largest):
+    """Places of the three other components, in order. Comparisons, not branches: which is the largest is
+    noise, and guessing it wrong takes twice as long as all the rest."""
+    return np.int64(largest == 0), 1 + np.int64(largest <= 1), 2 + np.int64(largest <= 2)
+
+
+@inline
 def _put_smallest_three(a, b, c, largest, quats, i):
     """Row i of `quats`: components a, b and c in order, and where `largest` says the one that makes the
-    length 1. Damaged ones, too long for a unit quaternion, get 0 there."""
-    whole = np.sqrt(max(np.float32(1) - (a * a + b * b + c * c), np.float32(0)))
-    quats[i, 0] = whole if largest == 0 else a
-    quats[i, 1] = whole if largest == 1 else (a if largest == 0 else b)
-    quats[i, 2] = whole if largest == 2 else (c if largest == 3 else b)
-    quats[i, 3] = whole if largest == 3 else c
+    length 1."""
+    first, second, third = _others(largest)
+    quats[i, np.int64(largest)] = _whole(a, b, c)
+    quats[i, first] = a
+    quats[i, second] = b
+    quats[i, third] = c
 
 
 @inline
@@ -28,12 +41,21 @@ def _between(low, high, t):
     return low * (1 - t) + high * t
 
 
+@inline
+def _coefficient(byte):
+    """SH coefficient of a byte of a compressed .ply: the middle of its step, but for the two ends."""
+    value = np.float32(np.int32(byte)) - np.float32(127.5)
+    value = np.float32(-128) if byte == 0 else value
+    value = np.float32(128) if byte == 255 else value
+    return value * np.float32(1 / 32)
+
+
 @kernel
 def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out):
     """`words` (N, 4): position, rotation, scale, colour. `shares`: two tables of whole numbers of 11 and of
     10 bits as shares of the largest, float64; chunks are of 256 splats, which `start` is a multiple of."""
     means, quats, log_scales, logits, sh = out
-    quat_table, logit_table, sh_table = tables
+    quat_table, logit_table = tables
     per_channel = rest.shape[1] // 3
     eleven, ten = shares
     coloured = bounds.shape[1] == 18
@@ -65,27 +87,30 @@ def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out)
             )
             red, green = colour >> np.uint32(24), (colour >> np.uint32(16)) & np.uint32(255)
             blue = (colour >> np.uint32(8)) & np.uint32(255)
-            sh[i, 0, 0] = (_between(low_r, high_r, red / 255) - 0.5) / SH_C0
-            sh[i, 0, 1] = (_between(low_g, high_g, green / 255) - 0.5) / SH_C0
-            sh[i, 0, 2] = (_between(low_b, high_b, blue / 255) - 0.5) / SH_C0
+            sh[i, 0] = (_between(low_r, high_r, red / 255) - 0.5) / SH_C0
+            sh[i, 1] = (_between(low_g, high_g, green / 255) - 0.5) / SH_C0
+            sh[i, 2] = (_between(low_b, high_b, blue / 255) - 0.5) / SH_C0
             logits[i] = logit_table[colour & np.uint32(255)]
-            for k in range(per_channel):
-                for channel in range(3):
-                    sh[i, 1 + k, channel] = sh_table[rest[i, channel * per_channel + k]]
+            for channel in range(3):
+                first = channel * per_channel
+                for k in range(per_channel):
+                    sh[i, 3 + 3 * k + channel] = _coefficient(rest[i, first + k])
 
 
 @kernel
 def decode_spz(start, stop, blocks, kinds, tables, frame, out):
     """`blocks`: those of the file by order, bytes (N, ...), rotations of four bytes as uint32 (N, 1).
     `kinds`: whether positions are whole numbers (else `means` has them), and whether rotations are three
-    bytes. `frame`: the unit of positions and the sign of each axis as one factor (3,), the turn (4,), the
-    sign of each SH coefficient."""
+    bytes. `frame`: the unit of positions and the sign of each axis as one factor (3,); the column of each
+    component x, y, z, w of a quaternion, and its sign (4,); the factor of each number of SH.
+
+    A loop for each attribute: LLVM makes vectors of those that are simple, which takes half the time of one
+    loop for all."""
     positions, alphas, colours, scales, rotations, rest = blocks
     whole_positions, three_bytes = kinds
-    logit_table, colour_table, scale_table, quat_table, sh_table = tables
-    units, turn, signs = frame
+    logit_table, colour_table, scale_table, quat_table = tables
+    units, places, signs, factors = frame
     means, quats, log_scales, logits, sh = out
-    w1, x1, y1, z1 = turn[0], turn[1], turn[2], turn[3]
     for i in range(start, stop):
         for axis in range(3):
             if whole_positions:
@@ -100,51 +125,50 @@ def decode_spz(start, stop, blocks, kinds, tables, frame, out):
             else:
                 means[i, axis] *= units[axis]
             log_scales[i, axis] = scale_table[scales[i, axis]]
-            sh[i, 0, axis] = colour_table[colours[i, axis]]
         logits[i] = logit_table[alphas[i]]
+    for i in range(start, stop):
         if three_bytes:
-            x2, y2, z2 = (
+            a, b, c = (
                 quat_table[rotations[i, 0]],
                 quat_table[rotations[i, 1]],
                 quat_table[rotations[i, 2]],
             )
-            w2 = np.sqrt(max(np.float32(1) - (x2 * x2 + y2 * y2 + z2 * z2), np.float32(0)))
+            largest = np.int64(3)
         else:
             word = np.uint32(rotations[i, 0])
-            _put_smallest_three(
+            a, b, c = (
                 quat_table[(word >> np.uint32(20)) & np.uint32(1023)],
                 quat_table[(word >> np.uint32(10)) & np.uint32(1023)],
                 quat_table[word & np.uint32(1023)],
-                word >> np.uint32(30),
-                quats,
-                i,
             )
-            x2, y2, z2, w2 = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-        quats[i, 0] = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
-        quats[i, 1] = w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
-        quats[i, 2] = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2
-        quats[i, 3] = w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2
-        for k in range(1, sh.shape[1]):
-            for channel in range(3):
-                sh[i, k, channel] = sh_table[rest[i, 3 * (k - 1) + channel]] * signs[k]
+            largest = np.int64(word >> np.uint32(30))
+        first, second, third = _others(largest)
+        quats[i, places[largest]] = _whole(a, b, c) * signs[largest]
+        quats[i, places[first]] = a * signs[first]
+        quats[i, places[second]] = b * signs[second]
+        quats[i, places[third]] = c * signs[third]
+    for i in range(start, stop):
+        for channel in range(3):
+            sh[i, channel] = colour_table[colours[i, channel]]
+        for j in range(len(factors)):
+            sh[i, 3 + j] = np.float32(np.int32(rest[i, j]) - 128) * factors[j]
 
 
 @kernel
 def decode_sog(start, stop, texels, palette, tables, out):
-    """`texels`: pictures as rows of RGBA or RGB, those of SH labels last. `palette`: the picture of
-    centroids, (rows, 64 entries side by side, 3 or 4), and the number of entries. `tables`: of means (3,
-    65536), of scales and colours (3, 256)."""
+    """`texels`: pictures as rows of RGBA or RGB, those of SH labels last. `palette`: (entries + 1, 3 x
+    coefficients) SH of each label, the last for all labels beyond. `tables`: of means (3, 65536), of scales
+    and colours (3, 256)."""
     lower, upper, rotations, sizes, colours, labels = texels
-    centroids, entries = palette
-    mean_table, quat_table, scale_table, colour_table, logit_table, sh_table = tables
+    mean_table, quat_table, scale_table, colour_table, logit_table = tables
     means, quats, log_scales, logits, sh = out
-    per_channel = sh.shape[1] - 1
+    last = np.uint32(len(palette) - 1)
     for i in range(start, stop):
         for axis in range(3):
             means[i, axis] = mean_table[axis, np.uint32(upper[i, axis]) << np.uint32(8) | lower[i, axis]]
             log_scales[i, axis] = scale_table[axis, sizes[i, axis]]
-            sh[i, 0, axis] = colour_table[axis, colours[i, axis]]
         logits[i] = logit_table[colours[i, 3]]
+    for i in range(start, stop):
         if rotations[i, 3] < 252:
             quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3] = 1, 0, 0, 0
         else:
@@ -152,18 +176,13 @@ def decode_sog(start, stop, texels, palette, tables, out):
                 quat_table[rotations[i, 0]],
                 quat_table[rotations[i, 1]],
                 quat_table[rotations[i, 2]],
-                rotations[i, 3] - 252,
+                np.int64(rotations[i, 3]) - 252,
                 quats,
                 i,
             )
-        if per_channel:
-            label = np.uint32(labels[i, 1]) << np.uint32(8) | labels[i, 0]
-            if label < entries:
-                row, first = label >> 6, (label & 63) * per_channel
-                for k in range(per_channel):
-                    for channel in range(3):
-                        sh[i, 1 + k, channel] = sh_table[centroids[row, first + k, channel]]
-            else:
-                for k in range(per_channel):
-                    for channel in range(3):
-                        sh[i, 1 + k, channel] = 0
+    for i in range(start, stop):
+        for channel in range(3):
+            sh[i, channel] = colour_table[channel, colours[i, channel]]
+        label = min(np.uint32(labels[i, 1]) << np.uint32(8) | np.uint32(labels[i, 0]), last)
+        for j in range(palette.shape[1]):
+            sh[i, 3 + j] = palette[label, j]
