@@ -31,7 +31,7 @@ from splatview.cli.arguments import (
     number,
     positive,
 )
-from splatview.cli.sequence import counted, frame_targets, refuse_if, source_of
+from splatview.cli.sequence import frame_targets, over_frames, refuse_if, source_of
 from splatview.measure.knobs import Plan, path_to_view
 from splatview.renderers import MODES, FrameRequest, Renderer, choices
 from splatview.renderers.headless import make_headless
@@ -41,7 +41,7 @@ from splatview.scene.depth_of_field import Aperture, check_camera, mean_picture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.io import atomic_write, target_of
-from splatview.scene.formats.sequence import SceneSequence, read_ahead
+from splatview.scene.formats.sequence import SceneSequence
 
 # ---- Pictures to files: checked before the work, written whole or not at all.
 
@@ -185,27 +185,20 @@ def render_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
     renderer = make_headless(args.renderer, mode=args.mode)
     still = argparse.Namespace(**{**vars(args), "turn": 0.0})
     orbit: Orbit | None = None
-    problems: list[InputError] = []
-    written = 0
-    try:
-        with counted("Rendering", len(sequence)) as bar:
-            for i, (_, found) in enumerate(read_ahead(sequence.paths)):
-                bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
-                if isinstance(found, InputError):
-                    problems.append(found)
-                    continue
-                orbit = orbit or chosen_orbit(args, found)
-                camera = orbit.turned(args.turn * i) if args.turn else orbit.camera
-                settings = replace(chosen_settings(args, found), background=behind)
-                plan = chosen_plan(args, settings, renderer.name)
-                aperture = chosen_aperture(args, camera)
-                here = replace(orbit, camera=camera)
-                image, _ = render_frames(still, renderer, found, here, plan, aperture)
-                write_picture(image, targets[i], alpha=args.alpha)
-                written += 1
-    except KeyboardInterrupt:
-        print(f"splatview: stopped; {written:,} of {len(sequence):,} pictures are written", file=sys.stderr)
-        raise
+
+    def draw(i: int, found: Gaussians, _: object) -> None:
+        nonlocal orbit
+        orbit = orbit or chosen_orbit(args, found)
+        camera = orbit.turned(args.turn * i) if args.turn else orbit.camera
+        settings = replace(chosen_settings(args, found), background=behind)
+        plan = chosen_plan(args, settings, renderer.name)
+        aperture = chosen_aperture(args, camera)
+        here = replace(orbit, camera=camera)
+        image, _ = render_frames(still, renderer, found, here, plan, aperture)
+        write_picture(image, targets[i], alpha=args.alpha)
+
+    problems = over_frames(sequence, "Rendering", draw, made="pictures")
+    written = len(sequence) - len(problems)
     refuse_if(problems, len(sequence), f"the other {written:,} are rendered")
     size = f"{orbit.camera.width}x{orbit.camera.height}" if orbit else ""
     print(f"{args.output}: {written:,} pictures, {size}, by {renderer.name}", file=sys.stderr)

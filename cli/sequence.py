@@ -1,4 +1,5 @@
-"""Sequences without a window: what the frames hold, a recipe done to all of them, files for each."""
+"""Sequences without a window: what the frames hold, and work that is done to each of them, with files for
+each."""
 
 from __future__ import annotations
 
@@ -7,15 +8,16 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
 
 from splatview.cli.main import make_console
-from splatview.scene import InputError
+from splatview.scene import Gaussians, InputError
 from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats import FORMATS, save_scene
 from splatview.scene.formats.io import target_of
@@ -34,9 +36,12 @@ def source_of(scene: str) -> SceneSequence | Path:
     return found
 
 
-def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ...]) -> list[Path]:
-    """The file of each frame: `output` with numbers from 1, or in a folder, which is made, the names of the
-    scenes, with their suffix where it is one of `suffixes`, else the first of these.
+def frame_targets(
+    output: Path, sequence: SceneSequence, suffixes: tuple[str, ...], suffix: str | None = None
+) -> list[Path]:
+    """The file of each frame: `output` with numbers from 1 and one of `suffixes`, or in a folder, which is
+    made, the names of the scenes, with `suffix`; None: their own where it is one of `suffixes`, else the
+    first of these.
 
     Raises:
         InputError: it names one file for all of them, or a frame itself, or cannot be written to.
@@ -61,7 +66,7 @@ def frame_targets(output: Path, sequence: SceneSequence, suffixes: tuple[str, ..
         if len(set(stems)) < len(stems):
             digits = max(4, len(str(len(stems))))
             stems = [f"frame_{i + 1:0{digits}}" for i in range(len(stems))]
-        ends = [own_suffix(path, suffixes) for path in sequence.paths]
+        ends = [suffix or own_suffix(path, suffixes) for path in sequence.paths]
         targets = [output / f"{stem}{end}" for stem, end in zip(stems, ends, strict=True)]
     if not os.path.lexists(folder):
         try:
@@ -82,44 +87,66 @@ def own_suffix(path: Path, suffixes: tuple[str, ...]) -> str:
     return max(fitting, key=len, default=suffixes[0])
 
 
-@contextmanager
-def counted(title: str, count: int) -> Iterator[Progress]:
-    """A bar for `count` frames on standard error; its only task is the first."""
+def over_frames(
+    sequence: SceneSequence,
+    title: str,
+    work: Callable[[int, Gaussians, Callable[[float], None]], object],
+    *,
+    made: str = "",
+) -> dict[int, InputError]:
+    """Does `work` with the number and the splats of every frame, one after another, behind a bar on standard
+    error; it may report its share of the frame. What it or reading raises is that frame's own: the others are
+    done all the same. Who interrupts it is told how many of the things `made` there are.
+
+    Returns:
+        The frames that failed, with their reasons.
+    """
+    problems: dict[int, InputError] = {}
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    console = make_console()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        bar.add_task(title, total=count)
-        yield bar
+    console, done = make_console(), 0
+    try:
+        with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task(title, total=len(sequence))
+            for i, (_, found) in enumerate(read_ahead(sequence.paths)):
+                bar.update(task, completed=i, description=sequence.labels[i])
+                try:
+                    if isinstance(found, InputError):
+                        raise found
+                    work(i, found, lambda share, i=i: bar.update(task, completed=i + share))
+                    done += 1
+                except InputError as error:
+                    problems[i] = error
+    except KeyboardInterrupt:
+        if made:
+            print(f"splatview: stopped; {done:,} of {len(sequence):,} {made} are written", file=sys.stderr)
+        raise
+    return problems
 
 
-def refuse_if(problems: list[InputError], count: int, done: str) -> None:
-    """Raises InputError where frames could not be read, after all others."""
+def refuse_if(problems: Mapping[int, InputError], count: int, done: str) -> None:
+    """Raises InputError where frames failed, after all others."""
     if problems:
         what = f"{len(problems):,} of {count:,} frames failed"
-        first = f"; the first: {problems[0]}" if len(problems) > 1 else f": {problems[0]}"
-        raise InputError(f"{what}, {done}{first}")
+        first = next(iter(problems.values()))
+        raise InputError(f"{what}, {done}{'; the first' if len(problems) > 1 else ''}: {first}")
 
 
 def describe_sequence(sequence: SceneSequence, *, as_json: bool) -> int:
     """Number and bytes of the splats of every frame, and bounds of all. Each frame is read whole: a damaged
     one is found here and not in the middle of a film."""
-    frames: list[dict[str, Any]] = []
-    problems: list[InputError] = []
-    low = high = None
-    with counted("Reading", len(sequence)) as bar:
-        for i, (path, found) in enumerate(read_ahead(sequence.paths)):
-            bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
-            entry: dict[str, Any] = {"file": str(path)}
-            frames.append(entry)
-            if isinstance(found, InputError):
-                problems.append(found)
-                entry["error"] = str(found)
-                continue
-            entry |= {"count": len(found), "sh_degree": found.sh_degree, "bytes": found.nbytes}
-            entry["file_bytes"] = file_bytes(path)
-            centre, radius = robust_bounds(found.means)
-            low = centre - radius if low is None else low.clip(max=centre - radius)
-            high = centre + radius if high is None else high.clip(min=centre + radius)
+    frames: list[dict[str, Any]] = [{"file": str(path)} for path in sequence.paths]
+    lows, highs = [], []
+
+    def describe(i: int, found: Gaussians, _: object) -> None:
+        frames[i] |= {"count": len(found), "sh_degree": found.sh_degree, "bytes": found.nbytes}
+        frames[i]["file_bytes"] = file_bytes(sequence.paths[i])
+        centre, radius = robust_bounds(found.means)
+        lows.append(centre - radius)
+        highs.append(centre + radius)
+
+    problems = over_frames(sequence, "Reading", describe)
+    for i, problem in problems.items():
+        frames[i]["error"] = str(problem)
     read = [entry for entry in frames if "error" not in entry]
     counts = [entry["count"] for entry in read] or [0]
     receipt = {
@@ -128,9 +155,9 @@ def describe_sequence(sequence: SceneSequence, *, as_json: bool) -> int:
         "count": {"min": min(counts), "max": max(counts)},
         "bytes": sum(entry["bytes"] for entry in read),
         "file_bytes": sum(entry["file_bytes"] for entry in read),
-        "bounds": None
-        if low is None or high is None
-        else {"min": [float(value) for value in low], "max": [float(value) for value in high]},
+        "bounds": {"min": np.min(lows, axis=0).tolist(), "max": np.max(highs, axis=0).tolist()}
+        if lows
+        else None,
         "left_out": sequence.left_out,
     }
     print(json.dumps(receipt, indent=1, allow_nan=False) if as_json else as_text(sequence, receipt))
@@ -183,32 +210,25 @@ def edit_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
         raise InputError(f"{args.recipe}: splits files off, the same for every frame; leave that step out")
     suffixes = tuple(known.suffix for known in FORMATS.values() if known.write)
     targets = frame_targets(args.output, sequence, suffixes)
-    problems: list[InputError] = []
-    written = 0
-    try:
-        with counted("Editing", len(sequence)) as bar:
-            for i, (path, found) in enumerate(read_ahead(sequence.paths)):
-                bar.update(bar.task_ids[0], completed=i, description=sequence.labels[i])
-                if isinstance(found, InputError):
-                    problems.append(found)
-                    continue
-                document = Document(
-                    found,
-                    name=path.name,
-                    folder=recipe.folder,
-                    tools=CpuRenderer(),
-                    budget=args.memory * 2**30,
-                )
-                try:
-                    check_scene(recipe, document, any_scene=True)
-                    replay(recipe, document, undo=False)
-                    save_scene(exported(document), targets[i])
-                    written += 1
-                except InputError as error:
-                    problems.append(InputError(f"{path}: {error}"))
-    except KeyboardInterrupt:
-        print(f"splatview: stopped; {written:,} of {len(sequence):,} frames are written", file=sys.stderr)
-        raise
+
+    def edit(i: int, found: Gaussians, _: object) -> None:
+        path = sequence.paths[i]
+        document = Document(
+            found,
+            name=path.name,
+            folder=recipe.folder,
+            tools=CpuRenderer(),
+            budget=args.memory * 2**30,
+        )
+        try:
+            check_scene(recipe, document, any_scene=True)
+            replay(recipe, document, undo=False)
+            save_scene(exported(document), targets[i])
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    problems = over_frames(sequence, "Editing", edit, made="frames")
+    written = len(sequence) - len(problems)
     refuse_if(problems, len(sequence), f"the other {written:,} are written")
     print(f"{args.output}: {written:,} frames", file=sys.stderr)
     return 0

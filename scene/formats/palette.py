@@ -8,8 +8,12 @@ the machine's speed.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
+from splatview.scene.formats.packing import slices
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 ROUNDS = 12
@@ -18,57 +22,89 @@ ROUNDS = 12
 SAMPLE = 1 << 15
 """Rows that the groups are found on."""
 
+SAMPLED = 1 << 20
+"""Values that levels are found on, evenly taken of more: sums up to each of them need 40 bytes."""
+
 BLOCK = 1 << 22
 """Distances held at once."""
 
 
 def levels(values: np.ndarray, weights: np.ndarray, count: int = 256) -> tuple[np.ndarray, np.ndarray]:
-    """`count` levels, ascending float32, and the index uint8 of the nearest for each of `values` (any shape,
-    finite), so that the weighted sum of squared errors is small: Lloyd's iteration on sorted values.
+    """`count` levels, ascending float32, and the index uint8 of the nearest for each of `values` (N, ...)
+    float32, finite, so that the weighted sum of squared errors is small: Lloyd's iteration on sorted values.
 
-    `weights`: at least 0, of a shape that broadcasts to that of the values.
+    `weights`: (N,), at least 0.
     """
-    flat = values.reshape(-1).astype(np.float64)
+    flat = values.reshape(-1)
     if not len(flat):
         return np.zeros(count, np.float32), np.zeros(values.shape, np.uint8)
-    order = np.argsort(flat)
-    ordered = flat[order]
-    distinct = ordered[np.concatenate([[True], ordered[1:] > ordered[:-1]])]
-    if len(distinct) <= count:
+    distinct = flat[:0]
+    for part in slices(len(flat)):
+        distinct = np.unique(np.concatenate([distinct, flat[part]]))
+        if len(distinct) > count:
+            break
+    else:
         # Quantised before: not again.
-        book = np.concatenate([distinct, np.full(count - len(distinct), distinct[-1])]).astype(np.float32)
-        return book, np.searchsorted(distinct, flat).astype(np.uint8).reshape(values.shape)
-    mass = np.concatenate(
-        [[0.0], np.cumsum(np.broadcast_to(weights, values.shape).reshape(-1)[order] + 1e-12)]
-    )
+        return np.pad(distinct, (0, count - len(distinct)), mode="edge"), _nearest_level(distinct, values)
+    step = -(-len(flat) // SAMPLED)
+    some, columns = values[::step].reshape(-1), math.prod(values.shape[1:])
+    order = np.argsort(some)
+    ordered = some[order].astype(np.float64)
+    mass = np.concatenate([[0.0], np.cumsum(weights[::step][order // columns] + 1e-12)])
     moment = np.concatenate([[0.0], np.cumsum(ordered * np.diff(mass))])
     # Half as quantiles, half evenly over the range: outliers get levels of their own.
     shares = np.linspace(0, 1, count // 2)
     quantiles = ordered[np.minimum(np.searchsorted(mass[1:], shares * mass[-1]), len(ordered) - 1)]
-    found = np.sort(np.concatenate([quantiles, np.linspace(ordered[0], ordered[-1], count - count // 2)]))
+    even = np.linspace(float(flat.min()), float(flat.max()), count - count // 2)
+    found = np.sort(np.concatenate([quantiles, even]))
     for _ in range(4 * ROUNDS):
         edges = np.concatenate([[0], np.searchsorted(ordered, (found[1:] + found[:-1]) / 2), [len(ordered)]])
         held = mass[edges[1:]] - mass[edges[:-1]]
         means = (moment[edges[1:]] - moment[edges[:-1]]) / np.where(held > 0, held, 1)
         found = np.sort(np.where(held > 0, means, found))
     book = found.astype(np.float32)
-    nearest = np.searchsorted((book[1:] + book[:-1]) / 2, values.reshape(-1)).astype(np.uint8)
-    return book, nearest.reshape(values.shape)
+    return book, _nearest_level(book, values)
+
+
+def _nearest_level(book: np.ndarray, values: np.ndarray) -> np.ndarray:
+    # In float64: between neighbouring float32 there is no middle.
+    flat, middles = values.reshape(-1), (book[1:].astype(np.float64) + book[:-1]) / 2
+    indices = np.empty(len(flat), np.uint8)
+    for part in slices(len(flat)):
+        indices[part] = np.searchsorted(middles, flat[part])
+    return indices.reshape(values.shape)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of D numbers, float32, of which a few at a time are put together: all are most of a scene."""
+
+    values: np.ndarray
+    """(M, ...), of D numbers each; may be a view."""
+    order: np.ndarray
+    """(N,) indices of the rows."""
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def __getitem__(self, part: slice | np.ndarray) -> np.ndarray:
+        """(P, D) float32."""
+        at = self.order[part]
+        return np.ascontiguousarray(self.values[at], np.float32).reshape(len(at), -1)
 
 
 def vectors(
-    rows: np.ndarray, weights: np.ndarray, count: int, *, progress: Progress = NO_PROGRESS, seed: int = 0
+    rows: Rows, weights: np.ndarray, count: int, *, progress: Progress = NO_PROGRESS, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At most `count` centroids (C, D) float32 of rows (N, D), and the index (N,) of each row's own.
+    """At most `count` centroids (C, D) float32 of N rows, and the index (N,) of each row's own.
 
     Weighted by `weights` (N,), at least 0. Where there are no more different rows than that, those are the
     centroids, and nothing is lost. Raises Cancelled.
     """
     rng = np.random.default_rng(seed)
-    rows = np.ascontiguousarray(rows, np.float32)
-    distinct, labels = _distinct(rows)
-    if len(distinct) <= count:
-        return distinct, labels
+    found = _distinct(rows, count)
+    if found is not None:
+        return found
     weights = weights.astype(np.float64) + 1e-12 * max(float(weights.max(initial=0.0)), 1e-300)
     groups = int(np.clip(np.sqrt(count) / 2, 1, 256))
     sample = rng.choice(len(rows), min(SAMPLE, len(rows)), replace=False)
@@ -84,19 +120,37 @@ def vectors(
     for group in range(groups):
         members = np.flatnonzero(group_of == group)
         if len(members):
-            mine = _clustered(rows[members], weights[members], int(shares[group]), rng)
-            labels[members] = first + nearest(rows[members], mine)[0]
+            own = rows[members]
+            mine = _clustered(own, weights[members], int(shares[group]), rng)
+            labels[members] = first + nearest(own, mine)[0]
             centroids.append(mine)
             first += len(mine)
         progress.step((group + 1) / groups)
     return np.concatenate(centroids), labels
 
 
-def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The different rows, and for each row which it is."""
-    whole = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).reshape(-1)
-    _, first, labels = np.unique(whole, return_index=True, return_inverse=True)
-    return rows[first], labels.reshape(-1)
+HASH_FACTOR = 0x9E3779B97F4A7C15
+"""Odd, with about as many bits 0 as 1: 2^64 by the golden ratio."""
+
+
+def _distinct(rows: Rows, most: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """The different rows, and for each row which it is; None where there are more than `most`."""
+    # By hashes of 64 bits, not by the rows: sorting those takes three copies of them.
+    hashes = np.zeros(len(rows), np.uint64)
+    for part in slices(len(rows)):
+        mixed = hashes[part]
+        for column in rows[part].view(np.uint32).T:
+            mixed ^= column
+            mixed *= np.uint64(HASH_FACTOR)
+            mixed ^= mixed >> np.uint64(29)
+    found, first, labels = np.unique(hashes, return_index=True, return_inverse=True)
+    if len(found) > most:
+        return None
+    distinct = rows[first]
+    for part in slices(len(rows)):
+        if not np.array_equal(distinct[labels[part]], rows[part]):
+            return None  # two that only hash alike
+    return distinct, labels
 
 
 def _shares(errors: np.ndarray, sizes: np.ndarray, count: int) -> np.ndarray:
@@ -132,7 +186,7 @@ def _clustered(rows: np.ndarray, weights: np.ndarray, count: int, rng: np.random
     return centroids
 
 
-def nearest(rows: np.ndarray, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest(rows: np.ndarray | Rows, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Index (N,) of the centroid nearest to each of rows (N, D), and the squared distance."""
     labels, errors = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
     half_squares = 0.5 * np.einsum("cd,cd->c", centroids, centroids)

@@ -257,9 +257,8 @@ def _as_stored(element: PlyElement, targets: Sequence[Target], header: Header) -
     if header.is_ascii or len(targets) != 1 or not element.count:
         return None
     rows = targets[0].rows(0, element.count)
-    dtypes = {np.dtype(dtype).newbyteorder(header.byte_order) for dtype in scalar_types(element).values()}
-    same = list(scalar_types(element)) == list(targets[0].names) and len(element.properties) == rows.shape[1]
-    return rows if same and dtypes == {rows.dtype} else None
+    dtype = np.dtype([(name, rows.dtype) for name in targets[0].names])
+    return rows if element.dtype(header.byte_order) == dtype else None
 
 
 def _unpack(block: np.ndarray, targets: Sequence[Target], start: int, stop: int, path: Path) -> None:

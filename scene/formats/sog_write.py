@@ -13,8 +13,8 @@ import numpy as np
 
 from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.formats.io import atomic_write
-from splatview.scene.formats.packing import opacity_levels, smallest_three, storable_in_z_order
-from splatview.scene.formats.palette import levels, vectors
+from splatview.scene.formats.packing import opacity_levels, slices, smallest_three, storable_in_z_order
+from splatview.scene.formats.palette import Rows, levels, vectors
 from splatview.scene.formats.sog import META, PALETTE_COLUMNS
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import Progress
@@ -59,10 +59,10 @@ def sog_files(
     gaussians: Gaussians, progress: Progress, knobs: SogKnobs = FINEST, *, ordered: bool = False
 ) -> dict[str, bytes]:
     """Contents by name of file, meta.json last. Splats that no renderer draws are left out; `ordered`: there
-    are none, and the others stay in their order."""
-    if not ordered:
-        gaussians = gaussians.take(storable_in_z_order(gaussians))
-    n = len(gaussians)
+    are none, and the others stay in their order. One attribute after another, so that there is never a second
+    scene."""
+    order = np.arange(len(gaussians)) if ordered else storable_in_z_order(gaussians)
+    n = len(order)
     width = max(4, math.ceil(math.sqrt(n) / 4) * 4)
     height = max(4, math.ceil(n / width / 4) * 4)
     files: dict[str, bytes] = {}
@@ -74,8 +74,8 @@ def sog_files(
         files[f"{name}.webp"] = _webp(picture.reshape(*shape, 4))
         return f"{name}.webp"
 
-    weights = importance(gaussians)
-    means = gaussians.means.astype(np.float64)
+    weights = importance(gaussians, order)
+    means = gaussians.means[order].astype(np.float64)
     means = np.sign(means) * np.log1p(np.abs(means))
     low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
     if not n:
@@ -97,30 +97,32 @@ def sog_files(
             add("means_u", (whole >> 8).astype(np.uint8)),
         ],
     }
+    del means, whole
     progress.step(0.1)
-    book, indices = levels(gaussians.log_scales, weights[:, None], knobs.codes)
+    book, indices = levels(gaussians.log_scales[order], weights, knobs.codes)
     meta["scales"] = {"codebook": _whole(book), "files": [add("scales", indices)]}
     progress.step(0.2)
-    largest, rest = smallest_three(gaussians.quats)
+    largest, rest = smallest_three(gaussians.quats[order])
     step = 1 << (8 - knobs.rotation_bits)
     rest = np.minimum(np.rint((rest + 1) * (127.5 / step)) * step, 256 - step)
     packed = np.column_stack([np.minimum(rest, 255), 252 + largest]).astype(np.uint8)
     meta["quats"] = {"files": [add("quats", packed)]}
+    del largest, rest, packed
     progress.step(0.3)
-    book, indices = levels(gaussians.sh[:, 0], weights[:, None], knobs.codes)
-    opacities = opacity_levels(gaussians.opacity_logits).astype(np.uint8)
+    book, indices = levels(gaussians.sh[order, 0], weights, knobs.codes)
+    opacities = opacity_levels(gaussians.opacity_logits[order]).astype(np.uint8)
     meta["sh0"] = {"codebook": _whole(book), "files": [add("sh0", np.column_stack([indices, opacities]))]}
     progress.step(0.4)
     if gaussians.sh_degree and n:
         entries = min(knobs.palette, LARGEST_PALETTE)
         centroids, labels = vectors(
-            gaussians.sh[:, 1:].reshape(n, -1), weights, entries, progress=progress.part(0.4, 0.9)
+            Rows(gaussians.sh[:, 1:], order), weights, entries, progress=progress.part(0.4, 0.9)
         )
-        order = _similar_order(centroids)
-        centroids, places = centroids[order], np.empty(len(order), np.int64)
-        places[order] = np.arange(len(order))
-        labels = places[labels]
-        book, indices = levels(centroids, np.bincount(labels, weights, len(centroids))[:, None])
+        similar = _similar_order(centroids)
+        centroids, places = centroids[similar], np.empty(len(similar), np.int64)
+        places[similar] = np.arange(len(similar))
+        labels = places[labels].astype(np.uint16)
+        book, indices = levels(centroids, np.bincount(labels, weights, len(centroids)))
         per_channel = gaussians.sh.shape[1] - 1
         rows = -(-len(centroids) // PALETTE_COLUMNS)
         picture = add("shN_centroids", indices.reshape(-1, 3), (rows, PALETTE_COLUMNS * per_channel))
@@ -141,12 +143,15 @@ def _whole(book: np.ndarray) -> list[float]:
     return np.pad(book, (0, 256 - len(book)), mode="edge").tolist()
 
 
-def importance(gaussians: Gaussians) -> np.ndarray:
-    """(N,) float64: opacity times the area of the two longest axes, about what a splat adds to pictures; at
-    most 10,000 times the median, so that no backdrop takes the whole palette."""
-    ordered = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
-    area = np.exp(np.clip(ordered[:, 1] + ordered[:, 2], -300, 300))
-    weights = sigmoid(gaussians.opacity_logits.astype(np.float64)) * area
+def importance(gaussians: Gaussians, order: np.ndarray) -> np.ndarray:
+    """(M,) float64 of the splats `order` (M,): opacity times the area of the two longest axes, about what a
+    splat adds to pictures; at most 10,000 times the median, so that no backdrop takes the whole palette."""
+    weights = np.empty(len(order))
+    for part in slices(len(order)):
+        at = order[part]
+        longest = np.sort(gaussians.log_scales[at].astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+        area = np.exp(np.clip(longest, -300, 300))
+        weights[part] = sigmoid(gaussians.opacity_logits[at].astype(np.float64)) * area
     return np.minimum(weights, 1e4 * np.median(weights)) if len(weights) else weights
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,4 +122,85 @@ def test_an_interrupted_search_leaves_nothing(splatview, scene, tmp_path, monkey
     monkeypatch.setattr("splatview.renderers.rate_distortion.measure_curves", interrupted)
     code, out, _ = splatview("convert", scene, tmp_path / "out.spz", "--target", "30dB")
     assert code == 130 and out == "" and not (tmp_path / "out.spz").exists()
+    assert not list((tmp_path / "temporary").iterdir())
+
+
+@pytest.fixture
+def frames(tmp_path, random_gaussians):
+    """Frames 2, 9 and 10, the second of them damaged."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    whole = random_gaussians(60, sh_degree=1)
+    for i in (2, 9, 10):
+        save_scene(whole.take(slice(0, 40 + i)), folder / f"f_{i}.ply")
+    (folder / "f_9.ply").write_bytes((folder / "f_9.ply").read_bytes()[:1500])
+    return folder
+
+
+def test_frames_of_a_sequence_keep_their_names(splatview, frames, tmp_path):
+    out = tmp_path / "out"
+    code, text, err = splatview("convert", frames, out, "--format", "spz", "--turn", "over", "--json")
+    assert code == 2 and "1 of 3 frames failed, the other 2 are written" in err and "f_9.ply" in err
+    assert {path.name for path in out.iterdir()} == {"f_2.spz", "f_10.spz"}
+    assert err.count("fewer bits") == 1  # what all of them lose is told once
+    report = json.loads(text)
+    assert [entry["splats"] for entry in report["frames"]] == [42, 50]
+    for i, entry in zip((2, 10), report["frames"], strict=True):
+        written, before = load_scene(out / f"f_{i}.spz"), load_scene(frames / f"f_{i}.ply")
+        assert entry["bytes"] == (out / f"f_{i}.spz").stat().st_size and entry["psnr"] > 30
+        flipped = written.means[:, 1:].sum(axis=0), -before.means[:, 1:].sum(axis=0)
+        assert np.allclose(*flipped, atol=0.02)
+
+
+def test_frames_by_a_glob_are_numbered_and_of_the_usual_format(splatview, frames, tmp_path):
+    (frames / "f_9.ply").unlink()
+    code, _, err = splatview("convert", f"{frames}/f_*.ply", tmp_path / "n_%03d.glb")
+    assert code == 0 and "2 frames" in err and "every number as it was" in err
+    assert [len(load_scene(tmp_path / f"n_{i:03}.glb")) for i in (1, 2)] == [42, 50]
+    code, _, err = splatview("convert", frames, tmp_path / "sogs", "--target", "30dB")
+    assert code == 0 and {path.name for path in (tmp_path / "sogs").iterdir()} == {"f_2.sog", "f_10.sog"}
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "words"),
+    [
+        ("one.spz", (), "one_%04d.spz"),
+        ("frames", ("--format", "ply"), "is a frame of the sequence itself"),
+        ("out", ("--format", "ksplat"), "frames are written as sog, ply"),
+        ("n_%d.spz", ("--format", "sog"), "files are written as .sog"),
+        ("out", ("--target", "much"), "40dB"),
+    ],
+)
+def test_what_cannot_be_of_a_sequence_is_one_line(splatview, frames, tmp_path, output, options, words):
+    before = {path.name: path.read_bytes() for path in frames.iterdir()}
+    code, text, err = splatview("convert", frames, tmp_path / output, *options)
+    assert (code, text) == (2, "") and err.count("\n") == 1 and words in err
+    assert {path.name: path.read_bytes() for path in frames.iterdir()} == before
+    assert {path.name for path in tmp_path.iterdir()} == {"frames"}
+
+
+def test_a_format_is_named_for_frames_only(splatview, scene, tmp_path):
+    code, _, err = splatview("convert", scene, tmp_path / "out.spz", "--format", "spz")
+    assert code == 2 and "OUT's suffix" in err and not (tmp_path / "out.spz").exists()
+
+
+def test_who_interrupts_keeps_whole_frames(splatview, frames, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    (frames / "f_9.ply").unlink()
+
+    from splatview.renderers import conversion
+
+    done = []
+    place = conversion.place_copy
+
+    def interrupted(*arguments: Any) -> None:
+        if done:
+            raise KeyboardInterrupt
+        done.append(place(*arguments))
+
+    monkeypatch.setattr(conversion, "place_copy", interrupted)
+    code, _, err = splatview("convert", frames, tmp_path / "out", "--format", "splat")
+    assert code == 130 and "stopped; 1 of 2 frames are written" in err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["f_2.splat"]
     assert not list((tmp_path / "temporary").iterdir())

@@ -1,14 +1,15 @@
 """The smallest file of a quality in each format that has knobs, against the same format as it is written
 without a target.
 
-    python tools/bench/bench_targets.py SCENE ... [-o JSON]
+    python tools/bench/bench_targets.py SCENE ... [--add] [-o JSON]
 
-No times are compared; the files written for each search are counted.
+No times are compared, so scenes may be added one by one: with --add those that are in the JSON stay.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +63,21 @@ def results_of(name: str, scene: Gaussians, suffix: str) -> list[dict[str, Any]]
 
 def main() -> None:
     parser = make_parser(__doc__, "targets.json", scenes=True)
+    parser.add_argument("--add", action="store_true", help="keep what the JSON has of other scenes")
     options = parser.parse_args()
     results: list[list[dict[str, Any]]] = []
+    scenes = load_scenes(options.scenes, lambda: {"the demo": demo_scene()})
+    if options.add and options.output.exists():
+        stored = json.loads(options.output.read_text(encoding="utf8"))["results"]
+        of_one = itertools.groupby(stored, lambda result: (result["scene"], result["format"]))
+        results = [list(found) for (name, _), found in of_one if name not in scenes]
     columns = [
         "scene, format",
         "MB as usual",
         *(f"{quality:g} dB: MB (splats)" for quality in QUALITIES),
     ]
     note = "Pictures of six views from around the scene, by the CPU renderer."
-    for name, scene in load_scenes(options.scenes, lambda: {"the demo": demo_scene()}).items():
+    for name, scene in scenes.items():
         for suffix in SUFFIXES:
             results.append(results_of(name, scene, suffix))
             table = {"columns": columns, "rows": [row_of(found) for found in results], "note": note}
