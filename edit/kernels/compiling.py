@@ -6,16 +6,13 @@ into. So all sources of this package are part of the cache's path, and no kernel
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
 
-from splatview.scene.compiling import compiled_into, kernel_cache
+from splatview.scene.compiling import available_threads, compiled_into, kernel_cache, run
 from splatview.scene.progress import NO_PROGRESS, Progress
 
 _CACHE = kernel_cache((Path(__file__).parent,))
@@ -32,20 +29,10 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 PIECE = 1 << 16
-"""Splats per piece: their results stay in the second-level cache, and cancelling takes effect soon."""
+"""Splats per piece: their results stay in the second-level cache."""
 
-
-@cache
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
-
-
-@cache
-def _executor() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_cores(), thread_name_prefix="edit")
+GROUP = 4
+"""Pieces of each thread between two questions whether to go on."""
 
 
 def in_pieces(
@@ -56,26 +43,11 @@ def in_pieces(
     The first exception of a piece is raised here, when the pieces already begun have ended; so is
     Cancelled where nobody waits for the rest.
     """
-    starts = range(0, count, piece)
-    if len(starts) <= 1 or _cores() == 1:
-        for start in starts:
-            progress.step(start / count)
-            work(start, min(start + piece, count))
-        progress.step(1.0)
-        return
-    running: set[Future[object]] = set()
-    ended = 0
-    try:
-        for start in starts:
-            progress.step(ended / len(starts))
-            if len(running) > _cores():
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                ended += len(done)
-                for future in done:
-                    future.result()
-            running.add(_executor().submit(work, start, min(start + piece, count)))
-        for future in running:
-            future.result()
-    finally:
-        wait(running)
+    threads = available_threads()
+    group = GROUP * threads * piece
+    progress.check()
+    for first in range(0, count, group):
+        stop = min(first + group, count)
+        run(work, [(start, min(start + piece, stop)) for start in range(first, stop, piece)], (), threads)
+        progress.step(stop / count)
     progress.step(1.0)

@@ -260,25 +260,30 @@ class UploadPlan:
     """What must be known of a scene before it is uploaded, and needs no OpenGL to be found out."""
 
     harmonics: StoredHarmonics
-    """Those that can be seen."""
+    """Those that are uploaded."""
     placement: Placement
     box: np.ndarray
     """Of `finite_box`."""
 
 
-_plans: WeakKeyDictionary[Gaussians, UploadPlan] = WeakKeyDictionary()
+_plans: WeakKeyDictionary[Gaussians, dict[bool, UploadPlan]] = WeakKeyDictionary()
 
 
 def upload_plan(gaussians: Gaussians, *, every_band: bool = False) -> UploadPlan:
     """The plan of a scene, found once, as its arrays never change. A thread that calls it first spares the
-    one of the OpenGL context the better half of the upload's time on the processor. `every_band`: bands that
-    cannot be seen are uploaded too, which is sooner decided."""
-    known = _plans.get(gaussians)
+    one of the OpenGL context the better half of the upload's time on the processor.
+
+    `every_band`: bands that cannot be seen are in it too, which is sooner decided. Who does not ask for that
+    gets the plan without them, or the one that there is.
+    """
+    kept = _plans.setdefault(gaussians, {})
+    known = kept.get(every_band) or (None if every_band else kept.get(True))
     if known is None:
-        known = _plans[gaussians] = UploadPlan(
+        other = kept.get(not every_band)
+        known = kept[every_band] = UploadPlan(
             harmonics=stored_harmonics(gaussians, every_band=every_band),
-            placement=placement_of(gaussians.means, gaussians.log_scales),
-            box=finite_box(gaussians.means),
+            placement=other.placement if other else placement_of(gaussians.means, gaussians.log_scales),
+            box=other.box if other else finite_box(gaussians.means),
         )
     return known
 
@@ -305,10 +310,8 @@ def upload_steps(
         InputError: there is not enough graphics memory.
     """
     n = len(gaussians)
-    found = upload_plan(gaussians)
+    found = upload_plan(gaussians, every_band=every_band)
     harmonics, placement = found.harmonics, found.placement
-    if every_band:
-        harmonics = stored_harmonics(gaussians, every_band=True)
     words = words_by_degree(attributes)
     row = 16 if attributes == "float32" else 8
     place = 0 if harmonics.own_degrees is None else 4

@@ -13,7 +13,6 @@ from splatview.renderers.gl.scene_buffers import (
     DEGREE_BITS,
     Placement,
     StoredHarmonics,
-    stored_harmonics,
     upload_plan,
 )
 from splatview.scene import Gaussians, InputError
@@ -155,9 +154,7 @@ def upload_steps(
     Raises:
         InputError: the scene does not fit into the driver's textures or memory.
     """
-    plan = upload_plan(gaussians)
-    harmonics = stored_harmonics(gaussians, every_band=True) if every_band else plan.harmonics
-    scene = _allocate(ctx, gaussians, harmonics)
+    scene = _allocate(ctx, gaussians, upload_plan(gaussians, every_band=every_band).harmonics)
     coefficients = 0
     done = False
     try:
