@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -75,15 +76,18 @@ def _write(files: dict[str, bytes], folder: Path) -> None:
 
 @dataclass(eq=False, kw_only=True)
 class _Node:
-    """A box of space; `children`, or the splats of a leaf by level."""
+    """A box of space; `children`, or what a leaf has of each level."""
 
     axis: int = 0
     middle: float = 0.0
     children: tuple[_Node, _Node] | None = None
-    parts: dict[int, np.ndarray] = field(default_factory=dict)
-    """Level -> indices of its splats."""
-    places: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Level -> number of the chunk, and offset in it."""
+    members: np.ndarray | None = None
+    """Indices of a leaf's splats, of the level that is being written; None: it has none there."""
+    runs: dict[str, dict[str, int]] = field(default_factory=dict)
+    """Level -> number of the chunk, offset in it, and count."""
+    low: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+    high: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
+    """Corners of the box about the splats of a leaf, of all levels."""
 
 
 def save_streamed(
@@ -99,62 +103,77 @@ def save_streamed(
 
     `chunk`, `leaf`: splats of a chunk, about, and of a leaf at most. Raises as `save_sog_folder`.
     """
-    levels = [gaussians.take(storable(gaussians))]
-    if len(levels[0]):
-        coarser = levels_and_cells(levels[0], levels=COARSER_LEVELS)
-        levels += [fewer.take(storable(fewer)) for fewer, _ in coarser]
-    progress.step(0.15)
-    tree = _split(levels[0].means, np.arange(len(levels[0])), leaf)
-    for number, level in enumerate(levels[1:], 1):
-        _sort_in(tree, level.means, np.arange(len(level)), number)
-    leaves = _leaves(tree)
-    chunks = _chunks(leaves, levels, chunk)
-    splats = sum(sum(map(len, parts)) for _, parts in chunks.values())
-    whole = max(splats, 1)
-    names, done = list(chunks), 0
+    names: list[str] = []
+    counts: list[int] = []
+    tree = _Node()
     with atomic_folder(path, foreign_name) as folder:
-        for name, (number, parts) in chunks.items():
-            order = np.concatenate(parts)
-            start, done = done, done + len(order)
-            piece = progress.part(0.2 + 0.8 * start / whole, 0.2 + 0.8 * done / whole)
-            files = sog_files(levels[number].take(order), piece, SogKnobs(**knobs), ordered=True)
-            _write(files, folder / name)
+        # Level by level: all of them are up to three scenes.
+        for number, level in enumerate(_levels(gaussians)):
+            everything = np.arange(len(level))
+            if number == 0:
+                tree = _split(level.means, everything, leaf)
+            else:
+                _sort_in(tree, level.means, everything)
+            counts.append(len(level))
+            chunks, done = _chunks(_leaves(tree), level, number, chunk, len(names)), 0
+            # Each level is about half of the one before.
+            share = progress.part(1 - 0.5**number, 1 - 0.5 ** (number + 1))
+            for name, parts in chunks.items():
+                order = np.concatenate(parts)
+                start, done = done / max(len(level), 1), done + len(order)
+                piece = share.part(start, done / max(len(level), 1))
+                _write(sog_files(level, piece, SogKnobs(**knobs), order), folder / name)
+                names.append(name)
         meta = {
             "version": 1,
             "asset": {"generator": "splatview"},
-            "count": splats,
-            "counts": [len(level) for level in levels],
-            "lodLevels": len(levels),
+            "count": sum(counts),
+            "counts": counts,
+            "lodLevels": len(counts),
             "filenames": [f"{name}/{META}" for name in names],
-            "tree": _described(tree, levels)[0],
+            "tree": _described(tree)[0],
         }
         (folder / LOD_META).write_text(json.dumps(meta, separators=(",", ":")), encoding="utf-8")
+
+
+def _levels(gaussians: Gaussians) -> Iterator[Gaussians]:
+    """The scene and its coarser levels, of splats that are storable, each made when it is asked for."""
+    finest = _storable(gaussians)
+    yield finest
+    if len(finest):
+        for fewer, _ in levels_and_cells(finest, levels=COARSER_LEVELS):
+            yield _storable(fewer)
+
+
+def _storable(gaussians: Gaussians) -> Gaussians:
+    good = storable(gaussians)
+    return gaussians if good.all() else gaussians.take(good)
 
 
 def _split(means: np.ndarray, members: np.ndarray, leaf: int) -> _Node:
     """Halves space along the longest side until a box has at most `leaf` splats."""
     if len(members) <= leaf:
-        return _Node(parts={0: members})
+        return _Node(members=members)
     places = means[members]
     axis = int(np.argmax(places.max(axis=0) - places.min(axis=0)))
     middle = float(np.median(places[:, axis]))
     above = places[:, axis] > middle
     if not above.any():  # half of them in one place
-        return _Node(parts={0: members})
+        return _Node(members=members)
     children = _split(means, members[~above], leaf), _split(means, members[above], leaf)
     return _Node(axis=axis, middle=middle, children=children)
 
 
-def _sort_in(node: _Node, means: np.ndarray, members: np.ndarray, level: int) -> None:
+def _sort_in(node: _Node, means: np.ndarray, members: np.ndarray) -> None:
     """Gives the leaves the splats of a coarser level that lie in them. Each leaf has splats of the finest."""
     if not len(members):
         return
     if node.children is None:
-        node.parts[level] = members
+        node.members = members
         return
     above = means[members, node.axis] > node.middle
-    _sort_in(node.children[0], means, members[~above], level)
-    _sort_in(node.children[1], means, members[above], level)
+    _sort_in(node.children[0], means, members[~above])
+    _sort_in(node.children[1], means, members[above])
 
 
 def _leaves(node: _Node) -> list[_Node]:
@@ -164,51 +183,47 @@ def _leaves(node: _Node) -> list[_Node]:
 
 
 def _chunks(
-    leaves: list[_Node], levels: list[Gaussians], chunk: int
-) -> dict[str, tuple[int, list[np.ndarray]]]:
-    """Name of each chunk -> its level, and the splats of its leaves one after another. Leaves get places."""
-    chunks: dict[str, tuple[int, list[np.ndarray]]] = {}
-    for number, level in enumerate(levels):
-        name, filled, count = "", chunk, 0
-        for leaf in leaves:
-            if number not in leaf.parts:
-                continue
-            members = leaf.parts[number]
-            if filled >= chunk:
-                name, filled, count = f"{number}_{count}", 0, count + 1
-                chunks[name] = number, []
-            leaf.places[number] = len(chunks) - 1, filled
-            if len(members):
-                places = level.means[members]
-                bounds = (edge(axis=0).astype(np.float64) for edge in (places.min, places.max))
-                members = in_z_order(level.means, members, *bounds)
-            chunks[name][1].append(members)
-            filled += len(members)
+    leaves: list[_Node], level: Gaussians, number: int, chunk: int, before: int
+) -> dict[str, list[np.ndarray]]:
+    """Name of each chunk of a level -> the splats of its leaves one after another; `before`: chunks of the
+    levels before. Leaves get runs of them, and give their members away."""
+    chunks: dict[str, list[np.ndarray]] = {}
+    name, filled = "", chunk
+    for leaf in leaves:
+        if leaf.members is None:
+            continue
+        members, leaf.members = leaf.members, None
+        if filled >= chunk:
+            name, filled = f"{number}_{len(chunks)}", 0
+            chunks[name] = []
+        leaf.runs[str(number)] = {"file": before + len(chunks) - 1, "offset": filled, "count": len(members)}
+        if len(members):
+            places = level.means[members]
+            bounds = (edge(axis=0).astype(np.float64) for edge in (places.min, places.max))
+            members = in_z_order(level.means, members, *bounds)
+            _stretch(leaf, level.take(members))
+        chunks[name].append(members)
+        filled += len(members)
     return chunks
 
 
-def _described(node: _Node, levels: list[Gaussians]) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def _stretch(leaf: _Node, splats: Gaussians) -> None:
+    """Makes a leaf's box hold ellipsoids of one standard deviation."""
+    scales = np.clip(splats.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
+    spread = covariances_3d(unit_quats(splats.quats).astype(np.float64), scales)
+    reach = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    leaf.low = np.minimum(leaf.low, (splats.means - reach).min(axis=0))
+    leaf.high = np.maximum(leaf.high, (splats.means + reach).max(axis=0))
+
+
+def _described(node: _Node) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """A node as JSON, with the corners of the box about its splats."""
     if node.children is not None:
-        parts = [_described(child, levels) for child in node.children]
+        parts = [_described(child) for child in node.children]
         low = np.minimum(parts[0][1], parts[1][1])
         high = np.maximum(parts[0][2], parts[1][2])
         return {"bound": _bound(low, high), "children": [part[0] for part in parts]}, low, high
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    lods = {}
-    for number, members in node.parts.items():
-        level = levels[number].take(members)
-        scales = np.clip(level.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
-        spread = covariances_3d(unit_quats(level.quats).astype(np.float64), scales)
-        # Half the sides of the box about an ellipsoid of one standard deviation.
-        reach = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-        if len(level):
-            low = np.minimum(low, (level.means - reach).min(axis=0))
-            high = np.maximum(high, (level.means + reach).max(axis=0))
-        if number in node.places:
-            file, offset = node.places[number]
-            lods[str(number)] = {"file": file, "offset": offset, "count": len(members)}
-    return {"bound": _bound(low, high), "lods": lods}, low, high
+    return {"bound": _bound(node.low, node.high), "lods": node.runs}, node.low, node.high
 
 
 def _bound(low: np.ndarray, high: np.ndarray) -> dict[str, list[float]]:

@@ -56,12 +56,12 @@ def save_sog(gaussians: Gaussians, path: Path, progress: Progress, **knobs: int)
 
 
 def sog_files(
-    gaussians: Gaussians, progress: Progress, knobs: SogKnobs = FINEST, *, ordered: bool = False
+    gaussians: Gaussians, progress: Progress, knobs: SogKnobs = FINEST, order: np.ndarray | None = None
 ) -> dict[str, bytes]:
-    """Contents by name of file, meta.json last. Splats that no renderer draws are left out; `ordered`: there
-    are none, and the others stay in their order. One attribute after another, so that there is never a second
-    scene."""
-    order = np.arange(len(gaussians)) if ordered else storable_in_z_order(gaussians)
+    """Contents by name of file, meta.json last, of the splats `order` (M,); None: of all that a renderer
+    draws, along a Z-curve. One attribute after another, so that there is never a second scene."""
+    if order is None:
+        order = storable_in_z_order(gaussians)
     n = len(order)
     width = max(4, math.ceil(math.sqrt(n) / 4) * 4)
     height = max(4, math.ceil(n / width / 4) * 4)

@@ -8,10 +8,16 @@ from which the time of `--version` is taken off. Its output is `null` when it re
 the compressed .ply, the time of which is taken off too. Times are elapsed; those of the processor beside
 them say how much of a ratio is threads. Rows of a program that is not there are left out, and so is what one
 has not written after LIMIT seconds, which is written down as more than that.
+
+FLOOR is what no reader of these files gets below: reading the bytes, unpacking them by the same libraries, in
+two threads where they let, and touching the memory that the scene's arrays take. All programs return every
+attribute as arrays of float32; what gsply has lazily (properties of its SH) is not asked of it.
 """
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import os
 import resource
@@ -19,16 +25,21 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 from harness import make_parser
+from PIL import Image
 
 from splatview.measure.machine import write_results
 from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.gaussians import ARRAYS, Gaussians
 
 SUFFIXES = (".spz", ".splat", ".sog", ".compressed.ply")
 
@@ -83,6 +94,38 @@ def ways_of_ours(scene: Path, files: dict[str, Path], folder: Path) -> dict[tupl
         target = folder / f"ours{suffix}"
         ways["write", suffix] = lambda target=target: timed(lambda: save_scene(gaussians, target))
     return ways
+
+
+FLOOR = "its libraries alone"
+
+
+def ways_of_floor(files: dict[str, Path], scene: Gaussians) -> dict[tuple[str, str], Way]:
+    """What reading cannot do without."""
+    pool = ThreadPoolExecutor(2)
+    shapes = [getattr(scene, name).shape for name in ARRAYS]
+
+    def frames(data: bytes) -> list[bytes]:
+        """Streams of a .spz of version 4, the largest first."""
+        streams, table_at = data[15], int.from_bytes(data[16:20], "little")
+        sizes = np.frombuffer(data, "<u8", 2 * streams, table_at)[::2].astype(int)
+        edges = table_at + 16 * streams + np.concatenate([[0], np.cumsum(sizes)])
+        return [data[start:stop] for start, stop in itertools.pairwise(edges.tolist())][::-1]
+
+    def read(suffix: str, path: Path) -> None:
+        data = path.read_bytes()
+        if suffix == ".spz":
+            list(pool.map(lambda frame: zstandard.ZstdDecompressor().decompress(frame), frames(data)))
+        if suffix == ".sog":
+            with zipfile.ZipFile(path) as archive:
+                for name in archive.namelist():
+                    if name.endswith(".webp"):
+                        Image.open(io.BytesIO(archive.read(name))).load()
+        list(pool.map(lambda shape: np.empty(shape, np.float32).fill(0), shapes))
+
+    return {
+        ("read", suffix): lambda suffix=suffix, path=path: timed(lambda: read(suffix, path))
+        for suffix, path in files.items()
+    }
 
 
 def ways_of_gsply(
@@ -244,6 +287,7 @@ def main() -> None:
         for path in files.values():
             save_scene(gaussians, path)
         programs = {"splatview": ways_of_ours(options.scene, files, folder)}
+        programs[FLOOR] = ways_of_floor(files, gaussians)
         missing = []
         if options.gsply and options.gsply.exists():
             programs["gsply"] = ways_of_gsply(options.gsply, options.scene, files, folder)
@@ -274,6 +318,15 @@ def main() -> None:
         "range. splat-transform's start, and its reading where it writes, are taken off; gsply writes .spz "
         "in version 4."
     )
+    shares = [
+        f"{floor['seconds'] / other['seconds']:.2f} of gsply's time for `{floor['format']}`"
+        for floor in results
+        for other in results
+        if floor["program"] == FLOOR and other["program"] == "gsply"
+        if (floor["work"], floor["format"]) == (other["work"], other["format"])
+    ]
+    note += f" Reading and unpacking the bytes and touching the scene's memory, by {FLOOR}, takes "
+    note += f"{', '.join(shares)}." if shares else "as long as stands there."
     if missing:
         note += f" Not measured, as not there: {', '.join(missing)}."
     write_results(
