@@ -25,6 +25,10 @@ SAMPLE = 1 << 15
 SAMPLED = 1 << 20
 """Values that levels are found on, evenly taken of more: sums up to each of them need 40 bytes."""
 
+TAIL = 0.005
+"""Share of the values at each end that are all taken: sampled as well, they make the error 7 % larger (of 1.8
+million that are distributed as Student's t of 3 degrees of freedom)."""
+
 BLOCK = 1 << 22
 """Distances held at once."""
 
@@ -46,11 +50,11 @@ def levels(values: np.ndarray, weights: np.ndarray, count: int = 256) -> tuple[n
     else:
         # Quantised before: not again.
         return np.pad(distinct, (0, count - len(distinct)), mode="edge"), _nearest_level(distinct, values)
-    step = -(-len(flat) // SAMPLED)
-    some, columns = values[::step].reshape(-1), math.prod(values.shape[1:])
+    some, held = _sampled(values, weights)
     order = np.argsort(some)
     ordered = some[order].astype(np.float64)
-    mass = np.concatenate([[0.0], np.cumsum(weights[::step][order // columns] + 1e-12)])
+    mass = np.concatenate([[0.0], np.cumsum(held[order] + 1e-12)])
+    del some, order
     moment = np.concatenate([[0.0], np.cumsum(ordered * np.diff(mass))])
     # Half as quantiles, half evenly over the range: outliers get levels of their own.
     shares = np.linspace(0, 1, count // 2)
@@ -64,6 +68,19 @@ def levels(values: np.ndarray, weights: np.ndarray, count: int = 256) -> tuple[n
         found = np.sort(np.where(held > 0, means, found))
     book = found.astype(np.float32)
     return book, _nearest_level(book, values)
+
+
+def _sampled(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Some SAMPLED of the values, or all of fewer, and the weight of each: of every so many rows those within
+    TAIL of either end, and all beyond, where each value matters."""
+    flat, columns, step = values.reshape(-1), math.prod(values.shape[1:]), -(-values.size // SAMPLED)
+    some, held = values[::step].reshape(-1), np.repeat(weights[::step], columns)
+    if step == 1:
+        return some, held
+    low, high = np.quantile(some, [TAIL, 1 - TAIL])
+    inside, beyond = (some >= low) & (some <= high), np.flatnonzero((flat < low) | (flat > high))
+    found = np.concatenate([some[inside], flat[beyond]])
+    return found, np.concatenate([step * held[inside], weights[beyond // columns]])
 
 
 def _nearest_level(book: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Memory that reading and writing scenes of each format takes at its peak, in units of the scene.
 
-    python tools/bench/bench_format_memory.py [--splats 500000] [-o JSON]
+    python tools/bench/bench_format_memory.py [--splats 500000] [--only SUFFIX ...] [-o JSON]
 
 Each in a child process, which first does the same with a few splats, so that libraries are loaded and kernels
 compiled; what it holds then is taken off. The scene counts, be it the one that is read or the one that is
@@ -16,13 +16,14 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from harness import make_parser
 
 from splatview.measure.machine import write_results
 from splatview.scene.formats import FORMATS, load_scene, save_scene
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.gaussians import ARRAYS, Gaussians
 
 FEW = 1000
 """Splats of the scene that warms up."""
@@ -62,7 +63,7 @@ def child(work: str, suffix: str, folder: Path) -> None:
         load_scene(few)
         before = kept("VmRSS")
         forget_peak()
-        scene = load_scene(place(folder, "scene", suffix))
+        scene = load_scene(place(folder, "written", suffix))
     else:
         save_scene(load_scene(few), place(folder, "few_written", suffix))
         before = kept("VmRSS")
@@ -80,46 +81,53 @@ def main() -> None:
         return
     parser = make_parser(__doc__, "format_memory.json")
     parser.add_argument("--splats", type=int, default=500_000)
-    parser.add_argument("--only", metavar="SUFFIX", help="this format alone")
+    parser.add_argument("--only", nargs="*", metavar="SUFFIX", help="measure these; others stay in the JSON")
     options = parser.parse_args()
     scene, few = made_scene(options.splats), made_scene(FEW)
-    results, rows = [], []
+    found: dict[str, dict[str, Any]] = {}
+    if options.only and options.output.exists():
+        found = json.loads(options.output.read_text(encoding="utf8"))["results"]
+    for known in FORMATS.values():
+        if known.write is None or (options.only and known.suffix not in options.only):
+            continue
+        found[known.suffix] = peaks_of(known.suffix, scene, few)
+        # After each, as a palette takes a while.
+        write_results(options.output, {"results": found, "table": table_of(found, scene)})
+
+
+def peaks_of(suffix: str, scene: Gaussians, few: Gaussians) -> dict[str, Any]:
+    """Bytes of the peaks and of the scenes, by what is done."""
+    found = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        np.savez(
-            folder / "scene.npz",
-            **{key: getattr(scene, key) for key in ("means", "quats", "log_scales", "opacity_logits", "sh")},
-        )
-        for known in FORMATS.values():
-            suffix = known.suffix
-            if known.write is None or (options.only and options.only != suffix):
-                continue
-            cells = []
-            for one, label in ((few, "few"), (scene, "scene")):
-                save_scene(one, place(folder, label, suffix))
-            for work in ("read", "write"):
-                command = [sys.executable, __file__, "--child", work, suffix, name]
-                done = subprocess.run(command, check=True, capture_output=True, text=True)
-                peak, size = json.loads(done.stdout)
-                results.append({"format": suffix, "work": work, "peak_bytes": peak, "scene_bytes": size})
-                cells.append(f"{peak / size:.2f}")
-                print(
-                    f"{work} {suffix}: {peak / 1e6:.0f} MB, {peak / size:.2f} scenes of {size / 1e6:.0f} MB"
-                )
-            rows.append([f"`{suffix}`", *cells])
+        np.savez(folder / "scene.npz", **{key: getattr(scene, key) for key in ARRAYS})
+        save_scene(few, place(folder, "few", suffix))
+        for work in ("write", "read"):
+            command = [sys.executable, __file__, "--child", work, suffix, name]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+            peak, size = json.loads(done.stdout)
+            found[work] = {"peak_bytes": peak, "scene_bytes": size}
+            print(f"{work} {suffix}: {peak / 1e6:.0f} MB, {peak / size:.2f} scenes of {size / 1e6:.0f} MB")
+    return found
+
+
+def table_of(found: dict[str, dict[str, Any]], scene: Gaussians) -> dict[str, Any]:
+    order = [known.suffix for known in FORMATS.values() if known.suffix in found]
+    rows = [
+        [
+            f"`{suffix}`",
+            *(
+                f"{found[suffix][work]['peak_bytes'] / found[suffix][work]['scene_bytes']:.2f}"
+                for work in ("read", "write")
+            ),
+        ]
+        for suffix in order
+    ]
     note = (
-        f"Peaks in units of the scene ({options.splats:,} splats of SH degree 3, {scene.nbytes / 1e6:.0f} "
-        "MB), which counts itself, beyond what the program takes before."
+        f"Peaks in units of the scene ({len(scene):,} splats of SH degree 3, {scene.nbytes / 1e6:.0f} MB), "
+        "which counts itself, beyond what the program takes before."
     )
-    columns = ["format", "read", "written"]
-    write_results(
-        options.output,
-        {
-            "splats": options.splats,
-            "results": results,
-            "table": {"columns": columns, "rows": rows, "note": note},
-        },
-    )
+    return {"columns": ["format", "read", "written"], "rows": rows, "note": note}
 
 
 def place(folder: Path, label: str, suffix: str) -> Path:
