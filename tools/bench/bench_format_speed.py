@@ -7,7 +7,8 @@ in processes that stay, after a round that compiles; splat-transform is a progra
 from which the time of `--version` is taken off. Its output is `null` when it reads; when it writes, it reads
 the compressed .ply, the time of which is taken off too. Times are elapsed; those of the processor beside
 them say how much of a ratio is threads. Rows of a program that is not there are left out, and so is what one
-has not written after LIMIT seconds, which is written down as more than that.
+has not written after LIMIT seconds, which is written down as more than that. With --add a program can be
+measured in a run of its own, each beside splatview.
 
 FLOOR is what no reader of these files gets below: reading the bytes, unpacking them by the same libraries, in
 two threads where they let, and touching the memory that the scene's arrays take. All programs return every
@@ -234,6 +235,7 @@ def results_of(found: dict[tuple[str, str, str], Times], sizes: dict[str, int]) 
                 "program": name,
                 "work": work,
                 "format": suffix,
+                "ours_seconds": float(np.median(ours.elapsed)),
                 "seconds": None if endless else float(np.median(elapsed)),
                 "processor_seconds": None if endless else busy,
                 "rounds": None if endless else elapsed,
@@ -251,18 +253,12 @@ def rows_of(results: list[dict[str, Any]]) -> list[list[str]]:
     for result in results:
         if result["program"] == "splatview":
             continue
-        ours = next(
-            one
-            for one in results
-            if one["program"] == "splatview"
-            and (one["work"], one["format"]) == (result["work"], result["format"])
-        )
         endless = result["seconds"] is None
         low, high = result["ours_in_it_range"]
         rows.append(
             [
                 f"{result['work']} `{result['format']}`, {result['program']}",
-                f"{ours['seconds']:.3f}",
+                f"{result['ours_seconds']:.3f}",
                 f"more than {LIMIT:.0f}" if endless else f"{result['seconds']:.3f}",
                 f"under {result['ours_in_it']:.2f}"
                 if endless
@@ -279,6 +275,7 @@ def main() -> None:
     parser.add_argument("--gsply", type=Path, metavar="PYTHON")
     parser.add_argument("--splat-transform", type=Path, metavar="PATH")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--add", action="store_true", help="keep what the JSON has of other programs")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -311,11 +308,15 @@ def main() -> None:
     if missing:
         print(f"not there, and left out: {', '.join(missing)}", file=sys.stderr)
     results = results_of(found, sizes)
+    if options.add and options.output.exists():
+        stored = json.loads(options.output.read_text(encoding="utf8"))["results"]
+        results += [one for one in stored if one["program"] not in programs]
     columns = ["what, and beside whom", "splatview, s", "the other, s", "ratio", "ratio of processor time"]
     note = (
-        f"Medians of {options.rounds} rounds in turn on {options.scene.name} ({len(gaussians):,} splats of "
-        f"SH degree {gaussians.sh_degree}); ratios are splatview's time divided by the other's, with their "
-        "range. splat-transform's start, and its reading where it writes, are taken off; gsply writes .spz "
+        f"Medians of rounds in turn ({options.rounds} of the first rows) on {options.scene.name} "
+        f"({len(gaussians):,} splats of SH degree {gaussians.sh_degree}); ratios are our time divided "
+        "by the other's, with their range. splat-transform's start, and its reading where it writes, are "
+        "taken off; gsply writes .spz "
         "in version 4."
     )
     shares = [
@@ -327,6 +328,7 @@ def main() -> None:
     ]
     note += f" Reading and unpacking the bytes and touching the scene's memory, by {FLOOR}, takes "
     note += f"{', '.join(shares)}." if shares else "as long as stands there."
+    missing = [name for name in missing if all(one["program"] != name for one in results)]
     if missing:
         note += f" Not measured, as not there: {', '.join(missing)}."
     write_results(
