@@ -125,7 +125,7 @@ COMMANDS = tuple(
         ("lock", "lock or unlock it", toggle_lock, False, ("lock file", "unlock file", "freeze file")),
         ("move", "move it as a whole", move, True, ("move file", "place file", "align")),
         ("reset", "reset its transform", reset, True, ("reset transform", "reset file")),
-        ("select", "select its splats", select, False, ("select file",)),
+        ("select", "select its splats", select, True, ("select file",)),
         ("remove", "remove it from the scene", remove, True, ("remove file", "delete file", "unload")),
     )
 )

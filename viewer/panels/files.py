@@ -129,7 +129,7 @@ def details(app: AppState, session: EditSession, row: Row, refusal: str) -> None
     for number, (title, tip, command, missing) in enumerate(
         (
             ("Move", "Takes the tool whose handles move this file as a whole.", scene_files.move, lacks),
-            ("Select", "Selects the splats of this file.", scene_files.select, refusal),
+            ("Select", "Selects the splats of this file.", scene_files.select, lacks),
             (
                 "Reset",
                 "Puts the file back to the coordinates that it has by itself.",
