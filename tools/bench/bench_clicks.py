@@ -154,6 +154,7 @@ def go_through(clicks: Clicks) -> None:
     for key, mode in zip("234561", modes, strict=True):
         clicks.key(f"mode {mode}", key, lambda mode=mode: app.mode == mode)
     document = clicks.session.document
+    ctx.key_press(commands.chord("Ctrl+Shift+A"))
     clicks.key("select all", "Ctrl+A", lambda: document.counts.selected > 0)
     clicks.key("select none", "Ctrl+Shift+A", lambda: document.counts.selected == 0)
     ctx.key_press(commands.chord("R"))
