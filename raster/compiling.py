@@ -84,7 +84,8 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = Fals
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles a helper that kernels call; LLVM folds it into them. It makes no arrays, and calls nothing
     that returns new ones: references are not counted."""
-    return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)(function)
+    uncounted: dict[str, Any] = {"_nrt": False}  # numba's types do not know the option
+    return numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, **uncounted)(function)
 
 
 def cache_stamp() -> str:

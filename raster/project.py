@@ -48,13 +48,12 @@ from splatview.raster.simd import (
     keep_if_at_least,
     keep_if_below,
     load,
-    load_rows,
     log2_lanes,
     store,
-    store_rows,
     widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
+from splatview.raster.transpose import load_rows, store_rows
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3

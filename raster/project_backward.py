@@ -43,13 +43,12 @@ from splatview.raster.simd import (
     fill,
     fma,
     keep_if_below,
-    load_rows,
     maximum,
     minimum,
     negate,
-    store_rows,
     widened,
 )
+from splatview.raster.transpose import load_rows, store_rows
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C1, SH_C2, SH_C3
 

@@ -65,7 +65,7 @@ def constant(llvm_type: Any, value: float) -> ir.Constant:
     return ir.Constant(llvm_type, [value] * LANES if isinstance(llvm_type, ir.VectorType) else value)
 
 
-def _spread(builder: Any, scalar: Any) -> Any:
+def emit_spread(builder: Any, scalar: Any) -> Any:
     """A scalar in every lane."""
     vector_type = ir.VectorType(scalar.type, LANES)
     one = builder.insert_element(
@@ -147,7 +147,7 @@ def spread(typingctx: Any, scalar: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _spread(builder, args[0])
+        return emit_spread(builder, args[0])
 
     return Vector(scalar)(scalar), codegen
 
@@ -159,7 +159,7 @@ def fill(typingctx: Any, like: Any, value: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _spread(builder, context.cast(builder, args[1], signature.args[1], like.element))
+        return emit_spread(builder, context.cast(builder, args[1], signature.args[1], like.element))
 
     return like(like, value), codegen
 
@@ -218,24 +218,24 @@ row_centres = _lane_constant([lane // BLOCK_WIDTH + 0.5 for lane in range(LANES)
 """y of the pixel centres of a block, from its top edge, in the type of the argument."""
 
 
-def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm_type: Any) -> Any:
+def address_of(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm_type: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), llvm_type.as_pointer())
 
 
-def _flat(array: Any) -> bool:
+def is_flat(array: Any) -> bool:
     return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
 
 
 @intrinsic
 def _load(typingctx: Any, array: Any, index: Any) -> Any:
-    if not (_flat(array) and isinstance(array.dtype, types.Float)):
+    if not (is_flat(array) and isinstance(array.dtype, types.Float)):
         return None
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         llvm_type = float_type(context, vector)
-        address = _address(context, builder, array, args[0], args[1], llvm_type)
+        address = address_of(context, builder, array, args[0], args[1], llvm_type)
         return builder.load(address, align=array.dtype.bitwidth // 8)
 
     return vector(array, types.intp), codegen
@@ -243,11 +243,11 @@ def _load(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def _store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    if not (_flat(array) and isinstance(value, Vector) and value.element == array.dtype):
+    if not (is_flat(array) and isinstance(value, Vector) and value.element == array.dtype):
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address = _address(context, builder, array, args[0], args[1], args[2].type)
+        address = address_of(context, builder, array, args[0], args[1], args[2].type)
         builder.store(args[2], address, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -256,12 +256,12 @@ def _store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    if not (_flat(array) and array.dtype == types.int32 and isinstance(value, Vector)):
+    if not (is_flat(array) and array.dtype == types.int32 and isinstance(value, Vector)):
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         ints = ir.VectorType(ir.IntType(32), LANES)
-        address = _address(context, builder, array, args[0], args[1], ints)
+        address = address_of(context, builder, array, args[0], args[1], ints)
         builder.store(builder.fptosi(args[2], ints), address, align=4)
         return context.get_dummy_value()
 
@@ -319,7 +319,7 @@ def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _any(builder, builder.fcmp_ordered(">", args[0], _spread(builder, args[1])))
+        return _any(builder, builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1])))
 
     return types.boolean(vector, scalar), codegen
 
@@ -331,8 +331,8 @@ def any_within(typingctx: Any, vector: Any, above: Any, below: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        above = builder.fcmp_ordered(">", args[0], _spread(builder, args[1]))
-        below = builder.fcmp_ordered("<", args[0], _spread(builder, args[2]))
+        above = builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1]))
+        below = builder.fcmp_ordered("<", args[0], emit_spread(builder, args[2]))
         return _any(builder, builder.and_(above, below))
 
     return types.boolean(vector, above, below), codegen
@@ -398,112 +398,6 @@ def converted(typingctx: Any, vector: Any, array: Any) -> Any:
         return cast(args[0], float_type(context, result))
 
     return result(vector, array), codegen
-
-
-def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
-    """LANES vectors with rows and columns exchanged: 64 shuffles, halves of ever smaller squares swapped."""
-    stride = LANES // 2
-    while stride:
-        low = [i if not i & stride else LANES + i - stride for i in range(LANES)]
-        high = [i + stride if not i & stride else LANES + i for i in range(LANES)]
-        masks = [ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes) for lanes in (low, high)]
-        for i in range(LANES):
-            if not i & stride:
-                pair = rows[i], rows[i + stride]
-                rows[i], rows[i + stride] = (builder.shuffle_vector(*pair, mask) for mask in masks)
-        stride //= 2
-    return rows
-
-
-def _first_lanes(builder: Any, count: Any) -> Any:
-    """The mask of the first `count` lanes."""
-    width = ir.VectorType(count.type, LANES)
-    return builder.icmp_signed("<", ir.Constant(width, list(range(LANES))), _spread(builder, count))
-
-
-def _rows(context: Any, builder: Any, array: Any, value: Any, starts: Any, llvm_type: Any) -> list[Any]:
-    """Addresses in a flat array of the LANES rows that begin at starts (LANES,) int64."""
-    first = context.make_array(types.Array(types.int64, 1, "C"))(context, builder, starts).data
-    places = [builder.load(builder.gep(first, [ir.Constant(ir.IntType(64), lane)])) for lane in range(LANES)]
-    return [_address(context, builder, array, value, place, llvm_type) for place in places]
-
-
-STARTS = types.Array(types.int64, 1, "C")
-
-
-@intrinsic
-def _load_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any) -> Any:
-    if not (_flat(array) and starts == STARTS and columns == array):
-        return None
-    vector = Vector(array.dtype)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values, starts, count, columns, index = args
-        llvm_type = float_type(context, vector)
-        mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
-        zero = constant(llvm_type, 0.0)
-        rows = [
-            call_llvm(builder, f"llvm.masked.load.{suffix(vector)}.p0", llvm_type, row, align, mask, zero)
-            for row in _rows(context, builder, array, values, starts, llvm_type)
-        ]
-        for lane, column in enumerate(_transposed(builder, rows)):
-            place = builder.add(index, ir.Constant(index.type, lane * LANES))
-            address = _address(context, builder, array, columns, place, llvm_type)
-            builder.store(column, address, align=array.dtype.bitwidth // 8)
-        return context.get_dummy_value()
-
-    return types.void(array, starts, types.intp, columns, types.intp), codegen
-
-
-@intrinsic
-def _store_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any) -> Any:
-    if not (_flat(array) and starts == STARTS and columns == array):
-        return None
-    vector = Vector(array.dtype)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values, starts, count, columns, index = args
-        llvm_type = float_type(context, vector)
-        mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
-        loaded = []
-        for lane in range(LANES):
-            place = builder.add(index, ir.Constant(index.type, lane * LANES))
-            address = _address(context, builder, array, columns, place, llvm_type)
-            loaded.append(builder.load(address, align=array.dtype.bitwidth // 8))
-        addresses = _rows(context, builder, array, values, starts, llvm_type)
-        for address, row in zip(addresses, _transposed(builder, loaded), strict=True):
-            name = f"llvm.masked.store.{suffix(vector)}.p0"
-            call_llvm(builder, name, ir.VoidType(), row, address, align, mask)
-        return context.get_dummy_value()
-
-    return types.void(array, starts, types.intp, columns, types.intp), codegen
-
-
-@inline
-def load_rows(array, starts, count, columns, index):
-    """The first `count` <= LANES numbers of LANES rows of a flat array, rows that begin at starts (LANES,)
-    int64, to columns: LANES vectors of `columns`, an array of the same dtype, from `index` on. The vectors
-    from `count` on become 0."""
-    if BOUNDSCHECK:
-        _check_rows(array, starts, count, columns, index)
-    _load_rows(array, starts, count, columns, index)
-
-
-@inline
-def store_rows(array, starts, count, columns, index):
-    """What `load_rows` reads, written. Rows that begin at one place must be equal."""
-    if BOUNDSCHECK:
-        _check_rows(array, starts, count, columns, index)
-    _store_rows(array, starts, count, columns, index)
-
-
-@inline
-def _check_rows(array, starts, count, columns, index):
-    for lane in range(LANES):
-        if starts[lane] < 0 or count > LANES or starts[lane] + count > array.size:
-            raise IndexError("a row reaches beyond its array")
-    if index < 0 or index + LANES * LANES > columns.size:
-        raise IndexError("a vector reaches beyond its array")
 
 
 @intrinsic

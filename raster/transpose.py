@@ -1,0 +1,130 @@
+"""Rows of LANES splats as columns and back: what a splat has in one place becomes a vector for each number,
+with a lane for each splat.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+
+from splatview.raster.compiling import BOUNDSCHECK, inline
+from splatview.raster.simd import (
+    LANES,
+    Vector,
+    address_of,
+    call_llvm,
+    constant,
+    emit_spread,
+    float_type,
+    intrinsic,
+    is_flat,
+    suffix,
+)
+
+
+def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
+    """LANES vectors with rows and columns exchanged: 64 shuffles, halves of ever smaller squares swapped."""
+    stride = LANES // 2
+    while stride:
+        low = [i if not i & stride else LANES + i - stride for i in range(LANES)]
+        high = [i + stride if not i & stride else LANES + i for i in range(LANES)]
+        masks = [ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes) for lanes in (low, high)]
+        for i in range(LANES):
+            if not i & stride:
+                pair = rows[i], rows[i + stride]
+                rows[i], rows[i + stride] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+        stride //= 2
+    return rows
+
+
+def _first_lanes(builder: Any, count: Any) -> Any:
+    """The mask of the first `count` lanes."""
+    width = ir.VectorType(count.type, LANES)
+    return builder.icmp_signed("<", ir.Constant(width, list(range(LANES))), emit_spread(builder, count))
+
+
+def _rows(context: Any, builder: Any, array: Any, value: Any, starts: Any, llvm_type: Any) -> list[Any]:
+    """Addresses in a flat array of the LANES rows that begin at starts (LANES,) int64."""
+    first = context.make_array(types.Array(types.int64, 1, "C"))(context, builder, starts).data
+    places = [builder.load(builder.gep(first, [ir.Constant(ir.IntType(64), lane)])) for lane in range(LANES)]
+    return [address_of(context, builder, array, value, place, llvm_type) for place in places]
+
+
+STARTS = types.Array(types.int64, 1, "C")
+
+
+@intrinsic
+def _load_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any) -> Any:
+    if not (is_flat(array) and starts == STARTS and columns == array):
+        return None
+    vector = Vector(array.dtype)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        values, starts, count, columns, index = args
+        llvm_type = float_type(context, vector)
+        mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
+        zero = constant(llvm_type, 0.0)
+        rows = [
+            call_llvm(builder, f"llvm.masked.load.{suffix(vector)}.p0", llvm_type, row, align, mask, zero)
+            for row in _rows(context, builder, array, values, starts, llvm_type)
+        ]
+        for lane, column in enumerate(_transposed(builder, rows)):
+            place = builder.add(index, ir.Constant(index.type, lane * LANES))
+            address = address_of(context, builder, array, columns, place, llvm_type)
+            builder.store(column, address, align=array.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, starts, types.intp, columns, types.intp), codegen
+
+
+@intrinsic
+def _store_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any) -> Any:
+    if not (is_flat(array) and starts == STARTS and columns == array):
+        return None
+    vector = Vector(array.dtype)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        values, starts, count, columns, index = args
+        llvm_type = float_type(context, vector)
+        mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
+        loaded = []
+        for lane in range(LANES):
+            place = builder.add(index, ir.Constant(index.type, lane * LANES))
+            address = address_of(context, builder, array, columns, place, llvm_type)
+            loaded.append(builder.load(address, align=array.dtype.bitwidth // 8))
+        addresses = _rows(context, builder, array, values, starts, llvm_type)
+        for address, row in zip(addresses, _transposed(builder, loaded), strict=True):
+            name = f"llvm.masked.store.{suffix(vector)}.p0"
+            call_llvm(builder, name, ir.VoidType(), row, address, align, mask)
+        return context.get_dummy_value()
+
+    return types.void(array, starts, types.intp, columns, types.intp), codegen
+
+
+@inline
+def load_rows(array, starts, count, columns, index):
+    """The first `count` <= LANES numbers of LANES rows of a flat array, rows that begin at starts (LANES,)
+    int64, to columns: LANES vectors of `columns`, an array of the same dtype, from `index` on. The vectors
+    from `count` on become 0."""
+    if BOUNDSCHECK:
+        _check_rows(array, starts, count, columns, index)
+    _load_rows(array, starts, count, columns, index)
+
+
+@inline
+def store_rows(array, starts, count, columns, index):
+    """What `load_rows` reads, written. Rows that begin at one place must be equal."""
+    if BOUNDSCHECK:
+        _check_rows(array, starts, count, columns, index)
+    _store_rows(array, starts, count, columns, index)
+
+
+@inline
+def _check_rows(array, starts, count, columns, index):
+    for lane in range(LANES):
+        if starts[lane] < 0 or count > LANES or starts[lane] + count > array.size:
+            raise IndexError("a row reaches beyond its array")
+    if index < 0 or index + LANES * LANES > columns.size:
+        raise IndexError("a vector reaches beyond its array")
