@@ -22,7 +22,7 @@ ROUNDS = 12
 SAMPLE = 1 << 15
 """Rows that the groups are found on."""
 
-SAMPLED = 1 << 20
+SAMPLED = 1 << 19
 """Values that levels are found on, evenly taken of more: sums up to each of them need 40 bytes."""
 
 TAIL = 0.005
