@@ -419,7 +419,7 @@ def _read_streamed(source: _Folder, folder: Path, progress: Progress, room: floa
     if not scenes:
         raise InputError(f"{folder}: its {LOD_META} names no splats")
     levels = meta.get("lodLevels")
-    whole = concatenate(scenes)
+    whole = concatenate(scenes) if len(scenes) > 1 else scenes[0]
     note = f"splatview: the finest of {levels} levels of detail, from {len(scenes)} files"
     return whole if levels in (None, 1) else replace(whole, comments=(*whole.comments, note))
 
