@@ -22,7 +22,7 @@ from splatview.cli.arguments import Parser, count, index, positive
 from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console, no_window
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.scene import InputError
-from splatview.scene.captures import DEFAULT_LENS_USE, LensUse
+from splatview.scene.captures import DEFAULT_LENS_USE, LensUse, MaskUse
 from splatview.scene.effects.effect import Effect
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.counters import PluginError
@@ -298,6 +298,12 @@ def make_parser() -> Parser:
         help="photos whose lens is no pinhole: train through it, or take its distortion out of them first "
         f"(default: {DEFAULT_LENS_USE})",
     )
+    group.add_argument(
+        "--masks",
+        choices=get_args(MaskUse),
+        help="where a photo's mask is black it is not compared, or nothing is there, as in a transparent "
+        "photo (default: ignore)",
+    )
     group.add_argument("--strategy", choices=tuple(STRATEGIES), help="density control (default: mcmc)")
     group.add_argument(
         "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
@@ -309,7 +315,8 @@ def make_parser() -> Parser:
         "--coarse",
         type=levels,
         metavar="SHARE:K,..",
-        help="photos smaller by K until this share of the run, or none (default: 0.3:2)",
+        help="photos smaller by K until this share of the run, or none (default: auto, as long as smaller"
+        " ones teach)",
     )
     group.add_argument(
         "--exposure",
@@ -345,13 +352,15 @@ def make_parser() -> Parser:
     return parser
 
 
-def levels(text: str) -> tuple[tuple[float, int], ...]:
-    """`0.1:4,0.3:2` or `none`, as `TrainSettings.resolution`."""
+def levels(text: str) -> tuple[tuple[float, int], ...] | None:
+    """`0.1:4,0.3:2`, `none` or `auto`, as `TrainSettings.resolution`."""
+    if text == "auto":
+        return None
     if text == "none":
         return ()
     pairs = [part.split(":") for part in text.split(",")]
     if not all(len(pair) == 2 for pair in pairs):
-        raise argparse.ArgumentTypeError(f"must be like 0.1:4,0.3:2 or none, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be like 0.1:4,0.3:2, none or auto, got {text!r}")
     coarse = tuple((positive(share), count(factor)) for share, factor in pairs)
     shares = [share for share, _ in coarse]
     if not (shares == sorted(set(shares)) and shares[-1] <= 1):

@@ -53,6 +53,7 @@ OF_THE_CHECKPOINT = [
     "antialiased",
     "abs_grad",
     "lens",
+    "masks",
 ]
 """Options that a resumed run takes from where it was."""
 
@@ -134,6 +135,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
     # Checkpoints from before there was a choice have no word about it.
     lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
+    masks = checkpoint.notes.get("masks", "ignore") if checkpoint else options.masks or "ignore"
     if checkpoint is not None and checkpoint.notes.get("plugin") and options.plugin is None:
         raise InputError(
             f"{options.resume}: was trained with a loss of its own; give it with --plugin"
@@ -148,7 +150,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     capture = _with_status(
         console,
         "Reading photos",
-        lambda progress: load_capture(folder, downscale=downscale, lens=lens, progress=progress),
+        lambda progress: load_capture(folder, downscale=downscale, lens=lens, masks=masks, progress=progress),
     )
     centre = capture.centre
     capture = capture.about(centre)
@@ -180,7 +182,12 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     antialiased = (
         options.antialiased or (checkpoint.notes.get("antialiased") if checkpoint else None) or "auto"
     )
-    notes: dict[str, Any] = {"downscale": downscale, "lens": lens, "antialiased": antialiased}
+    notes: dict[str, Any] = {
+        "downscale": downscale,
+        "lens": lens,
+        "masks": masks,
+        "antialiased": antialiased,
+    }
     if loss is not None:
         notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
     effects = capture_effects(capture, trainer.settings, antialiased)
@@ -285,7 +292,7 @@ def _new_trainer(
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
-        resolution=TrainSettings.resolution if options.coarse is None else options.coarse,
+        resolution=options.coarse,
     )
     threads = _threads(options, group)
     return trainer_for(capture, views, settings, centre=centre, threads=threads, group=group, loss=loss)

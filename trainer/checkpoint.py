@@ -57,6 +57,8 @@ class Checkpoint:
     """State of the strategy, but for what the capture says."""
     exposure: dict[str, np.ndarray]
     """Arrays of the photos' exposures, see `Exposures.state`."""
+    evidence: dict[str, np.ndarray]
+    """Arrays of what the run has found out about itself; none in older files."""
     photos: list[list[Any]]
     """[name, width, height] of each photo trained on, in order."""
     notes: dict[str, Any]
@@ -80,6 +82,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         if name not in ELSEWHERE:
             arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
+    arrays |= {f"evidence.{name}": array for name, array in trainer.resolution.state().items()}
     description = {
         "settings": recorded(trainer.settings),
         "counters": asdict(trainer.counters) | {name: state[name] for name in REFINED},
@@ -140,6 +143,8 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.extent = checkpoint.extent
     trainer.state |= checkpoint.state | {"extent": checkpoint.extent}
     trainer.exposures.restore(checkpoint.exposure)
+    if checkpoint.evidence:
+        trainer.resolution.restore(checkpoint.evidence)
 
 
 def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -186,6 +191,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         next_id=next_id,
         state=state,
         exposure=_under("exposure.", arrays),
+        evidence=_under("evidence.", arrays),
         photos=[list(photo) for photo in run["photos"]],
         notes=dict(run["notes"]),
     )

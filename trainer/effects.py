@@ -133,6 +133,8 @@ def _exposure(settings: TrainSettings) -> Effect:
 def _masks(capture: Capture) -> Effect:
     statistics = capture.statistics
     why = f"{statistics.masks} of {len(capture.photos)} photos have a mask"
+    if statistics.masks and not statistics.hidden and statistics.transparent:
+        why += ": what they hide is empty, as in transparent photos"
     if statistics.hidden > 0:
         what = " or beyond what their lens saw" if statistics.lenses else ""
         why += f"; {statistics.hidden:.2%} of all pixels are masked{what}, and not compared"
@@ -185,8 +187,12 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
     transparent = capture.statistics.transparent
     colour = ", ".join(f"{part:g}" for part in settings.background)
     why = f"{transparent} of {len(capture.photos)} photos have transparency"
+    behind = f", laid over {colour}, which is behind the scene too" if transparent else ": black"
+    if transparent and settings.alpha_weight > 0:
+        behind += f"; their opacity is part of the loss, {settings.alpha_weight:g} of its mean difference"
     return Effect(
         name="background",
         on=transparent > 0,
-        why=why + (f", laid over {colour}, which is behind the scene too" if transparent else ": black"),
+        why=why + behind,
+        saving=Saving(what="a look at each pixel's opacity"),
     )

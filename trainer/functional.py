@@ -369,17 +369,21 @@ def photo_loss(
     photo: torch.Tensor,
     *,
     mask: torch.Tensor | None = None,
+    alpha: torch.Tensor | None = None,
     ssim_weight: float = SSIM_WEIGHT,
+    alpha_weight: float = 0.0,
     threads: int | None = None,
 ) -> torch.Tensor:
     """(1 - w)·L1 + w·(1 - SSIM) of a picture (H, W, 4), float32 or float64, and a photo (H, W, 3) uint8.
 
     All on the CPU; mask (H, W) bool: pixels that are false count as equal. With w = 1 it is 1 - SSIM.
+    alpha (H, W) uint8 is the photo's opacity: `alpha_weight` times the mean difference of the picture's from
+    it is added.
 
     Raises:
         ValueError: a tensor has the wrong shape or dtype; see `loss.photo_loss`.
     """
-    loss = _PhotoLoss.apply(image, photo, mask, ssim_weight, threads)
+    loss = _PhotoLoss.apply(image, photo, mask, alpha, ssim_weight, alpha_weight, threads)
     assert isinstance(loss, torch.Tensor)
     return loss
 
@@ -387,7 +391,7 @@ def photo_loss(
 class _PhotoLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> torch.Tensor:
-        image, photo, mask, ssim_weight, threads = args
+        image, photo, mask, alpha, ssim_weight, alpha_weight, threads = args
         held = _Held(_losses)
         assert held.buffers is not None
         workspace = held.buffers.workspace
@@ -398,7 +402,9 @@ class _PhotoLoss(torch.autograd.Function):
                 photo.contiguous().numpy(),
                 workspace,
                 mask=None if mask is None else mask.contiguous().numpy(),
+                alpha=None if alpha is None else alpha.contiguous().numpy(),
                 ssim_weight=ssim_weight,
+                alpha_weight=alpha_weight,
                 threads=threads,
             )
 
@@ -418,15 +424,18 @@ class _PhotoLoss(torch.autograd.Function):
         by_image = torch.from_numpy(d_image)
         if grad_outputs[0] != 1:
             by_image = by_image * grad_outputs[0]
-        return by_image, None, None, None, None
+        return by_image, None, None, None, None, None, None
 
 
-def expose(image: torch.Tensor, exposure: torch.Tensor) -> torch.Tensor:
+def expose(
+    image: torch.Tensor, exposure: torch.Tensor, background: tuple[float, float, float] | None = None
+) -> torch.Tensor:
     """The picture (H, W, 4) as a photo of another exposure shows it: gain·colour + offset, alpha as it is.
 
-    `exposure` (3, 2) float64: logarithm of the gain, and offset, of each colour.
+    `exposure` (3, 2) float64: logarithm of the gain, and offset, of each colour. `background`: colour behind
+    a cut-out, RGB, which was put there after the photo was taken and keeps its value; None: opaque photos.
     """
-    exposed = _Expose.apply(image, exposure)
+    exposed = _Expose.apply(image, exposure, background)
     assert isinstance(exposed, torch.Tensor)
     return exposed
 
@@ -434,11 +443,19 @@ def expose(image: torch.Tensor, exposure: torch.Tensor) -> torch.Tensor:
 class _Expose(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> torch.Tensor:
-        image, exposure = args
-        colours, (log_gain, offset) = image.detach().numpy(), exposure.detach().numpy().T
-        gain = np.append(np.exp(log_gain), 1.0).astype(colours.dtype)
-        exposed = colours * gain
-        exposed[..., :3] += offset.astype(colours.dtype)
+        image, exposure, background = args
+        shown, (log_gain, offset) = image.detach().numpy(), exposure.detach().numpy().T
+        gain, offset = np.exp(log_gain).astype(shown.dtype), offset.astype(shown.dtype)
+        exposed = shown * np.append(gain, shown.dtype.type(1))
+        if background is None:
+            exposed[..., :3] += offset
+            ctx.of_background = None
+        else:
+            behind = np.array(background, shown.dtype)
+            alpha = shown[..., 3:]
+            # gain·(x - (1 - a)·b) + a·offset + (1 - a)·b
+            exposed[..., :3] += alpha * offset + (1 - alpha) * ((1 - gain) * behind)
+            ctx.of_background = behind, offset
         ctx.save_for_backward(image)
         ctx.gain = gain
         return torch.from_numpy(exposed)
@@ -447,10 +464,18 @@ class _Expose(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
-        d = grad_outputs[0].numpy()
-        by_gain = ctx.gain[:3] * np.einsum("hwc,hwc->c", d[..., :3], image.numpy()[..., :3], dtype=np.float64)
-        by_offset = d[..., :3].sum(axis=(0, 1), dtype=np.float64)
-        return torch.from_numpy(d * ctx.gain), torch.from_numpy(np.stack([by_gain, by_offset], axis=1))
+        d, shown, gain = grad_outputs[0].numpy(), image.detach().numpy(), ctx.gain
+        d_image = d * np.append(gain, gain.dtype.type(1))
+        colours, by_offset = shown[..., :3], d[..., :3]
+        if ctx.of_background is not None:
+            behind, offset = ctx.of_background
+            alpha = shown[..., 3:]
+            colours = colours - (1 - alpha) * behind
+            by_offset = by_offset * alpha
+            d_image[..., 3] += d[..., :3] @ (offset - (1 - gain) * behind)
+        by_gain = gain * np.einsum("hwc,hwc->c", d[..., :3], colours, dtype=np.float64)
+        sums = by_offset.sum(axis=(0, 1), dtype=np.float64)
+        return torch.from_numpy(d_image), torch.from_numpy(np.stack([by_gain, sums], axis=1)), None
 
 
 GONE = -30.0

@@ -1,4 +1,4 @@
-"""How far a picture is from its photo, and which way is nearer: (1 - w)·L1 + w·(1 - SSIM)."""
+"""How far a picture is from its photo, and which way is nearer: (1 - w)·L1 + w·(1 - SSIM), and opacity."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ class PhotoLoss(NamedTuple):
     ssim: float
     """Mean SSIM over the windows that lie inside the picture, as in `measure.metrics`."""
     d_image: np.ndarray
-    """(H, W, 4), dL/d(picture) in its dtype, alpha's being 0; lives in the workspace until the next loss."""
+    """(H, W, 4), dL/d(picture) in its dtype, alpha's being 0 where no opacity is compared; lives in the
+    workspace until the next loss."""
 
 
 def photo_loss(
@@ -36,13 +37,17 @@ def photo_loss(
     workspace: Workspace,
     *,
     mask: np.ndarray | None = None,
+    alpha: np.ndarray | None = None,
     ssim_weight: float = SSIM_WEIGHT,
+    alpha_weight: float = 0.0,
     threads: int | None = None,
 ) -> PhotoLoss:
     """Compares a picture (H, W, 4), float32 or float64, to a photo (H, W, 3) uint8.
 
     mask (H, W) bool: pixels that are false count as equal, whatever they show. Values are not clipped,
     so that a picture too bright is pulled back. Equal for any number of threads (None: all cores).
+    alpha (H, W) uint8: the photo's opacity; the mean difference of the picture's from it, `alpha_weight`
+    times, is added to the loss.
 
     Raises:
         ValueError: an array has the wrong shape or dtype, or SSIM is asked of pictures smaller than its
@@ -57,12 +62,18 @@ def photo_loss(
         mask = np.empty((0, 0), np.bool_)
     elif mask.shape != (height, width) or mask.dtype != np.bool_:
         raise ValueError(f"mask must be bool {(height, width)}, got {mask.dtype} {mask.shape}")
+    if alpha is None or alpha_weight == 0:
+        alpha = np.empty((0, 0), np.uint8)
+    elif alpha.shape != (height, width) or alpha.dtype != np.uint8:
+        raise ValueError(f"alpha must be uint8 {(height, width)}, got {alpha.dtype} {alpha.shape}")
+    if not 0 <= alpha_weight < np.inf:
+        raise ValueError(f"alpha_weight must be at least 0 and finite, got {alpha_weight}")
     if not 0 <= ssim_weight <= 1:
         raise ValueError(f"ssim_weight must be in [0, 1], got {ssim_weight}")
     if ssim_weight > 0 and not min(height, width) >= SSIM_WINDOW:
         raise ValueError(f"SSIM needs pictures of at least {SSIM_WINDOW}x{SSIM_WINDOW}, got {width}x{height}")
     threads = threads or available_threads()
-    photo, mask = _read_only(photo), _read_only(mask)
+    photo, mask, alpha = _read_only(photo), _read_only(mask), _read_only(alpha)
     number = image.dtype.type
     weights = gaussian_window().astype(number)
     rows, windows = height - SSIM_WINDOW + 1, width - SSIM_WINDOW + 1
@@ -79,17 +90,22 @@ def photo_loss(
         )
         ssim = float(similarities.sum()) / (3 * rows * windows)
     d_image = workspace.take("d_image", image.shape, number)
-    differences = np.empty(height)
+    differences, alpha_differences = np.empty(height), np.zeros(height)
     l1_scale = number((1 - ssim_weight) / (3 * height * width))
     ssim_scale = number(-ssim_weight / (3 * rows * windows) if ssim_weight > 0 else 0)
+    alpha_scale = number(alpha_weight / (height * width))
     run(
         gradient_rows,
         _tasks(height, threads),
-        (image, photo, mask, weights, l1_scale, ssim_scale, maps, d_image, differences),
+        (
+            *(image, photo, mask, alpha, weights, l1_scale, ssim_scale, alpha_scale, maps, d_image),
+            *(differences, alpha_differences),
+        ),
         threads,
     )
     l1 = float(differences.sum()) / (3 * height * width)
-    return PhotoLoss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, d_image)
+    by_alpha = alpha_weight * float(alpha_differences.sum()) / (height * width)
+    return PhotoLoss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim) + by_alpha, l1, ssim, d_image)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

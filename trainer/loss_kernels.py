@@ -137,11 +137,27 @@ def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums
 
 
 @kernel(allocates=True)
-def gradient_rows(start, stop, image, photo, mask, weights, l1_scale, ssim_scale, maps, d_image, sums):
+def gradient_rows(
+    start,
+    stop,
+    image,
+    photo,
+    mask,
+    alpha,
+    weights,
+    l1_scale,
+    ssim_scale,
+    alpha_scale,
+    maps,
+    d_image,
+    sums,
+    alpha_sums,
+):
     """Rows [start, stop) of d_image (H, W, 4) = l1_scale·sign(x - y) + ssim_scale·d(sum of SSIM)/dx.
 
-    Alpha's gradient is 0. sums (H,) float64 receives the rows' sums of |x - y|. The other arguments are
-    those of `similarity_rows`; an ssim_scale of 0 leaves `maps` unread.
+    alpha (H, W) uint8 is the photo's opacity a, or (0, 0): alpha's gradient is alpha_scale·sign(x - a), or 0.
+    sums and alpha_sums (H,) float64 receive the rows' sums of |x - y| and of |x - a|. The other arguments
+    are those of `similarity_rows`; an ssim_scale of 0 leaves `maps` unread.
     """
     height, width = image.shape[:2]
     number = image.dtype.type
@@ -167,7 +183,7 @@ def gradient_rows(start, stop, image, photo, mask, weights, l1_scale, ssim_scale
                 by_xy = along_row(column, 2 * length + i, w0, w1, w2, w3, w4, w5)
                 d = fma(load(x_row, i), two * by_xx, fma(load(y_row, i), by_xy, by_mean))
                 store(d_row, i, d)
-        total_l1 = 0.0
+        total_l1 = total_alpha = 0.0
         for x in range(width):
             use = mask.size == 0 or mask[row, x]
             for channel in range(3):
@@ -177,5 +193,11 @@ def gradient_rows(start, stop, image, photo, mask, weights, l1_scale, ssim_scale
                 sign = number(difference > 0) - number(difference < 0)
                 d = l1_scale * sign + ssim_scale * d_row[at]
                 d_image[row, x, channel] = d if use else number(0)
-            d_image[row, x, 3] = 0
+            by_alpha = number(0)
+            if alpha.size > 0 and use:
+                difference = image[row, x, 3] - number(alpha[row, x]) / number(255)
+                total_alpha += abs(difference)
+                by_alpha = alpha_scale * (number(difference > 0) - number(difference < 0))
+            d_image[row, x, 3] = by_alpha
         sums[row] = total_l1
+        alpha_sums[row] = total_alpha

@@ -23,6 +23,7 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
+from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
@@ -76,10 +77,14 @@ class Trainer:
         self.strategy: Strategy = strategy(self._local(settings))
         self.state = self.strategy.initialize_state(self.splats, extent=self.extent, focal=views.focal)
         """What the strategy notes."""
+        self._differences: list[float] = []
+        """Of this step's pictures to their photos, while these are small."""
         self._unseen = 0.0
         """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
         edits and rules may take out of sight what there is."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
+        self.resolution = ProgressiveResolution(views)
+        """Size of the photos, where the recipe leaves it to evidence."""
         self.picture_dtype: type[np.floating] = np.float32
         """dtype of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
@@ -90,6 +95,14 @@ class Trainer:
     def progress(self) -> float:
         """The share of the run that is over, 0 to 1."""
         return self.settings.progress(self.counters.iteration, self.counters.seconds)
+
+    @property
+    def downscale(self) -> int:
+        """The factor by which photos are smaller in the next step."""
+        progress, schedule = self.progress, self.settings.resolution
+        if schedule is None:
+            return self.resolution.factor_at(progress)
+        return next((factor for until, factor in schedule if progress < until), 1)
 
     @property
     def done(self) -> bool:
@@ -204,18 +217,22 @@ class Trainer:
         """Leaves the mean gradients over the step's photos in the parameters; what the photos show, and the
         mean loss."""
         settings = self.settings
-        first, downscale = self.counters.iteration * settings.batch, settings.downscale_at(progress)
+        first, downscale = self.counters.iteration * settings.batch, self.downscale
         sums, before = self.strategy.sums(self.state), []
         if self.group.size > 1 or self.loss is not None:
             before = [total.copy() for total in sums]
         try:
             if settings.batch == 1:
-                return self._render_and_backprop(self.views.at(first, downscale), first)
-            return self._batch_backward(first, downscale, sums, before)
+                found = self._render_and_backprop(self.views.at(first, downscale), first)
+            else:
+                found = self._batch_backward(first, downscale, sums, before)
+            self._note_differences()
+            return found
         except BaseException:  # another process is gone, or the user's loss failed: nothing has been noted
             for total, old in zip(sums, before, strict=False):
                 total[:] = old
             self.exposures.gradients[:] = 0
+            self._differences = []
             raise
 
     def _batch_backward(
@@ -261,14 +278,22 @@ class Trainer:
         if self.exposures.is_on:
             with clock.stage("exposure"):
                 exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
-                image = expose(image, exposure)
+                image = expose(image, exposure, None if view.alpha is None else settings.background)
         photo = torch.from_numpy(view.pixels)
         mask = None if view.mask is None else torch.from_numpy(view.mask)
+        alpha = None if view.alpha is None else torch.from_numpy(view.alpha)
 
         def usual_loss() -> torch.Tensor:
             with clock.stage("loss"):
-                weight = settings.ssim_weight
-                return photo_loss(image, photo, mask=mask, ssim_weight=weight, threads=self.threads)
+                return photo_loss(
+                    image,
+                    photo,
+                    mask=mask,
+                    alpha=alpha,
+                    ssim_weight=settings.ssim_weight,
+                    alpha_weight=settings.alpha_weight,
+                    threads=self.threads,
+                )
 
         number = self.counters.iteration + 1
         self.strategy.step_pre_backward(
@@ -296,15 +321,27 @@ class Trainer:
             self.loss.backward(loss, number)
             if step.depth_visibility is not None:  # it shows splats that dropout takes out of the picture
                 info.include(step.depth_visibility)
+        if self.settings.resolution is None and self.downscale > 1:
+            with clock.stage("resolution"):
+                shown = image.detach().numpy()
+                self._differences.append(mean_difference(shown, view.pixels, view.mask))
         if exposure is not None and exposure.grad is not None:
             self.exposures.add_gradient(view.camera.name, exposure.grad.numpy())
         for name, milliseconds in info.milliseconds.items():
             clock.milliseconds[name] = clock.milliseconds.get(name, 0.0) + milliseconds
         return info, loss.item()
 
+    def _note_differences(self) -> None:
+        """What the step's photos, those of all processes, say about the size to train in."""
+        differences, self._differences = self._differences, []
+        if self.settings.resolution is None and self.downscale > 1:
+            total = np.array([math.fsum(differences), len(differences)])
+            self.group.add_up([total])
+            self.resolution.note(total[0] / total[1], int(total[1]))
+
     def _decide_exposures(self, progress: float) -> None:
         if self.exposures.is_due(progress):
-            views = self.views.sized(self.settings.downscale_at(progress))
+            views = self.views.sized(self.downscale)
             self.exposures.decide(self.splats.arrays, views, self.render_settings, Workspace(), self.threads)
 
     def _check_seen(self, info: Visibility) -> None:

@@ -23,6 +23,8 @@ class TrainView:
     """(H, W, 3) uint8"""
     mask: np.ndarray | None = None
     """(H, W) bool, false where the photo is not to be trained; None: trained everywhere."""
+    alpha: np.ndarray | None = None
+    """(H, W) uint8, opacity of a photo whose pixels are laid over the run's background; None: opaque."""
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -32,6 +34,8 @@ class TrainView:
             )
         if self.mask is not None and (self.mask.shape != size or self.mask.dtype != np.bool_):
             raise ValueError(f"mask must be bool {size}, got {self.mask.dtype} {self.mask.shape}")
+        if self.alpha is not None and (self.alpha.shape != size or self.alpha.dtype != np.uint8):
+            raise ValueError(f"alpha must be uint8 {size}, got {self.alpha.dtype} {self.alpha.shape}")
         if min(size) < SSIM_WINDOW:
             raise InputError(
                 f"photo {self.camera.name}: {size[1]}x{size[0]} is too small to train; at least"
@@ -50,7 +54,10 @@ class TrainView:
             return self
         pixels = area_averaged(self.pixels, width, height)
         mask = None if self.mask is None else wholly_valid(self.mask, width, height)
-        return TrainView(self.camera.resized(width, height), pixels, mask)
+        alpha = self.alpha
+        if alpha is not None:
+            alpha = np.ascontiguousarray(area_averaged(alpha[..., None], width, height)[..., 0])
+        return TrainView(self.camera.resized(width, height), pixels, mask, alpha)
 
 
 def train_views(photos: Sequence[Photo]) -> list[TrainView]:
@@ -61,7 +68,8 @@ def train_views(photos: Sequence[Photo]) -> list[TrainView]:
         # Tensors share this memory, and torch knows none that is read-only.
         image = np.require(pixels.image, requirements="W")
         mask = None if pixels.mask is None else np.require(pixels.mask, requirements="W")
-        views.append(TrainView(photo.camera, image, mask))
+        alpha = None if pixels.alpha is None else np.require(pixels.alpha, requirements="W")
+        views.append(TrainView(photo.camera, image, mask, alpha))
     return views
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
-from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, PosedPhotos
+from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, MaskUse, PosedPhotos
 from splatview.scene.captures.colmap import find_colmap, read_colmap
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
 from splatview.scene.errors import InputError
@@ -21,13 +21,14 @@ def load_capture(
     downscale: int = 1,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     lens: LensUse = DEFAULT_LENS_USE,
+    masks: MaskUse = "ignore",
     progress: Progress = NO_PROGRESS,
 ) -> Capture:
     """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; `lens` says what is
-    done about distortion; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by
-    sorted name, starting with the first, is held out unless the capture says which.
+    done about distortion, `masks` what masks mean; transparent photos are laid over `background`, RGB in
+    0..1. Every 8th photo by sorted name, starting with the first, is held out unless the capture says which.
 
     Raises:
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
@@ -45,6 +46,7 @@ def load_capture(
             downscale=downscale,
             background=background,
             lens=lens,
+            masks=masks,
             progress=progress.part(POSES, 1.0),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from splatview.scene.captures.capture import (
     Capture,
     Files,
     LensUse,
+    MaskUse,
     Photo,
     PhotoStatistics,
     Pixels,
@@ -55,6 +56,7 @@ def capture_of(
     downscale: int,
     background: tuple[float, float, float],
     lens: LensUse,
+    masks: MaskUse,
     progress: Progress,
 ) -> Capture:
     """Raises InputError, Cancelled."""
@@ -67,24 +69,22 @@ def capture_of(
 
     photos, hidden, transparent, kept = [], [], 0, 0
     pixel_count = hidden_pixels = 0
-    for entry, is_held_out, (pixels, is_transparent) in zip(
-        entries, held_out, _read_all(entries, downscale, background, lens, progress), strict=True
-    ):
+    read = (downscale, background, lens, masks)
+    for entry, is_held_out, pixels in zip(entries, held_out, _read_all(entries, read, progress), strict=True):
         if pixels.mask is not None and not pixels.mask.any():
             hidden.append(entry.name)
             continue
-        transparent += is_transparent
+        transparent += pixels.alpha is not None
         pixel_count += pixels.image[..., 0].size
         hidden_pixels += 0 if pixels.mask is None else int((~pixels.mask).sum())
-        kept += pixels.image.nbytes + (0 if pixels.mask is None else pixels.mask.nbytes)
+        arrays = (pixels.image, pixels.mask, pixels.alpha)
+        kept += sum(array.nbytes for array in arrays if array is not None)
         photos.append(
             Photo(
                 name=entry.name,
                 camera=_resized(entry, downscale, lens),
                 held_out=is_held_out,
-                pixels=_in_memory(pixels)
-                if kept <= KEEP_BYTES
-                else _on_demand(entry, downscale, background, lens),
+                pixels=_in_memory(pixels) if kept <= KEEP_BYTES else _on_demand(entry, read),
             )
         )
 
@@ -192,14 +192,13 @@ def _resized(entry: PosedPhoto, downscale: int, lens: LensUse):
     return camera.resized(width, height)
 
 
-def _read_all(
-    entries: Sequence[PosedPhoto],
-    downscale: int,
-    background: tuple[float, float, float],
-    lens: LensUse,
-    progress: Progress,
-):
-    """Yields `read_pixels` of each shot in turn."""
+How = tuple[int, tuple[float, float, float], LensUse, MaskUse]
+"""How photos are read: downscale, background, and what is done about lenses and masks."""
+
+
+def _read_all(entries: Sequence[PosedPhoto], how: How, progress: Progress) -> Iterator[Pixels]:
+    """Yields `read_pixels` of each photo in turn."""
+    downscale, _, lens, _ = how
     for entry in entries:
         _resized(entry, downscale, lens)
     readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
@@ -207,14 +206,12 @@ def _read_all(
     try:
         progress.step(0.0)
         # Only a few ahead: what is read and waits is held in memory.
-        pending = [
-            pool.submit(read_pixels, entry, downscale, background, lens) for entry in entries[: 2 * readers]
-        ]
+        pending = [pool.submit(read_pixels, entry, *how) for entry in entries[: 2 * readers]]
         for i in range(len(entries)):
             result = pending[i].result()
             progress.step((i + 1) / len(entries))
             if len(pending) < len(entries):
-                pending.append(pool.submit(read_pixels, entries[len(pending)], downscale, background, lens))
+                pending.append(pool.submit(read_pixels, entries[len(pending)], *how))
             yield result
     finally:
         pool.shutdown(cancel_futures=True)
@@ -224,10 +221,8 @@ def _in_memory(pixels: Pixels) -> Callable[[], Pixels]:
     return lambda: pixels
 
 
-def _on_demand(
-    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
-) -> Callable[[], Pixels]:
-    return lambda: read_pixels(entry, downscale, background, lens)[0]
+def _on_demand(entry: PosedPhoto, how: How) -> Callable[[], Pixels]:
+    return lambda: read_pixels(entry, *how)
 
 
 def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:

@@ -56,6 +56,9 @@ def largest_displacement(camera: Camera) -> float:
     return float(MARGIN * away.max()) if np.isfinite(away).all() else float("inf")
 
 
+MaskUse = Literal["ignore", "cut-out"]
+"""What masks say about what is black in them: that it is not to be compared, or that nothing is there."""
+
 LensUse = Literal["undistort", "through"]
 """What is done about photos whose lens is no pinhole: their distortion is taken out when they are read, or
 they stay as they are and are compared with pictures that are rendered through their lens."""
@@ -81,6 +84,9 @@ class Pixels:
     """(H, W, 3) uint8, read-only."""
     mask: np.ndarray | None
     """(H, W) bool, read-only: which pixels show the scene; None where all do."""
+    alpha: np.ndarray | None = None
+    """(H, W) uint8, read-only: opacity of a transparent photo, whose `image` is laid over the capture's
+    background; None where it is opaque."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from splatview.scene.camera import Camera
-from splatview.scene.captures.capture import LensUse, Pixels, PosedPhoto
+from splatview.scene.captures.capture import LensUse, MaskUse, Pixels, PosedPhoto
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import open_image
 from splatview.scene.lens import FISHEYE_RADIUS, Lens, distort, undistort
@@ -204,9 +204,9 @@ MASK_THRESHOLD = 128
 @dataclass(frozen=True, eq=False)
 class Decoded:
     rgb: np.ndarray
-    """(H, W, 3) uint8."""
-    is_transparent: bool
-    """It was laid over the background somewhere."""
+    """(H, W, 3) uint8, laid over the background where it is transparent."""
+    alpha: np.ndarray | None = None
+    """(H, W) uint8; None where it is opaque everywhere."""
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -223,35 +223,51 @@ def downscaled_size(width: int, height: int, downscale: int) -> tuple[int, int]:
 
 
 def read_pixels(
-    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
-) -> tuple[Pixels, bool]:
-    """The photo as it is trained on, and whether any of the background shows in it. Raises InputError."""
+    entry: PosedPhoto,
+    downscale: int,
+    background: tuple[float, float, float],
+    lens: LensUse,
+    masks: MaskUse = "ignore",
+) -> Pixels:
+    """The photo as it is trained on. Raises InputError."""
     # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo. Here, as each thread that
     # reads has its own state of errors.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _read_pixels(entry, downscale, background, lens)
+        return _read_pixels(entry, downscale, background, lens, masks)
 
 
 def _read_pixels(
-    entry: PosedPhoto, downscale: int, background: tuple[float, float, float], lens: LensUse
-) -> tuple[Pixels, bool]:
+    entry: PosedPhoto,
+    downscale: int,
+    background: tuple[float, float, float],
+    lens: LensUse,
+    masks: MaskUse,
+) -> Pixels:
     size = entry.camera.width, entry.camera.height
     decoded = _decode(entry.path, size, background)
     _check_size(entry.path, decoded.rgb, *size)
-    image, mask = decoded.rgb, None
+    image, alpha, mask = decoded.rgb, decoded.alpha, None
     if entry.mask is not None:
         mask = _decode_mask(entry.mask, size)
         _check_size(entry.mask, mask, *size)
+        if masks == "cut-out":
+            image, alpha = _cut_out(image, alpha, mask, background)
+            mask = None
     if entry.camera.lens is not None and lens == "undistort":
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
         image, valid = undistorted(np.concatenate(channels, axis=2), entry.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
+        if alpha is not None:
+            alpha = undistorted(alpha[..., None], entry.camera)[0][..., 0]
         image, mask = image[..., :3], valid
     width, height = downscaled_size(*size, downscale)
     image = np.ascontiguousarray(area_averaged(image, width, height))
     image.flags.writeable = False
+    if alpha is not None:
+        alpha = np.ascontiguousarray(area_averaged(alpha[..., None], width, height)[..., 0])
+        alpha.flags.writeable = False
     if mask is not None:
         mask = wholly_valid(mask, width, height)
     if entry.camera.lens is not None and lens == "through":
@@ -260,7 +276,18 @@ def _read_pixels(
     if mask is not None:
         mask.flags.writeable = False
         mask = None if mask.all() else mask
-    return Pixels(image=image, mask=mask), decoded.is_transparent
+    return Pixels(image=image, mask=mask, alpha=alpha)
+
+
+def _cut_out(
+    image: np.ndarray, alpha: np.ndarray | None, mask: np.ndarray, background: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The photo with nothing but the background where the mask (H, W) is false, and its opacity."""
+    if mask.all():
+        return image, alpha
+    behind = (np.array(background) * 255 + 0.5).astype(np.uint8)
+    opaque = np.full(mask.shape, 255, np.uint8) if alpha is None else alpha
+    return np.where(mask[..., None], image, behind), np.where(mask, opaque, 0).astype(np.uint8)
 
 
 def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, float]) -> Decoded:
@@ -269,9 +296,9 @@ def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, f
             _check_header(path, file, size)
             image = as_posed(file, size)
             if image.mode in ("I", "I;16", "I;16B", "I;16L", "F"):
-                return Decoded(_deep_grey(np.asarray(image)), False)
+                return Decoded(_deep_grey(np.asarray(image)))
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
-                return Decoded(np.array(image.convert("RGB")), False)
+                return Decoded(np.array(image.convert("RGB")))
             rgba = np.array(image.convert("RGBA"))
     except Exception as error:
         raise _undecodable(path, error) from None
@@ -282,7 +309,8 @@ def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, f
         opacity = rgba[rows, :, 3:].astype(np.float32) / 255
         over = rgba[rows, :, :3] * opacity + np.array(background, dtype=np.float32) * 255 * (1 - opacity)
         rgb[rows] = over + 0.5
-    return Decoded(rgb, bool((rgba[..., 3] < 255).any()))
+    alpha = rgba[..., 3]
+    return Decoded(rgb, alpha.copy() if (alpha < 255).any() else None)
 
 
 def _deep_grey(values: np.ndarray) -> np.ndarray:

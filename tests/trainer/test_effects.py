@@ -88,6 +88,7 @@ def test_each_effect_names_its_evidence():
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
     assert "1 of 4 photos have transparency, laid over 0, 0, 0" in rich["background"][1]
+    assert "their opacity is part of the loss" in rich["background"][1]
 
     weak = told(capture([2.0] * 4, lenses_left_out=4, displacement=0.03))
     assert weak["lens distortion"] == (

@@ -1,0 +1,140 @@
+"""Held-out PSNR over many captures, with thirds of the photos held out in turn, at 1, 3 and 10 minutes.
+
+    python tools/bench/bench_generalisation.py DATA MADE --checkout NAME=PATH ... [--captures NAME ...]
+        [--minutes 1 3 10] [--splits 0 1 2] [--set NAME:FIELD=JSON ...]
+
+DATA holds `captures` and `scenes`, MADE receives the rendered captures (see `capture_set`). Every run is a
+process of a checkout with its own .venv; a minute is that of `generalisation_run.step_seconds`, so that runs
+beside one another, or on a busy machine, end in the same figures. What a call has measured before is kept in
+assets/benchmarks/generalisation.json, and only what is missing is run: the whole takes many hours.
+`--set` gives a checkout's runs settings of their own: a rule is tried before it is made.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from capture_set import REAL, RENDERED, SPLITS, make_all, use_of
+
+from splatview.measure.machine import FOLDER, write_results
+
+RUN = Path(__file__).with_name("generalisation_run.py")
+
+NOISE_DB = 0.05
+"""By how much a longer run may be worse."""
+
+Key = tuple[str, str, int, float]
+"""Checkout's name, capture, split, minutes."""
+
+
+def known_runs(path: Path) -> dict[Key, dict[str, Any]]:
+    """Those of earlier calls."""
+    if not path.exists():
+        return {}
+    runs = json.loads(path.read_text(encoding="utf8"))["runs"]
+    return {(run["of"], run["capture"], run["split"], run["minutes"]): run for run in runs}
+
+
+def run_one(checkout: Path, key: Key, data: Path, made: Path, fields: list[str]) -> dict[str, Any]:
+    """One run's figures. Raises SystemExit where it fails."""
+    name, capture, split, minutes = key
+    command = [str(checkout / ".venv" / "bin" / "python"), str(RUN), capture, str(data), str(made)]
+    command += ["--split", str(split), "--minutes", str(minutes)]
+    command += ["--set", *fields] if fields else []
+    # Its own folder: `splatview` of the checkout must not be hidden by this one.
+    done = subprocess.run(command, check=False, cwd=checkout, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{name}: {capture}: {done.stderr.strip().splitlines()[-1]}")
+    return {"of": name, **json.loads(done.stdout.splitlines()[-1])}
+
+
+def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    """A row for each capture and mark: means over splits, by checkout, and the last one's gain over the
+    first."""
+    columns = ["capture", "rules", "photos", "minutes", *names]
+    columns += [f"{names[-1]} - {names[0]}, dB"] if len(names) > 1 else []
+    columns += ["haze"]
+    rows = []
+    for capture in [*REAL, *RENDERED]:
+        for minutes in sorted({key[3] for key in runs if key[1] == capture}):
+            splits = [s for s in range(SPLITS) if all((name, capture, s, minutes) in runs for name in names)]
+            if not splits:
+                continue
+            by_name = [[runs[name, capture, s, minutes] for s in splits] for name in names]
+            means = [float(np.mean([run["psnr"] for run in found])) for found in by_name]
+            row = [capture, use_of(capture), str(by_name[0][0]["photos"]), f"{minutes:g}"]
+            row += [f"{mean:.2f}" for mean in means]
+            if len(names) > 1:
+                gains = [b["psnr"] - a["psnr"] for a, b in zip(by_name[0], by_name[-1], strict=True)]
+                spread = f" ({min(gains):+.2f} to {max(gains):+.2f})" if len(gains) > 1 else ""
+                row.append(f"{np.mean(gains):+.2f}{spread}")
+            haze = [run["haze"] for run in by_name[-1] if run["haze"] is not None]
+            row.append(f"{np.mean(haze):.4f}" if haze else "")
+            rows.append(row)
+    note = (
+        "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked "
+        "so, and are only judged by the others. Haze: mean opacity where held-out photos are empty. Minutes "
+        "of a model of what a step costs on two cores, so that no other work on the machine matters."
+    )
+    return {"columns": columns, "rows": rows, "note": note}
+
+
+def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
+    """A line for each capture that a longer run of a checkout makes worse, by the mean over common splits."""
+    lines = []
+    for capture in [*REAL, *RENDERED]:
+        marks = sorted({key[3] for key in runs if key[0] == name and key[1] == capture})
+        for short, long in pairwise(marks):
+            both = [
+                (runs[name, capture, s, short]["psnr"], runs[name, capture, s, long]["psnr"])
+                for s in range(SPLITS)
+                if (name, capture, s, short) in runs and (name, capture, s, long) in runs
+            ]
+            change = float(np.mean([b - a for a, b in both])) if both else 0.0
+            if not change >= -NOISE_DB:
+                lines.append(f"{name}: {capture}: {change:+.2f} dB from {short:g} to {long:g} minutes")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("made", type=Path)
+    parser.add_argument("--checkout", action="append", required=True, metavar="NAME=PATH")
+    parser.add_argument("--captures", nargs="+", choices=[*REAL, *RENDERED], default=[*REAL, *RENDERED])
+    parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 3.0, 10.0])
+    parser.add_argument("--splits", type=int, nargs="+", default=list(range(SPLITS)))
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME:FIELD=JSON")
+    parser.add_argument("-o", "--output", type=Path, default=FOLDER / "generalisation.json")
+    options = parser.parse_args()
+    checkouts = dict(pair.split("=", 1) for pair in options.checkout)
+    make_all(options.data, options.made, [name for name in options.captures if name in RENDERED])
+    runs = known_runs(options.output)
+    for split in options.splits:
+        for minutes in options.minutes:
+            for capture in options.captures:
+                for name, path in checkouts.items():
+                    key = name, capture, split, minutes
+                    if key in runs:
+                        continue
+                    fields = [f.split(":", 1)[1] for f in options.set if f.startswith(f"{name}:")]
+                    runs[key] = run_one(
+                        Path(path).resolve(), key, options.data.resolve(), options.made.resolve(), fields
+                    )
+                    print(name, capture, split, minutes, f"{runs[key]['psnr']:.2f}", flush=True)
+                    write_results(
+                        options.output,
+                        {"runs": list(runs.values()), "table": table(runs, list(checkouts))},
+                    )
+    for name in checkouts:
+        print(*worse_with_time(runs, name), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

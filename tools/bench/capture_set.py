@@ -1,0 +1,295 @@
+"""Captures that training is judged on: real ones, parts of them, and pictures of scenes whose truth is known.
+
+    python tools/bench/capture_set.py DATA OUT [NAME ...]
+
+DATA holds the folders `captures` and `scenes`. Pictures are rendered into OUT, a folder for each capture with
+transforms.json, once; the same arguments make the same files. `CAPTURES` says what each is, and whether
+rules of the recipe may be chosen on it or are only judged by it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from PIL import Image
+
+from splatview.raster import render
+from splatview.scene import Camera, Gaussians, Lens, RenderSettings
+from splatview.scene.camera import look_at
+from splatview.scene.captures import load_capture
+from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.scene.captures.demo import demo_cameras, demo_truth
+from splatview.scene.captures.nerfstudio import save_capture
+from splatview.scene.formats import load_scene
+from splatview.scene.framing import bulk
+from splatview.scene.projection import sigmoid
+from splatview.scene.sh import SH_C0
+
+Use = Literal["choose", "judge"]
+
+DEMO_SPLATS = 60_000
+FOV_Y = 40.0
+DISTANCE = 2.6
+"""Radii of the scene's bulk from its centre to the eye."""
+POINTS = 3000
+POINT_NOISE = 0.004
+"""Standard deviation of a point, in radii."""
+
+
+def orbit(scene: Gaussians, count: int, size: int, *, around: float = 360.0) -> list[Camera]:
+    """Cameras on the upper part of a sphere about the scene's bulk, within `around` degrees of its front, in
+    an order that jumps about."""
+    centre, radius = bulk(scene)
+    cameras = []
+    for i in range(count):
+        # A golden-ratio sequence along the height and another irrational one around: even for any count.
+        height = np.radians(-5 + 55 * ((i * 0.6180339887498949) % 1.0))
+        angle = np.radians(around * (((i * 0.7548776662466927) % 1.0) - 0.5))
+        away = np.array([np.sin(angle) * np.cos(height), -np.sin(height), -np.cos(angle) * np.cos(height)])
+        eye = centre + DISTANCE * radius * away
+        cameras.append(look_at(eye, centre, up=(0, -1, 0), fov_y=FOV_Y, width=size, height=size))
+    return cameras
+
+
+def rgba_pictures(scene: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
+    """(H, W, 4) uint8 each: straight colours and opacity, as NeRF-synthetic photos have them."""
+    pictures = []
+    for camera in cameras:
+        drawn = np.clip(np.nan_to_num(render(scene, camera)), 0, 1)
+        straight = drawn[..., :3] / np.maximum(drawn[..., 3:], 1e-6)
+        rgba = np.concatenate([np.clip(straight, 0, 1), drawn[..., 3:]], axis=-1)
+        pictures.append((rgba * 255 + 0.5).astype(np.uint8))
+    return pictures
+
+
+def rgb_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
+    """(H, W, 3) float32 within 0..1, over black."""
+    return np.clip(np.nan_to_num(render(scene, camera, RenderSettings())[..., :3]), 0, 1)
+
+
+def surface_points(scene: Gaussians, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) float64 and (P, 3) uint8: means of opaque splats, disturbed, as a reconstruction finds them."""
+    rng = np.random.default_rng(seed)
+    _, radius = bulk(scene)
+    opaque = np.flatnonzero(sigmoid(scene.opacity_logits) > 0.6)
+    found = rng.choice(opaque, min(POINTS, len(opaque)), replace=False)
+    noise = rng.normal(scale=POINT_NOISE * radius, size=(len(found), 3))
+    points = scene.means[found].astype(np.float64) + noise
+    colours = np.clip(scene.sh[found, 0] * SH_C0 + 0.5, 0, 1)
+    return points, (colours * 255 + 0.5).astype(np.uint8)
+
+
+def no_points() -> tuple[np.ndarray, np.ndarray]:
+    """Those of a capture that has none."""
+    return np.empty((0, 3)), np.empty((0, 3), np.uint8)
+
+
+def capture_from(
+    pictures: list[np.ndarray], cameras: list[Camera], points: tuple[np.ndarray, np.ndarray]
+) -> Capture:
+    photos = []
+    for i, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
+        name = f"view_{i:03d}.png"
+        pixels = Pixels(image=np.ascontiguousarray(picture[..., :3]), mask=None)
+        camera = replace(camera, name=name)
+        photos.append(Photo(name=name, camera=camera, held_out=i % 8 == 0, pixels=lambda kept=pixels: kept))
+    return Capture(name="rendered", photos=tuple(photos), points=points[0], point_colours=points[1])
+
+
+def write(capture: Capture, folder: Path, *, rgba: list[np.ndarray] | None = None) -> None:
+    """As `save_capture`, with transparent photos in place of its own where there are any."""
+    save_capture(capture, folder)
+    if not len(capture.points):
+        (folder / "sparse_pc.ply").unlink(missing_ok=True)
+        path = folder / "transforms.json"
+        content = json.loads(path.read_text(encoding="utf8"))
+        content.pop("ply_file_path", None)
+        path.write_text(json.dumps(content, indent=1), encoding="utf8")
+    for photo, picture in zip(capture.photos, rgba or [], strict=bool(rgba)):
+        Image.fromarray(picture, "RGBA").save(folder / "images" / photo.name)
+
+
+def objects(scene_file: str, count: int, *, points: bool, size: int = 200) -> Callable[[Path, Path], None]:
+    """Transparent photos from all around."""
+
+    def make(data: Path, folder: Path) -> None:
+        scene = load_scene(data / "scenes" / scene_file)
+        cameras = orbit(scene, count, size)
+        pictures = rgba_pictures(scene, cameras)
+        found = surface_points(scene, 0) if points else no_points()
+        write(capture_from(pictures, cameras, found), folder, rgba=pictures)
+
+    return make
+
+
+def front(scene_file: str, count: int, *, size: int = 240) -> Callable[[Path, Path], None]:
+    """Opaque photos from one side, with points."""
+
+    def make(data: Path, folder: Path) -> None:
+        scene = load_scene(data / "scenes" / scene_file)
+        cameras = orbit(scene, count, size, around=70.0)
+        pictures = [(rgb_picture(scene, camera) * 255 + 0.5).astype(np.uint8) for camera in cameras]
+        write(capture_from(pictures, cameras, surface_points(scene, 0)), folder)
+
+    return make
+
+
+def demo(kind: Literal["drift", "hard", "lens"], count: int = 40) -> Callable[[Path, Path], None]:
+    """The demo's landscape: exposures that drift; noise, motion blur and bad masks; through a lens."""
+
+    def make(data: Path, folder: Path) -> None:
+        scene = demo_truth(DEMO_SPLATS)
+        lens = Lens(model="OPENCV", parameters=(-0.18, 0.04, 0.001, -0.001)) if kind == "lens" else None
+        cameras = [replace(camera, lens=lens) for camera in demo_cameras(count, 256, 192)]
+        rng = np.random.default_rng(5)
+        pictures, masks = [], []
+        for i, camera in enumerate(cameras):
+            picture = rgb_picture(scene, camera)
+            if kind == "drift":
+                gain = np.exp(0.25 * np.sin(2 * np.pi * i / count) + rng.normal(scale=0.03, size=3))
+                picture = picture * gain + rng.normal(scale=0.01, size=3)
+            if kind == "hard":
+                if i % 4 == 1:
+                    picture = moved(scene, camera, rng)
+                picture = picture + rng.normal(scale=0.02, size=picture.shape)
+                mask = np.ones(picture.shape[:2], bool)
+                # What a poor segmentation does: a block of the scene is cut out, elsewhere in each photo.
+                top, left = rng.integers(0, 150), rng.integers(0, 200)
+                mask[top : top + 40, left : left + 50] = False
+                masks.append(mask)
+            pictures.append((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
+        capture = capture_from(pictures, cameras, surface_points(scene, 1))
+        write(capture, folder)
+        for photo, mask in zip(capture.photos, masks, strict=bool(masks)):
+            path = folder / "masks" / "images" / photo.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path)
+
+    return make
+
+
+def moved(scene: Gaussians, camera: Camera, rng: np.random.Generator) -> np.ndarray:
+    """The mean of pictures along a short way: a photo taken by a hand in motion, some 4 px long."""
+    _, radius = bulk(scene)
+    way = rng.normal(size=3)
+    way *= 0.01 * radius / np.linalg.norm(way)
+    pictures = []
+    for share in np.linspace(-0.5, 0.5, 5):
+        shifted = camera.about(share * way)
+        pictures.append(rgb_picture(scene, shifted))
+    return np.mean(pictures, axis=0)
+
+
+RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
+    "playbot RGBA 100": ("choose", objects("playbot_lod0.ply", 100, points=False)),
+    "skull RGBA 100": ("judge", objects("skull.ply", 100, points=False)),
+    "guitar RGBA 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True)),
+    "playbot RGBA 18": ("choose", objects("playbot_lod0.ply", 18, points=True)),
+    "train front 30": ("judge", front("train-1000.ply", 30)),
+    "biker front 24": ("choose", front("biker/biker.compressed.ply", 24)),
+    "demo drift 40": ("choose", demo("drift")),
+    "demo hard 40": ("judge", demo("hard")),
+    "demo lens 40": ("judge", demo("lens")),
+}
+"""Name -> what it is for, and what renders it."""
+
+
+@dataclass(frozen=True)
+class RealCapture:
+    """A capture of photographs, or a part of it."""
+
+    use: Use
+    folder: str
+    downscale: int
+    photos: int | None = None
+    spread: Literal["far", "near"] = "far"
+
+
+REAL = {
+    "banana": RealCapture("choose", "banana", 2),
+    "miku": RealCapture("judge", "miku", 4),
+    "miku 8 far": RealCapture("judge", "miku", 4, 8),
+    "miku 8 near": RealCapture("judge", "miku", 4, 8, "near"),
+    "miku 12 far": RealCapture("choose", "miku", 4, 12),
+    "miku 12 near": RealCapture("judge", "miku", 4, 12, "near"),
+    "miku 20 far": RealCapture("judge", "miku", 4, 20),
+    "miku 20 near": RealCapture("choose", "miku", 4, 20, "near"),
+    "miku 40 far": RealCapture("judge", "miku", 4, 40),
+}
+
+SPLITS = 3
+
+
+def part_of(capture: Capture, count: int | None, spread: str) -> Capture:
+    """`count` photos of the capture, as far apart as can be or near one another; all where it is None."""
+    if count is None:
+        return capture
+    eyes = np.array([photo.camera.eye for photo in capture.photos])
+    axes = np.array([photo.camera.forward for photo in capture.photos])
+    scale = np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).mean()
+    places = np.concatenate([eyes / scale, axes], axis=1)
+    first = int(np.argmin(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+    nearest = np.linalg.norm(places - places[first], axis=1)
+    if spread == "near":
+        kept = np.argsort(nearest, kind="stable")[:count]
+    else:
+        chosen = [first]
+        while len(chosen) < count:
+            chosen.append(int(np.argmax(nearest)))
+            nearest = np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1))
+        kept = np.array(chosen)
+    return replace(capture, photos=tuple(capture.photos[i] for i in np.sort(kept)))
+
+
+def split_of(capture: Capture, split: int) -> Capture:
+    """The capture with a random third of its photos held out: `split` 0, 1 or 2 of one shuffle."""
+    order = np.random.default_rng(11).permutation(len(capture.photos))
+    place = np.argsort(order)
+    photos = [replace(p, held_out=bool(place[i] % SPLITS == split)) for i, p in enumerate(capture.photos)]
+    return replace(capture, photos=tuple(photos))
+
+
+def bench_capture(name: str, data: Path, made: Path) -> Capture:
+    """A capture of the bench by its name; rendered ones are in `made`, see `make_all`."""
+    if name in REAL:
+        real = REAL[name]
+        whole = load_capture(data / "captures" / real.folder, downscale=real.downscale)
+        return part_of(whole, real.photos, real.spread)
+    return load_capture(folder_of(name, made))
+
+
+def folder_of(name: str, made: Path) -> Path:
+    return made / name.replace(" ", "-").lower()
+
+
+def use_of(name: str) -> Use:
+    return REAL[name].use if name in REAL else RENDERED[name][0]
+
+
+def make_all(data: Path, out: Path, names: list[str]) -> None:
+    """Renders those that are not there yet."""
+    for name in names:
+        folder = folder_of(name, out)
+        if not (folder / "whole").exists():
+            print(f"rendering {name}", flush=True)
+            RENDERED[name][1](data, folder)
+            (folder / "whole").touch()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("names", nargs="*", default=list(RENDERED))
+    options = parser.parse_args()
+    make_all(options.data, options.out, options.names)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""One training of the bench: a capture, a split, a length; its figures as a line of JSON.
+
+    CHECKOUT/.venv/bin/python tools/bench/generalisation_run.py NAME DATA MADE [--split 0] [--minutes 1]
+
+It needs nothing but the trainer's own names, so that it also runs in a checkout from before it was written.
+A minute is that of `step_seconds`, a model of what steps cost, so that a busy machine gives the same figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from capture_set import REAL, bench_capture, folder_of, split_of
+from PIL import Image
+
+STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
+"""What a step costs, by the size of its photo and the number of splats: a fit within 20 % to steps of 17 to
+100 ms that a quiet machine with two cores took for 45,000 to 93,000 px and 20,000 to 200,000 splats."""
+
+START = 3.0
+"""Seconds before the first step."""
+
+
+def step_seconds(pixels: float, splats: int) -> float:
+    """The price of a step by the model above: a run is as long on a busy machine as on a quiet one."""
+    return (STEP_MS + KILOPIXEL_MS * pixels / 1e3 + THOUSAND_SPLATS_MS * splats / 1e3) / 1e3
+
+
+def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> float | None:
+    """Mean opacity that the scene has where held-out photos are empty; None where photos are opaque."""
+    from splatview.raster import Workspace, draw_frame
+
+    found = []
+    if name in REAL:
+        return None
+    for view in views:
+        path = folder_of(name, made) / view.camera.name
+        with Image.open(path) as image:
+            if image.mode != "RGBA":
+                return None
+            empty = np.asarray(image)[..., 3] == 0
+        drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
+        if empty.any():
+            found.append(float(drawn[empty].mean()))
+    return float(np.mean(found))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("name")
+    parser.add_argument("data", type=Path)
+    parser.add_argument("made", type=Path)
+    parser.add_argument("--split", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=JSON", help="fields of the settings")
+    parser.add_argument("--pictures", type=Path, help="folder for held-out photos beside what was trained")
+    parser.add_argument("--curve", type=float, default=0, help="seconds between scores along the way")
+    options = parser.parse_args()
+
+    from splatview.trainer.evaluate import evaluate, side_by_side
+    from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
+    from splatview.trainer.views import TrainViews, train_views
+    from splatview.trainer.warm_up import warm_up
+
+    warm_up(lens=True)
+    capture = split_of(bench_capture(options.name, options.data, options.made), options.split)
+    centre = capture.centre
+    capture = capture.about(centre)
+    views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
+    fields = {key: json.loads(value) for key, value in (pair.split("=", 1) for pair in options.set)}
+    settings: Any = settings_for(capture, views, minutes=options.minutes, **fields)
+    trainer = trainer_for(capture, views, settings, centre=centre, threads=options.threads)
+
+    def score(on_picture: Any = None) -> Any:
+        return evaluate(
+            trainer.splats.arrays,
+            held_out,
+            trainer.render_settings,
+            threads=options.threads,
+            exposures_differ=trainer.exposures.is_on,
+            on_picture=on_picture,
+        )
+
+    curve: list[tuple[float, int, float]] = []
+    pixels, used, last = views.pixel_count / len(views), START, 0.0
+    with kernel_threads_only():
+        while not trainer.done:
+            known = hasattr(trainer, "downscale")
+            factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
+            used += step_seconds(pixels / factor**2, len(trainer.splats))
+            trainer.step(used)
+            if options.curve and used - last >= options.curve:
+                curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
+                last = used
+
+    def keep(view: Any, picture: np.ndarray) -> None:
+        if options.pictures is not None:
+            options.pictures.mkdir(parents=True, exist_ok=True)
+            side_by_side(view, picture).save(options.pictures / f"{Path(view.camera.name).stem}.png")
+
+    final = score(keep)
+    fitted = evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=True)
+    result = {
+        "capture": options.name,
+        "split": options.split,
+        "minutes": options.minutes,
+        "photos": len(views),
+        "psnr": final.psnr,
+        "psnr_fitted": fitted.psnr,
+        "ssim": final.ssim,
+        "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, trainer.render_settings),
+        "iteration": trainer.counters.iteration,
+        "gaussians": len(trainer.splats),
+        "seconds": used,
+        "exposure": trainer.exposures.is_on,
+        "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "set": fields,
+    }
+    print(json.dumps(result | ({"curve": curve} if curve else {})))
+
+
+if __name__ == "__main__":
+    main()
