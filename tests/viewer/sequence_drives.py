@@ -189,7 +189,8 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("Space")
     hand.wait(lambda: player.head.playing, "playing again")
     hand.press("Ctrl+A")  # whatever edits pauses
-    hand.frames(4)
+    hand.wait(lambda: session_of(app) is not None, "the frame to be edited")
+    hand.settle()
     session = session_of(app)
     found["edited_in_play"] = seen(app) | {"selected": session.document.counts.selected if session else -1}
 

@@ -132,7 +132,8 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
     assert found["tool"] == "rectangle"
     assert found["born"] > 0 and found["born_inside"] == 0
     assert found["left"] > 200, found
-    assert found["beyond"] < 1.02, "what moves out between two looks is hardly outside"
+    # Noise moves a large, faint splat by as much as half of the sphere within the steps between two looks.
+    assert found["outside"] < 0.02, "only what has moved out since the last look"
     assert found["pointed"] == 1 and found["panels_hidden"] == 0
     assert found["failure"] is None
     settings = load_checkpoint(tmp_path / "rules.safetensors").settings

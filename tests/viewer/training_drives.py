@@ -289,9 +289,8 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     seen(hand, training.status.iteration + 60)
     (sphere,) = training.status.settings.cut[0]
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
-    beyond = np.linalg.norm((outside - sphere.centre) / sphere.half_extents, axis=1)
     found["left"] = len(training.shown.ids)
-    found["beyond"] = float(beyond.max(initial=1.0))
+    found["outside"] = len(outside) / len(training.shown.ids)
     training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
     ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
     hand.frames(3)
