@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -315,8 +315,8 @@ def make_parser() -> Parser:
         "--coarse",
         type=levels,
         metavar="SHARE:K,..",
-        help="photos smaller by K until this share of the run, or none (default: auto, as long as smaller"
-        " ones teach)",
+        help="photos smaller by K until this share of the run, or none or auto, for as long as they teach"
+        " (default: 0.3:2)",
     )
     group.add_argument(
         "--exposure",
@@ -352,10 +352,10 @@ def make_parser() -> Parser:
     return parser
 
 
-def levels(text: str) -> tuple[tuple[float, int], ...] | None:
-    """`0.1:4,0.3:2`, `none` or `auto`, as `TrainSettings.resolution`."""
+def levels(text: str) -> tuple[tuple[float, int], ...] | Literal["auto"]:
+    """`0.1:4,0.3:2` or `none` as `TrainSettings.resolution`, or `auto`."""
     if text == "auto":
-        return None
+        return "auto"
     if text == "none":
         return ()
     pairs = [part.split(":") for part in text.split(",")]

@@ -292,10 +292,17 @@ def _new_trainer(
         strategy=strategy,
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
-        resolution=options.coarse,
+        resolution=_resolution(options.coarse),
     )
     threads = _threads(options, group)
     return trainer_for(capture, views, settings, centre=centre, threads=threads, group=group, loss=loss)
+
+
+def _resolution(coarse: tuple[tuple[float, int], ...] | str | None) -> tuple[tuple[float, int], ...] | None:
+    """`TrainSettings.resolution` of the option --coarse."""
+    if coarse is None:
+        return TrainSettings.resolution
+    return None if isinstance(coarse, str) else coarse
 
 
 def _resumed_trainer(

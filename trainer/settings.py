@@ -120,7 +120,7 @@ class TrainSettings(StrategySettings):
     """Weight of the opacity of transparent photos in the loss: of the mean |difference| to the scene's."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
-    resolution: tuple[tuple[float, int], ...] | None = None
+    resolution: tuple[tuple[float, int], ...] | None = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order; None: by evidence, see
     `progressive`."""
 

@@ -36,7 +36,6 @@ def exposed(views: list[TrainView], spread: float) -> list[TrainView]:
 
 def trained(views: list[TrainView], start, **settings) -> Trainer:
     options = {"iterations": 1000, "max_splats": 300, "background": (0.14, 0.14, 0.14), **settings}
-    options.setdefault("resolution", ((0.3, 2),))
     chosen = make_settings(**options)
     to_train = [view for i, view in enumerate(views) if i % 5]
     trainer = Trainer(TrainViews(to_train, 0), start, EXTENT, chosen, threads=2)

@@ -90,12 +90,12 @@ def test_differences_are_means_over_what_counts() -> None:
 
 def test_a_resumed_run_goes_on_in_the_same_size(make_trainer, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("splatview.trainer.progressive.SMALLEST_SIDE", 15)
-    trainer = make_trainer(iterations=400)
+    trainer = make_trainer(iterations=400, resolution=None)
     assert trainer.downscale == 2
     while trainer.counters.iteration < 130:
         trainer.step()
     save_checkpoint(trainer, tmp_path / "c.safetensors")
-    resumed = make_trainer(iterations=400)
+    resumed = make_trainer(iterations=400, resolution=None)
     restore(resumed, load_checkpoint(tmp_path / "c.safetensors"))
     sizes = []
     for _ in range(100):

@@ -193,6 +193,8 @@ def test_the_recipe_can_be_chosen_and_a_checkpoint_knows_it(capture_folder: Path
     assert (settings.strategy, settings.absolute_gradient, settings.exposure) == ("classic", True, "on")
     assert train(capture_folder, output, "--iterations", "2", "--coarse", "none") == 0
     assert load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings.resolution == ()
+    assert train(capture_folder, output, "--iterations", "2", "--coarse", "auto") == 0
+    assert load_checkpoint(tmp_path / "toy.checkpoint.safetensors").settings.resolution is None
 
 
 @pytest.mark.parametrize(

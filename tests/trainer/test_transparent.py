@@ -44,7 +44,7 @@ def trained(cut_outs: list[TrainView], start: Parameters) -> Callable[..., Train
         stray.means[-20:] += (0.0, -0.9, 0.0)
         stray.sh[-20:] = -0.5 / SH_C0
         stray.opacity_logits[-20:] = 3
-        recipe = TrainSettings(iterations=400, max_splats=300, **settings)
+        recipe = TrainSettings(iterations=400, max_splats=300, resolution=(), **settings)
         trainer = Trainer(TrainViews(cut_outs[1:], 0), stray, EXTENT, recipe, threads=2)
         while not trainer.done:
             trainer.step()
