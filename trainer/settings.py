@@ -66,10 +66,10 @@ def automatic_dropout(photos: int) -> float:
 
 ALPHA_WEIGHT = 0.3
 """See `TrainSettings.alpha_weight`. One minute on transparent pictures of 200x200, a third held out: without
-it opacities of 0.007 (`playbot`) and 0.164 (`skull`) hang on the average where the photos are empty, with it
-of 0.005 and 0.004. Chosen on `playbot`: 32.8, 33.2 and 33.2 dB with 0.1, 0.3 and 1. Dropped, for 5 % of a
-step: a background drawn anew for each step, 33.1 dB and 0.005 there, 29.1 dB and 0.003 on `skull`, which has
-29.2 dB without."""
+it opacities of 0.007 (`playbot`) and 0.164 (`skull`) hang on the average where the photos are empty, with it,
+and `--coarse auto`, of 0.005 and 0.004. Chosen on `playbot`: 32.8, 33.2 and 33.2 dB with 0.1, 0.3 and 1.
+Dropped, for 5 % of a step: a background drawn anew for each step, 33.1 dB and 0.005 there, 29.1 dB and 0.003
+on `skull`, which has 29.2 dB without."""
 
 FEW_PHOTOS = 50
 
