@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 from splatview.edit.changes import Change, Part, Refile, Toggle, readjust, splats_in_words
 from splatview.edit.operations.base import Operation
 from splatview.edit.operations.select import MODES, VERBS, Mode, selection
-from splatview.edit.operations.transform import check_places, unit_quat
+from splatview.edit.operations.transform import check_places, check_similarity, unit_quat
 from splatview.edit.state import SceneFile, SplatSet, State
 from splatview.scene import InputError
 from splatview.scene.edits import (
@@ -123,13 +122,7 @@ class PlaceFile(_OneFile):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 1e-100 < math.hypot(*self.rotation) < 1e100:
-            raise ValueError(
-                f"rotation must be a quaternion wxyz that is not zero, got {list(self.rotation)}"
-            )
-        if not 1e-9 <= self.scale <= 1e9:
-            name = "above 0" if not self.scale > 0 else "in 1e-9 to 1e9"
-            raise ValueError(f"scale must be {name}, got {self.scale:g}")
+        check_similarity(self.rotation, self.scale)
         check_places(translation=self.translation)
 
     @property

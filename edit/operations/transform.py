@@ -40,13 +40,7 @@ class Transform(Operation):
 
     def __post_init__(self) -> None:
         check_scope(self.scope)
-        if not 1e-100 < math.hypot(*self.rotation) < 1e100:
-            raise ValueError(
-                f"rotation must be a quaternion wxyz that is not zero, got {list(self.rotation)}"
-            )
-        if not 1e-9 <= self.scale <= 1e9:
-            name = "above 0" if not self.scale > 0 else "in 1e-9 to 1e9"
-            raise ValueError(f"scale must be {name}, got {self.scale:g}")
+        check_similarity(self.rotation, self.scale)
         check_places(translation=self.translation, pivot=self.pivot)
 
     @property
@@ -116,6 +110,15 @@ class Ground(Operation):
             heights = (positions_of(state.gaussians, state.edits)[splats] - centre) @ normal
         balance = int((heights > 0).sum()) - int((heights < 0).sum())
         return balance or float(normal @ np.array(WORLD_UP))
+
+
+def check_similarity(rotation: Four, scale: float) -> None:
+    """Raises ValueError where `rotation` is no quaternion wxyz, or `scale` no usable factor."""
+    if not 1e-100 < math.hypot(*rotation) < 1e100:
+        raise ValueError(f"rotation must be a quaternion wxyz that is not zero, got {list(rotation)}")
+    if not 1e-9 <= scale <= 1e9:
+        name = "above 0" if not scale > 0 else "in 1e-9 to 1e9"
+        raise ValueError(f"scale must be {name}, got {scale:g}")
 
 
 def check_places(**vectors: Vector) -> None:
