@@ -22,7 +22,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.exposure import DECIDED_AT, LEAST_SPREAD, Exposures
+from splatview.trainer.exposure import DECIDED_BY, LEAST_SPREAD, Exposures
 from splatview.trainer.settings import TrainSettings
 
 SCALE_RATIO = 3.0
@@ -119,8 +119,8 @@ def _exposure(settings: TrainSettings) -> Effect:
     why = {
         "off": "as asked for",
         "on": f"as asked for: {what}",
-        "auto": f"decided after {DECIDED_AT:.0%} of the run, by whether photos differ from the scene as it is"
-        f" then by more than {LEAST_SPREAD:.0%}",
+        "auto": f"decided within {DECIDED_BY:.0%} of the run, by whether photos differ from the scene as"
+        f" it is then by more than {LEAST_SPREAD:.0%}",
     }
     return Effect(
         name=EXPOSURE,

@@ -340,7 +340,8 @@ class Trainer:
             self.resolution.note(total[0] / total[1], int(total[1]))
 
     def _decide_exposures(self, progress: float) -> None:
-        if self.exposures.is_due(progress):
+        rounds = self.counters.iteration * self.settings.batch / len(self.views)
+        if self.exposures.is_due(progress, rounds):
             views = self.views.sized(self.downscale)
             self.exposures.decide(self.splats.arrays, views, self.render_settings, Workspace(), self.threads)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.numpy import save_file
 
 from splatview.raster import Parameters
 from splatview.scene import InputError
@@ -129,6 +132,26 @@ def test_a_resumed_run_goes_on_bit_for_bit(make_trainer, tmp_path: Path, strateg
     restore(resumed, checkpoint)
     assert_equal(resumed, part)
     run(resumed, 93)
+    assert_equal(resumed, whole)
+
+
+def test_a_checkpoint_without_what_came_later_resumes(make_trainer, tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    whole, part = make_trainer(alpha_weight=0.0), make_trainer(alpha_weight=0.0)
+    run(whole, 60)
+    run(part, 40)
+    save_checkpoint(part, path)
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+        later = {name for name in file.keys() if name.startswith("evidence.")}  # noqa: SIM118 not a dict
+        arrays = {name: file.get_tensor(name) for name in file.keys() if name not in later}  # noqa: SIM118
+    description = json.loads(metadata["run"])
+    assert later and description["settings"].pop("alpha_weight") == 0
+    save_file(arrays, path, metadata | {"run": json.dumps(description)})
+    checkpoint = load_checkpoint(path)
+    resumed = Trainer(part.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2)
+    restore(resumed, checkpoint)
+    run(resumed, 20)
     assert_equal(resumed, whole)
 
 
