@@ -228,7 +228,7 @@ def main() -> None:
     parser.add_argument("--renderer", default="auto")
     options = parser.parse_args()
     arguments = ("--window", options.scene.resolve(), options.renderer, options.rounds)
-    found = in_window(__file__, arguments, (SIZE[0], SIZE[1]), timeout=280)
+    found = in_window(__file__, arguments, (SIZE[0], SIZE[1]), timeout=900)
     splats, renderer = found.pop("splats"), found.pop("renderer")
     clicks, rows = {}, []
     for name, entries in found.items():
