@@ -184,7 +184,7 @@ class AbandonedJournal:
 
     file: Path
     scenes: tuple[Path, ...]
-    """The files that were opened."""
+    """The files that were opened; none: the demo."""
     recipe: Recipe
     """The steps that were in force."""
     time: float

@@ -46,6 +46,9 @@ class FirstViews(Feature):
         self.leave(app)
         self.key = key_of(scene.paths)
 
+    def on_scene_saved(self, app: AppState) -> None:
+        self.key = key_of(app.scene.paths)
+
     def close(self, app: AppState) -> None:
         self.leave(app)
 

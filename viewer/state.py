@@ -98,6 +98,9 @@ class Feature:
     def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
         """Another scene is open, in the place of the one before."""
 
+    def on_scene_saved(self, app: AppState) -> None:
+        """The open scene is in its file now, as it is edited."""
+
     def asks_first(self, app: AppState, proceed: Callable[[AppState], object]) -> bool:
         """Whether the user is asked something before the open scene is left for another one, or the window
         closed; then `proceed` is posted once he agrees."""

@@ -69,7 +69,7 @@ def figures(app: AppState) -> list[tuple[str, str, str]]:
         (
             speed,
             "at rest",
-            f"Pictures drawn a second; nothing is drawn while nothing changes. The last took {total:.1f} ms.",
+            f"Pictures drawn a second, while something changes; the last took {total:.1f} ms.",
         ),
         (
             f"{size[0]} x {size[1]}",
@@ -180,7 +180,7 @@ def job(app: AppState, title: str, progress: float, left: float, right: float) -
         imgui.same_line()
     widgets.button(
         "Cancel###cancel job",
-        "Ends this work; nothing is changed. (Esc)",
+        "Ends this work; nothing is changed (Esc).",
         partial(app.post, COMMANDS["cancel"].run),
     )
     imgui.pop_style_var()

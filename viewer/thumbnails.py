@@ -38,7 +38,7 @@ def thumbnail_file(scene: Path) -> Path:
 
 
 class SceneThumbnails(Feature):
-    """Keeps a picture of each scene that was looked at for a moment."""
+    """Keeps a picture of each scene that was looked at for a moment, or was saved."""
 
     def __init__(self) -> None:
         self._due: float | None = None
@@ -47,6 +47,9 @@ class SceneThumbnails(Feature):
 
     def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
         self._due = app.now() + SHOWN_SECONDS if scene.paths else None
+
+    def on_scene_saved(self, app: AppState) -> None:
+        self._due = app.now()
 
     def before_frame(self, app: AppState) -> None:
         if self._due is None or app.now() < self._due or app.scene_path is None:

@@ -27,6 +27,7 @@ from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.preferences import Theme
 from splatview.viewer.state import AppState
+from splatview.viewer.thumbnails import thumbnail_file
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
 from splatview.viewer.training.start import TrainingStart
@@ -98,6 +99,7 @@ def saves(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     shoot(hand, "save_as")
     hand.ctx.key_chars_replace_enter(options["other"])
     hand.wait(lambda: app.scene.name == Path(options["other"]).name, "the other name")
+    hand.wait(thumbnail_file(Path(options["other"])).exists, "its picture among the recent scenes", 10)
     titles.append(layout.title(app))
     delete_some(hand)
     hand.press("Ctrl+Shift+S")

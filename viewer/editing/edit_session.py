@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,12 @@ from splatview.edit.operations import (
 from splatview.edit.operations.base import Scope
 from splatview.edit.selectors.attributes import TOLERANCE
 from splatview.edit.state import SceneFile
-from splatview.renderers.request import Highlight
+from splatview.renderers.request import Highlight, Tint
 from splatview.scene import Gaussians, InputError
 from splatview.scene.edits import PREVIEW, SceneEdits
 from splatview.scene.progress import Cancelled, Progress
 from splatview.viewer.editing.job import Job, Yields
+from splatview.viewer.editing.selection_colour import selection_tint
 from splatview.viewer.editing.target import EditTarget, SceneTarget
 from splatview.viewer.editing.tool_state import (
     CROPPING,
@@ -161,8 +163,13 @@ class EditSession:
     @property
     def highlight(self) -> Highlight:
         """Tints of the picture: none of the selection while its look is changed, which they would hide."""
-        tinted = Highlight()
-        return replace(tinted, selected=(0, 0, 0, 0)) if self.forms.previewing == LOOK else tinted
+        selected = (0, 0, 0, 0) if self.forms.previewing == LOOK else self.selection_tint
+        return Highlight(selected=selected)
+
+    @cached_property
+    def selection_tint(self) -> Tint:
+        """Tint of selected splats, which stays as long as the session."""
+        return selection_tint(self.document.gaussians)
 
     @property
     def handles(self) -> str:

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -212,23 +213,27 @@ def _stem(app: AppState) -> str:
 def look_for_abandoned(app: AppState) -> None:
     """At the start: offers unsaved edits of windows that did not end well, or were closed with them."""
     restoring = app.feature(Restoring)
-    restoring.abandoned = [
-        journal
-        for journal in find_abandoned_journals(config_folder() / JOURNALS)
-        if journal.scene is not None
-    ]
+    restoring.abandoned = find_abandoned_journals(config_folder() / JOURNALS)
     if restoring.abandoned:
         app.dialog = "restore"
 
 
 def restore(app: AppState, journal: AbandonedJournal) -> None:
-    """Opens the journal's scene; its steps follow when that is loaded."""
+    """Opens the journal's scene; its steps follow when that is loaded. Where the open scene has unsaved edits
+    the user is asked first."""
+    app.leave(partial(_restore, journal=journal))
+
+
+def _restore(app: AppState, journal: AbandonedJournal) -> None:
     for path in journal.opened:
         if not os.path.lexists(path):
             app.complain(f"{path}: is no longer there, so its edits cannot be restored")
             return
     app.feature(Restoring).journal = journal
-    opening.open_paths(app, journal.opened, merge=True)
+    if journal.scenes:
+        opening.open_paths(app, journal.opened, merge=True)
+    else:
+        opening.begin_demo(app)
 
 
 class Restoring(Feature):
@@ -252,7 +257,8 @@ class Restoring(Feature):
         except InputError as error:
             app.complain(f"The scene has changed since it was edited: {error}")
             return
-        session.document.name_files(str(journal.recipe.scene["name"]), journal.scenes)
+        if journal.scenes:
+            session.document.name_files(str(journal.recipe.scene["name"]), journal.scenes)
         if session.journal is not None:
             session.journal.continue_from(journal)
         replay_on(
@@ -290,7 +296,7 @@ def restored(app: AppState, session: EditSession, journal: AbandonedJournal) -> 
 
 def described(journal: AbandonedJournal) -> str:
     """One line for the list."""
-    name = journal.scene.name if journal.scene else "?"
+    name = journal.scene.name if journal.scene else str(journal.recipe.scene.get("name", "Demo"))
     name += f" and {len(journal.scenes) - 1} more" if len(journal.scenes) > 1 else ""
     when = time.strftime("%d %b %H:%M", time.localtime(journal.time))
     return f"{name}: {len(journal.recipe.steps)} steps of {when}"

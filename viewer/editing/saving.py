@@ -211,6 +211,8 @@ def write(
         app.feature(Saving).agreed = target
         app.scene = replace(app.scene, paths=(target,), name=target.name)
         app.preferences = with_recent(app.preferences, target)
+        for feature in app.features.values():
+            feature.on_scene_saved(app)
         app.post(proceed)
 
     session.start(f"Saving {target.name}", work, done)

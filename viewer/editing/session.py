@@ -163,7 +163,7 @@ class Editing(Feature):
             session.job.cancel()
             session.job.join(LEAVING_SECONDS)
         journal = session.journal
-        kept = journal is not None and bool(journal.scenes) and session.document.history.unsaved
+        kept = journal is not None and session.document.history.unsaved
         session.close()
         return "the edits are in no file yet; the next start offers to restore them" if kept else None
 

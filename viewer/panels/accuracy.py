@@ -63,8 +63,8 @@ def tools(app: AppState, accuracy: Accuracy) -> None:
         again = "Measure again" if accuracy.ladder is not None else "Measure"
         widgets.button(
             f"{again}###measure",
-            "Measures every shortcut in this view, beside the exact picture, for some seconds. The window "
-            "can be used meanwhile; a busy machine only makes the noise floor higher.",
+            "Measures for some seconds what each shortcut saves and costs in this view; the window can "
+            "be used meanwhile.",
             partial(app.post, accuracy.measure),
         )
     else:
@@ -164,9 +164,8 @@ def budget(app: AppState, accuracy: Accuracy) -> None:
     changed = widgets.checkbox(
         "Hold",
         held,
-        "While the camera moves, pictures are made as coarse as the budget asks, and no coarser; two frames "
-        "after it rests the exact picture is back. The badge in the picture states the error in the worst of "
-        "some views from around.",
+        "Makes pictures as coarse as the limit asks while the camera moves, and exact again two frames "
+        "after it rests; a badge states the error.",
     )
     if changed is not None:
         app.post(accuracy.hold, app.preferences.frame_budget_ms if changed else None)
@@ -193,9 +192,8 @@ def split(accuracy: Accuracy) -> None:
         "Compare",
         comparing.right,
         RIGHTS,
-        "The exact picture left of a line, and right of it the one by the chosen shortcuts (split view), "
-        "their difference (grey: equal, brighter: too bright), or how strongly an eye notices it (FLIP, "
-        "black: not at all). Drag the line. Made anew when the view rests.",
+        "Puts the picture by the chosen shortcuts (split), their difference (grey: equal) or what an eye "
+        "notices of it (FLIP, black: nothing) right of a line that can be dragged, beside the exact one.",
         [RIGHT_NAMES[name] for name in RIGHTS],
     )
     if chosen is not None:

@@ -40,8 +40,7 @@ def show_lens(app: AppState) -> None:
     on = widgets.checkbox(
         "Depth of field",
         lens.on,
-        "Blurs what is not in focus, as a lens does: pictures from all over it are averaged while the view "
-        "rests. While it moves, and where this is off, it costs nothing.",
+        "Blurs what is not in focus, as a lens does, while the view rests.",
     )
     if on is not None:
         lens.on = on
@@ -51,7 +50,7 @@ def show_lens(app: AppState) -> None:
         "Aperture",
         lens.share,
         *APERTURES,
-        "The lens's diameter over the distance to the point that the view turns about. Wider blurs more.",
+        "The lens's diameter over the distance to the point that the view turns about: wider blurs more.",
         form="%.3f",
         logarithmic=True,
     )
@@ -94,8 +93,8 @@ def show(app: AppState) -> None:
         "Navigation",
         app.preferences.navigation,
         NAVIGATION_MODES,
-        "Orbit turns about a point and keeps the horizon level. Fly looks around from where the eye is. "
-        "Trackball turns the scene freely like a ball. W A S D E Q move in all of them.",
+        "How drags move the eye: about a point with the horizon level (orbit), from where it is (fly), "
+        "or turning the scene like a ball (trackball).",
         [NAVIGATION_NAMES[m] for m in NAVIGATION_MODES],
     )
     if mode is not None:
@@ -106,8 +105,8 @@ def show(app: AppState) -> None:
         "Up",
         up or "oblique",
         choices,
-        f"The axis that orbiting turns about. Trained scenes are mostly -Y up; {keys_of('next_up')} tries "
-        f"the next, {keys_of('up_from_view')} takes what is up in the picture.",
+        f"The axis that orbiting turns about, mostly -Y; {keys_of('next_up')} tries the next, "
+        f"{keys_of('up_from_view')} takes what is up in the picture.",
     )
     if chosen is not None and chosen != "oblique":
         app.post(set_up, chosen)
@@ -115,7 +114,7 @@ def show(app: AppState) -> None:
         "Field of view",
         app.view.lens.fov_y,
         *RANGES["fov_y"],
-        "Vertical angle of the picture in degrees. Small is a long lens.",
+        "Vertical angle of the picture in degrees; small is a long lens.",
         form="%.0f°",
     )
     if fov is not None:
@@ -142,8 +141,8 @@ def rays(app: AppState) -> None:
     parallel = widgets.checkbox(
         "Orthographic",
         app.destination.lens.orthographic,
-        f"Parallel rays: equal lengths look equal however far away ({keys_of('toggle_orthographic')}). "
-        "The wheel changes the scale.",
+        "Shows equal lengths as equal, however far away, by parallel rays "
+        f"({keys_of('toggle_orthographic')}).",
     )
     if parallel is not None:
         app.post(toggle_orthographic)
@@ -163,8 +162,7 @@ def speeds(app: AppState) -> None:
         "Flying speed",
         preferences.fly_speed,
         *RANGES["fly_speed"],
-        "Factor on a speed that suits the scene's size. The wheel changes it while flying; "
-        "Shift is four times as fast, Alt four times as slow.",
+        "Factor on a speed that suits the scene's size; the wheel changes it while flying.",
         form="%.2f x",
         logarithmic=True,
     )
@@ -214,7 +212,7 @@ def position(app: AppState) -> None:
         changed, typed = imgui.input_float3(
             f"##{name}", [float(v) for v in value], form, imgui.InputTextFlags_.enter_returns_true
         )
-        widgets.tooltip(f"{tip} Type new coordinates and press Enter: the view is moved, not turned.")
+        widgets.tooltip(f"{tip[:-1]}; new coordinates and Enter move the view without turning it.")
         if changed:
             moved = view.target + (typed - value)
             app.go_to(replace(view, target=moved))

@@ -135,8 +135,8 @@ def show_price(cost: Any) -> None:
     mean, worst = (">= 100" if value >= NO_LOSS else f"{value:.1f}" for value in (cost.mean, cost.worst))
     widgets.note(f"Pictures stay at {mean} dB on average, {worst} dB at worst.", quality(cost))
     widgets.tooltip(
-        f"PSNR of {cost.views} views after against before; the largest error of any pixel is "
-        f"{cost.largest_error * 255:.0f}/255. Above 45 dB nobody sees a difference."
+        f"PSNR of {cost.views} views after against before, with at most "
+        f"{cost.largest_error * 255:.0f}/255 of error in a pixel; above 45 dB nobody sees a difference."
     )
 
 

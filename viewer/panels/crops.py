@@ -73,7 +73,7 @@ def list_of(app: AppState, session: EditSession) -> None:
             widgets.beside(name)
         widgets.button(
             name,
-            "Shows only what is inside; no splat is touched. Several add up; each can also cut out instead.",
+            "Shows only what is inside, or all but that; no splat is touched.",
             partial(app.post, partial(add_crop, shape=shape)),
         )
     crops = session.document.crops
@@ -145,7 +145,7 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     mode = mode_of(shift=io.key_shift, ctrl=io.key_ctrl)
     widgets.button(
         "Select inside",
-        "Selects the splats inside; Shift adds, Ctrl removes. Switch the crop off to see around it.",
+        "Selects the splats inside; Shift adds them, Ctrl removes them.",
         lambda: post_edit(app, EditSession.apply, Select(by=by, mode=mode)),
         lacks="" if by is not None else "A sphere that is stretched cannot: give its half sizes one value",
     )
@@ -158,7 +158,7 @@ def numbers(app: AppState, session: EditSession, index: int) -> None:
     if not session.target.at_rest:
         widgets.button(
             "No growth inside",
-            "From now on no splat is born in it. Those that are there are trained on, and may die.",
+            "Lets no splat be born in it from now on; those that are there are trained on, and may die.",
             partial(app.post, app.feature(LiveTraining).editor.stop_growth, index),
         )
 

@@ -36,8 +36,7 @@ def choose_scope(session: EditSession) -> bool:
         "Applies to",
         session.scope,
         ("selection", "scene") if selected else ("scene",),
-        "What is changed: the selected splats, or all that are neither deleted nor locked. All where none is "
-        "selected.",
+        "What is changed: the selected splats, or all that are neither deleted nor locked.",
         ("Selection", "Whole scene") if selected else ("Whole scene",),
     )
     if chosen is None or chosen == session.scope:
@@ -102,7 +101,7 @@ def opacity_and_size(app: AppState, session: EditSession) -> None:
         "Opacity, size",
         session.forms.how,
         ("scale", "set"),
-        "Multiply what each splat has, or give all of them one value. A set size keeps each splat's shape.",
+        "Multiplies what each splat has, or gives all of them one value.",
         ("times a factor", "set to a value"),
     )
     if how is not None:

@@ -81,7 +81,7 @@ def _choices(app: AppState, exporting: Exporting, session: EditSession) -> None:
         "Splats",
         settings.scope,
         SCOPES,
-        "Everything takes hidden splats along. Deleted and cropped ones are never exported.",
+        "Which splats are written; deleted and cropped ones never are.",
     )
     if scope is not None:
         exporting.choose(app, scope=scope)

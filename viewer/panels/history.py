@@ -34,8 +34,8 @@ def show(app: AppState) -> None:
         "Memory",
         app.preferences.edit_memory_gib,
         *RANGES["edit_memory_gib"],
-        "GiB that edits and undo may take beyond the open scene, undo half of it at most; then the oldest "
-        "steps are final. 0: half of the memory that is free.",
+        "GiB that edits and undo may take before the oldest steps become final; 0 is half of the memory "
+        "that is free.",
         form="%.1f GiB" if app.preferences.edit_memory_gib else "auto",
         logarithmic=True,
     )
@@ -94,7 +94,7 @@ def show_restore(app: AppState) -> None:
         widgets.button("Discard", "Forgets these steps for good.", partial(_discard, app, journal))
         imgui.same_line()
         imgui.text_unformatted(printable(described(journal)))
-        widgets.tooltip(str(journal.scene))
+        widgets.tooltip(str(journal.scene) if journal.scene else "The bundled demo scene.")
         imgui.pop_id()
     widgets.button("Later", "Asks again at the next start.", partial(_close, app))
     imgui.end()

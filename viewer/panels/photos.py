@@ -19,7 +19,7 @@ from splatview.viewer.training.live import LiveTraining, viewer_threads
 def show(app: AppState, training: LiveTraining) -> None:
     widgets.button(
         "Go to this camera",
-        "Looks from where the chosen photo was taken. A double click on a photo does it, too.",
+        "Looks from where the chosen photo was taken, as a double click on it does.",
         partial(app.post, actions.go_to_photo, training.photo_index),
     )
     imgui.same_line()

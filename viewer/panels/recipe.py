@@ -34,7 +34,7 @@ def show(app: AppState, training: LiveTraining) -> None:
         settings.means_rate / DEFAULTS.means_rate,
         0.1,
         10.0,
-        "How far splats move in a step, times what is usual. More finds far places sooner, less is calmer.",
+        "How far splats move in a step, times what is usual: more finds far places sooner, less is calmer.",
         form="%.2f x",
         logarithmic=True,
     )
@@ -43,7 +43,7 @@ def show(app: AppState, training: LiveTraining) -> None:
     most = widget_count(
         "Max splats",
         settings.max_splats,
-        "Density control adds none beyond this. Fewer are faster, and learn fewer photos by heart.",
+        "Density control adds none beyond this: fewer are faster, and learn fewer photos by heart.",
         step=1000,
     )
     if most is not None:
@@ -53,7 +53,7 @@ def show(app: AppState, training: LiveTraining) -> None:
         "SH degree",
         str(max(settings.sh_degree, status.sh_degree)),
         choices,
-        f"Bands of view-dependent colour in the end; {status.sh_degree} by now. Bands in training stay.",
+        f"Bands of view-dependent colour in the end; {status.sh_degree} by now, which stay.",
     )
     if degree is not None:
         app.post(lambda app: actions.change_settings(app, sh_degree=int(degree)))
@@ -90,14 +90,14 @@ def length(app: AppState, settings: TrainSettings) -> None:
         steps = widget_count(
             "Length, steps",
             settings.iterations,
-            "When the run is over. All schedules follow: a longer run decays later. Above the steps done, a "
-            "run that is over can be resumed.",
+            "When the run is over; schedules follow, so a longer run decays later, and one that is over "
+            "can be resumed.",
             step=1000,
         )
         if steps is not None:
             app.post(lambda app: actions.change_settings(app, iterations=max(steps, 1)))
     if settings.minutes is not None:
-        tip = "When the run is over, pauses not counted. All schedules follow."
+        tip = "When the run is over, pauses not counted; all schedules follow."
         widgets.label("Length, minutes", tip)
         changed, minutes = imgui.input_float("##Length, minutes", settings.minutes, 1.0, 10.0, "%.1f")
         widgets.tooltip(tip)
@@ -194,7 +194,7 @@ def _row(
     imgui.push_id(f"{kind} {number}")
     widgets.button(
         f"{icons.ICON_FA_XMARK}###remove",
-        "Removes this rule. What it took out comes back only by training.",
+        "Removes this rule; what it took out comes back only by training.",
         partial(app.post, training.editor.remove_rule, kind, number),
     )
     pointed = imgui.is_item_hovered()

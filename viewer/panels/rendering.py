@@ -34,9 +34,8 @@ def show_background(app: AppState) -> None:
         "Behind",
         preferences.background_kind,
         kinds,
-        "Blended behind the scene, as it is: no gamma. A gradient goes from straight up to straight down, "
-        "a picture (equirectangular, twice as wide as high) all the way round. Both are upright as the "
-        "view's up axis is, and stay where they are while the eye turns.",
+        "What is blended behind the scene: one colour, a gradient from straight up to straight down, or "
+        "an equirectangular picture.",
         [KINDS[kind] for kind in kinds],
     )
     if kind is not None:
@@ -82,8 +81,10 @@ def colour(app: AppState, name: str, preference: str, tip: str) -> None:
         app.prefer(**{preference: (r, g, b)})
 
 
-MODE_TIP = "What is drawn for each splat. " + " ".join(
-    f"{mode.label}: {mode.explanation}." for mode in MODES.values()
+MODE_TIP = (
+    "What is drawn for each splat: "
+    + "; ".join(f"{mode.explanation} ({mode.label.lower()})" for mode in MODES.values())
+    + "."
 )
 
 
@@ -116,8 +117,8 @@ def picture(app: AppState) -> None:
         "Resolution",
         app.preferences.resolution_scale,
         *RANGES["resolution_scale"],
-        "Rendered pixels for each pixel of the window, along each side. Half is about four times as fast; "
-        "two smooths edges. Saved pictures are always at full resolution.",
+        "Rendered pixels for each pixel of the window, along each side: half is about four times as "
+        "fast, two smooths edges.",
         form="%.2f x",
     )
     if scale is not None:
@@ -135,7 +136,7 @@ def sh_degree(app: AppState) -> None:
         "SH degree",
         value,
         choices,
-        "Highest band of view-dependent colour that is computed. Lower is faster and loses gloss.",
+        "Highest band of view-dependent colour that is computed; lower is faster and loses gloss.",
         names,
     )
     if chosen is not None:
@@ -148,8 +149,8 @@ def image_model(app: AppState) -> None:
         "Splats are",
         model.footprint,
         ("ellipsoid", "disc"),
-        "Solid, or flat discs that each pixel's ray meets (2D Gaussian Splatting). Right is what the scene "
-        "was trained as; blur changes with it.",
+        "Solid, or flat discs that each pixel's ray meets (2D Gaussian Splatting): right is what the "
+        "scene was trained as.",
         ["Solid ellipsoids", "Flat discs"],
     )
     if footprint is not None:
@@ -157,8 +158,8 @@ def image_model(app: AppState) -> None:
     antialiased = widgets.checkbox(
         "Antialiased",
         model.antialiased,
-        "Takes back from small splats the brightness that the blur adds (Mip-Splatting). Right only for "
-        "scenes that were trained so; others become thin and dark. Without effect on discs.",
+        "Takes back from small splats the brightness that the blur adds; right only for scenes that were "
+        "trained so (Mip-Splatting).",
     )
     if antialiased is not None:
         model = replace(model, antialiased=antialiased)
@@ -167,8 +168,8 @@ def image_model(app: AppState) -> None:
         model.blur,
         0.0,
         1.0,
-        f"Variance in px² added to every footprint. Trained scenes expect {BLUR}; some antialiased ones 0.1. "
-        f"Of discs: of the dot that each is at least; they expect {DISC_BLUR}.",
+        "Variance in px² added to every footprint; scenes expect what they were trained with, mostly "
+        f"{BLUR}, discs {DISC_BLUR}.",
     )
     if blur is not None:
         model = replace(model, blur=blur)
@@ -177,7 +178,7 @@ def image_model(app: AppState) -> None:
         model.near,
         0.001,
         10.0,
-        "Splats nearer to the eye than this are not drawn, world units. Raise it to look inside.",
+        "Splats nearer to the eye than this are not drawn, world units; more looks inside.",
         form="%.3f",
         logarithmic=True,
     )
@@ -189,8 +190,8 @@ def image_model(app: AppState) -> None:
         "Blending",
         app.preferences.blend,
         ("float16", "float32"),
-        "Precision of the target that splats are blended into. float16 is faster and within 4/255 of the "
-        "truth; float32 is for measuring, and for drivers that truncate float16 (splatview doctor).",
+        "Precision in which splats are blended: float16 is faster and within 4/255 of the truth, float32 "
+        "is for measuring.",
     )
     if blend is not None:
         app.prefer(blend=blend)

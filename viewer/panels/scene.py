@@ -54,7 +54,7 @@ def show_health(app: AppState, findings: Sequence[Finding]) -> None:
             imgui.same_line()
             worst = "no change" if price.worst >= NO_LOSS else f"{price.worst:.0f} dB"
             imgui.text_colored(quality(price), worst)
-            widgets.tooltip(f"The repair: {in_words(price)}. Above 45 dB nobody sees a difference.")
+            widgets.tooltip(f"The repair: {in_words(price)}; above 45 dB nobody sees a difference.")
     names = [finding.name for finding in found if finding.name in REPAIRS]
     if names and not prices and session_of(app) is not None:
         widgets.button(

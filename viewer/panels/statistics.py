@@ -31,8 +31,8 @@ def show(app: AppState) -> None:
     widgets.fact(
         "Moving",
         picture.note or "in full",
-        "What the picture shown leaves out so that it turns smoothly, and its error against the full one, as "
-        "measured in the last view at rest. A picture at rest leaves nothing out.",
+        "What the picture leaves out so that it turns smoothly, and its error; at rest it leaves nothing "
+        "out.",
     )
     widgets.fact("Splats", f"{stats.splats:,}", "In the scene.")
     share = f" ({stats.visible / stats.splats:.0%})" if stats.splats else ""
@@ -44,7 +44,7 @@ def show(app: AppState) -> None:
     widgets.fact(
         "All",
         f"{total:.2f} ms",
-        "Sum of the stages, measured where they run. Nothing is drawn while nothing changes.",
+        "Sum of the stages, measured where they run; nothing is drawn while nothing changes.",
     )
     history(app)
     for stage, milliseconds in stats.ms.items():

@@ -189,7 +189,7 @@ def settings(app: AppState, player: Player) -> None:
         "##rate", app.preferences.frame_rate, 0.2, low, high, "%.3g fps", imgui.SliderFlags_.always_clamp
     )
     widgets.tooltip(
-        "Frames a second, to drag or (double click) to type. What is not decoded in time is dropped."
+        "Frames a second, to drag or (double click) to type; what is not decoded in time is dropped."
     )
     if changed:
         app.post(sequence.set_rate, fps)

@@ -182,8 +182,8 @@ def _choices(app: AppState, state: TrainingStart) -> None:
         "Length",
         form.length,
         tuple(LENGTHS),
-        "How long to train. A minute shows whether the photos fit together; the best takes the whole recipe, "
-        "some hours on a laptop. It can be ended and saved at any time.",
+        "How long to train: a minute shows whether the photos fit together, the best takes hours on a "
+        "laptop, and all can be ended early.",
     )
     if length is not None:
         form.length = length

@@ -138,7 +138,7 @@ def buttons(app: AppState, status: Status) -> None:
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_STOP}  Stop, save###stop",
-        "Pauses and writes scene and checkpoint. Resume goes on all the same.",
+        "Pauses and writes scene and checkpoint; it can be resumed all the same.",
         partial(app.post, actions.stop_and_save),
         width=room * 0.33,
     )
@@ -170,8 +170,7 @@ def shares(app: AppState, training: LiveTraining) -> None:
     wanted = preferences.training_share
     tip = (
         f"Of the {cores} cores, what training takes while you move the view; the viewer has the rest "
-        f"({viewer_threads(wanted, cores)} to draw with). Fractions are kept by sleeping between steps; "
-        "where both want a core, the window waits."
+        f"({viewer_threads(wanted, cores)} to draw with)."
     )
     share = widgets.slider("Share of cores", 100 * wanted, 100 * low, 100 * high, tip, form="%.0f %%")
     if share is not None:
@@ -187,9 +186,8 @@ def shares(app: AppState, training: LiveTraining) -> None:
         "Show progress",
         preferences.training_updates,
         tuple(UPDATES),
-        "How often the growing scene is shown. Live: up to ten times a second; where the processor "
-        "draws, with a twentieth of the machine at most. Low: every two seconds at most. Off: when training "
-        "pauses.",
+        "How often the growing scene is shown: up to ten times a second (live), every two seconds (low), "
+        "or when training pauses (off).",
         tuple(UPDATES.values()),
     )
     if updates is not None:
@@ -214,8 +212,8 @@ def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     imgui.same_line()
     widgets.button(
         f"{icons.ICON_FA_FLOPPY_DISK}  Checkpoint###checkpoint",
-        f"Writes {training.thread.outputs.checkpoint}, from which --resume goes on bit for bit. "
-        "It is also written every minute.",
+        f"Writes {training.thread.outputs.checkpoint}, from which --resume goes on bit for bit; so does "
+        "every minute.",
         partial(app.post, actions.save_checkpoint),
     )
     outputs = training.thread.outputs
