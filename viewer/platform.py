@@ -103,7 +103,7 @@ def rescued_from_display(rescue: Callable[[], None]) -> Iterator[None]:
             while True:  # another thread, or the rescue itself, has come upon it as well
                 time.sleep(1)
         try:
-            print("splatview: the display is gone: its X server or the way to it has ended", file=sys.stderr)
+            print("splatview: the connection to the display was lost", file=sys.stderr)
             rescue()
         except BaseException as error:
             print(f"splatview: {' '.join(str(error).split()) or type(error).__name__}", file=sys.stderr)

@@ -55,17 +55,39 @@ def hint(app: AppState) -> tuple[str, ...]:
     return (*TOOL_HINTS[session.tool], "Esc: done", *more, *turning)
 
 
-def figures(app: AppState) -> list[tuple[str, str, str]]:
-    """Text, the widest that it gets, and what it means, of each figure on the right."""
+BRIEF = "9.9M"
+"""As wide as `brief` gets."""
+
+
+def brief(count: int) -> str:
+    """A number of splats in four characters or fewer: 950, 9.5k, 512k, 1.2M."""
+    for unit, size in (("M", 1e6), ("k", 1e3)):
+        if count >= 0.9995 * size:
+            return f"{count / size:.{1 if count < 9.95 * size else 0}f}{unit}"
+    return f"{count}"
+
+
+def figures(app: AppState, *, short: bool = False) -> list[tuple[str, str, str]]:
+    """Text, the widest that it gets, and what it means, of each figure on the right; `short`: counts rounded
+    and without their names, for a narrow window."""
     stats = app.stats
     rate = app.rate.at(app.now(), stats.drawn)
     size = app.picture.texture.size if app.picture.texture is not None else (0, 0)
     wide = f"{len(app.scene.gaussians) if app.is_open else stats.splats:,}"
     speed = "at rest" if rate is None else f"{rate:.0f} fps"
     total = sum(stats.ms.values())
+    splats, visible = f"{stats.splats:,} splats", f"{stats.visible:,} visible"
     return [
-        (f"{stats.splats:,} splats", f"{wide} splats", "Splats in the scene."),
-        (f"{stats.visible:,} visible", f"{wide} visible", "Left after culling, a frame or two ago."),
+        (
+            brief(stats.splats) if short else splats,
+            BRIEF if short else f"{wide} splats",
+            f"{splats} in the scene.",
+        ),
+        (
+            brief(stats.visible) if short else visible,
+            BRIEF if short else f"{wide} visible",
+            f"{visible}: left after culling, a frame or two ago.",
+        ),
         (
             speed,
             "at rest",
@@ -81,22 +103,17 @@ def figures(app: AppState) -> list[tuple[str, str, str]]:
 
 
 def show(app: AppState, strip: Sequence[Panel]) -> None:
-    """The whole bar, in a window of its own. What does not fit is left out from the hint's end first."""
+    """The whole bar, in a window of its own. Where that is narrow the hint ends sooner, and counts are rounded."""
     style, em = imgui.get_style(), imgui.get_font_size()
     imgui.set_cursor_pos(ImVec2(style.window_padding.x * 0.6, (imgui.get_window_height() - em * 1.5) / 2))
     switches(app, strip, em * 1.5)
     width = imgui.get_window_width()
-    shown = figures(app)
-    gap = em * 0.9
-    places, right = [], width - style.window_padding.x
-    for text, widest, tip in reversed(shown):
-        wide = max(imgui.calc_text_size(one).x for one in (text, widest))
-        right -= wide
-        places.append((right, text, tip))
-        right -= gap
-    left = imgui.get_cursor_pos_x()
+    gap, left = em * 0.9, imgui.get_cursor_pos_x()
     top = (imgui.get_window_height() - em) / 2
-    while places and places[-1][0] < left + em:  # too narrow for all: the first ones go
+    places = placed(figures(app), width - style.window_padding.x, gap)
+    if places[-1][0] < left + LEAST_MESSAGE_EM * em:  # too narrow for all in full
+        places = placed(figures(app, short=True), width - style.window_padding.x, gap)
+    while places and places[-1][0] < left + em:
         places.pop()
     for x, text, tip in places:
         imgui.set_cursor_pos(ImVec2(x, top))
@@ -109,6 +126,16 @@ def show(app: AppState, strip: Sequence[Panel]) -> None:
         return
     right = show_hint(app, left, right, top)
     message(app, left, right - gap, top)
+
+
+def placed(figures: Sequence[tuple[str, str, str]], right: float, gap: float) -> list[tuple[float, str, str]]:
+    """Left end, text and meaning of figures beside each other up to `right`, the last one first."""
+    places = []
+    for text, widest, tip in reversed(figures):
+        right -= max(imgui.calc_text_size(one).x for one in (text, widest))
+        places.append((right, text, tip))
+        right -= gap
+    return places
 
 
 def switches(app: AppState, strip: Sequence[Panel], side: float) -> None:

@@ -100,7 +100,7 @@ def test_a_display_that_ends_costs_no_training(own_display, capture, tmp_path):
     program = begin(tmp_path, display, "display_ends_in_training", capture, server=server)
     said, _ = program.communicate(timeout=200)
     assert program.returncode == 2, said
-    assert "splatview: the display is gone" in said and "Traceback" not in said
+    assert "splatview: the connection to the display was lost" in said and "Traceback" not in said
     reached = load_checkpoint(tmp_path / "toy.checkpoint.safetensors").counters.iteration
     assert f"stopped at step {reached:,}: toy.ply is as far as it came; go on with --resume" in said
     assert reached > 10 and len(load_scene(tmp_path / "toy.ply")) > 0
@@ -113,7 +113,7 @@ def test_a_display_that_ends_costs_no_edits(own_display, scene, tmp_path):
     program = begin(tmp_path, display, "display_ends", scene, server=server, renderer="cpu")
     said, _ = program.communicate(timeout=200)
     assert program.returncode == 2, said
-    assert "splatview: the display is gone" in said and "Traceback" not in said
+    assert "splatview: the connection to the display was lost" in said and "Traceback" not in said
     assert "the next start offers to restore them" in said
     (journal,) = find_abandoned_journals(tmp_path / "config" / "journals")
     assert journal.scene == scene

@@ -10,6 +10,7 @@ from splatview.viewer.commands import COMMANDS
 from splatview.viewer.layout import PAGES, STRIP, Rectangle, available, open_panel, places
 from splatview.viewer.preferences import Preferences, load_preferences
 from splatview.viewer.state import Rate
+from splatview.viewer.status_bar import brief
 
 
 def overlap(a: Rectangle, b: Rectangle) -> bool:
@@ -29,6 +30,23 @@ def test_the_parts_fill_the_window_without_overlapping(size, inspector, strip):
     assert not any(overlap(a, b) for a, b in combinations(parts, 2))
     assert sum(part.width * part.height for part in parts) == size[0] * size[1]
     assert found.view.width >= min(12 * 16, size[0] - round(16 * 4.4) - 17 * 16)
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (0, "0"),
+        (999, "999"),
+        (1000, "1.0k"),
+        (9949, "9.9k"),
+        (9950, "10k"),
+        (512_345, "512k"),
+        (999_500, "1.0M"),
+        (12_000_000, "12M"),
+    ],
+)
+def test_counts_of_a_narrow_status_bar(count, text):
+    assert brief(count) == text
 
 
 def test_the_picture_alone_has_all_but_the_status_bar():

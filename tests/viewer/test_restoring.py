@@ -15,10 +15,10 @@ from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing import saving
 from splatview.viewer.editing.edit_session import EditSession
-from splatview.viewer.editing.files import Restoring, look_for_abandoned, restore
+from splatview.viewer.editing.files import Restoring, described, look_for_abandoned, restore
 from splatview.viewer.editing.saving import Saving, has_unsaved_edits
 from splatview.viewer.editing.session import JOURNALS, Editing, session_of
-from splatview.viewer.open import open_paths
+from splatview.viewer.open import begin_demo, open_paths
 from splatview.viewer.state import AppState
 
 A, B = 40, 15
@@ -132,3 +132,34 @@ def test_a_scene_of_several_files_is_restored(app, files, tmp_path, wait_for_loa
     assert [file.name for file in session.document.files] == [file.name for file in files_then]
     assert session.document.files[0].locked
     assert app.scene.paths == tuple(files)
+
+
+def test_edits_of_the_demo_are_restored_after_the_question_about_others(
+    app, files, tmp_path, wait_for_loading, random_gaussians, monkeypatch
+):
+    monkeypatch.setattr("splatview.viewer.loading.cached_demo", lambda **_: random_gaussians(A, seed=7))
+    begin_demo(app)
+    wait_for_loading(app)
+    session = session_of(app)
+    assert session is not None and app.scene.name == "Demo"
+    do(session, "select", by={"kind": "runs", "runs": [[3, 5]]})
+    do(session, "delete")
+    crash(app, tmp_path)
+
+    other = opened(app, files[:1], wait_for_loading)
+    do(other, "transform", scope="scene", translation=[1, 0, 0])
+    look_for_abandoned(app)
+    (journal,) = app.feature(Restoring).abandoned
+    assert described(journal).startswith("Demo: 2 steps")
+    restore(app, journal)
+    assert app.feature(Saving).question == "leave" and app.loading is None
+    saving.leave_unsaved(app)
+    app.run_posted()
+    wait_for_loading(app)
+    settle(app)
+    session = session_of(app)
+    assert session is not None and app.problem is None
+    assert app.scene.name == "Demo" and session.document.counts.kept == A - 5 and has_unsaved_edits(app)
+    assert not journal.file.exists(), "its steps are in the journal of this session"
+    session.undo()
+    assert session.document.counts.kept == A

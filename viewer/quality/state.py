@@ -105,7 +105,7 @@ class Accuracy(Feature):
     def measure(self, app: AppState) -> None:
         """Begins to measure the view that is seen, where nothing is being measured."""
         if self.choices.get("attributes", "float32") != "float32":
-            app.complain("Take attributes back first: prices are measured on the scene as it is")
+            app.complain("Choose float32 attributes first: shortcuts are measured on the exact scene")
         elif self.measurement is None and app.is_open:
             self.measurement = Measurement(app, seconds=self.seconds, rounds=self.rounds, wake=self.wake)
 
