@@ -103,7 +103,7 @@ def figures(app: AppState, *, short: bool = False) -> list[tuple[str, str, str]]
 
 
 def show(app: AppState, strip: Sequence[Panel]) -> None:
-    """The whole bar, in a window of its own. Where that is narrow the hint ends sooner, and counts are rounded."""
+    """The whole bar, in a window of its own; in a narrow one the hint ends sooner and counts are rounded."""
     style, em = imgui.get_style(), imgui.get_font_size()
     imgui.set_cursor_pos(ImVec2(style.window_padding.x * 0.6, (imgui.get_window_height() - em * 1.5) / 2))
     switches(app, strip, em * 1.5)
