@@ -18,6 +18,7 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
 from splatview.viewer import layout, toolbar
+from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels import edit, widgets
 from splatview.viewer.state import AppState
@@ -57,6 +58,7 @@ def everything_fits(app: AppState, hand: Hand, options: dict[str, Any], found: d
             found["wrong"] += [f"{size} {state}: {text}" for text in narrow]
             narrow.clear()
             found["wrong"] += [f"{size} {state}: {text}" for text in windows_apart(hand, app)]
+            found["wrong"] += [f"{size} {state}: {text}" for text in beyond(hand, shown(app))]
             hand.shoot(f"{SHOTS}/{size} {state}.png".replace(" ", "_") if SHOTS else None)
     found["looked"] = looked
     found["scale"] = hello_imgui.dpi_window_size_factor()
@@ -94,6 +96,11 @@ def states(app: AppState, hand: Hand) -> Iterator[str]:
         hand.on_gl_thread(lambda tool=tool: session.take_tool(tool.name))
         yield f"tool {tool.label}"
     hand.press("Escape")
+    for name, (command, _) in DIALOGS.items():
+        hand.on_gl_thread(lambda command=command: COMMANDS[command].run(app))
+        hand.frames(4)
+        yield f"dialog {name}"
+        hand.press("Escape")
 
 
 FOLDS = {
@@ -103,8 +110,25 @@ FOLDS = {
 }
 
 
+DIALOGS = {
+    "settings": ("settings", "Settings"),
+    "export": ("export", "Export the scene"),
+    "start": ("start_screen", "Start"),
+    "recent": ("recent", "Recent scenes"),
+    "screenshot": ("screenshot_as", "Save a picture"),
+    "help": ("toggle_help", "Keys and mouse"),
+    "palette": ("toggle_palette", "Commands"),
+}
+"""Name of a dialog -> the command that opens it, and ImGui's name of it."""
+
+
 def shown(app: AppState) -> list[str]:
-    """ImGui's names of the parts that are on the screen."""
+    """ImGui's names of the parts that are on the screen: of a dialog alone, where one is open."""
+    return [DIALOGS[app.dialog][1]] if app.dialog in DIALOGS else parts(app)
+
+
+def parts(app: AppState) -> list[str]:
+    """ImGui's names of the parts of the window below dialogs."""
     open_now = [
         layout.open_panel(app, layout.PAGES, app.page),
         layout.open_panel(app, layout.STRIP, app.strip),
@@ -191,21 +215,26 @@ def watch_labels() -> list[str]:
 
 
 def windows_apart(hand: Hand, app: AppState) -> list[str]:
-    """Parts of the window that lie on each other, or beyond it."""
-    rects = {name: hand.ctx.get_window_by_ref(f"//{name}").rect() for name in shown(app)}
+    """Parts of the window that lie on each other."""
+    rects = {name: hand.ctx.get_window_by_ref(f"//{name}").rect() for name in parts(app)}
     found = []
     for (one, a), (other, b) in combinations(rects.items(), 2):
         x = min(a.max.x, b.max.x) - max(a.min.x, b.min.x)
         y = min(a.max.y, b.max.y) - max(a.min.y, b.min.y)
         if x > 0 and y > 0:
             found.append(f"{one} and {other} overlap")
+    return found
+
+
+def beyond(hand: Hand, names: list[str]) -> list[str]:
+    """Those of the windows `names` that reach beyond the program's."""
     size = imgui.get_io().display_size
-    found += [
+    rects = {name: hand.ctx.get_window_by_ref(f"//{name}").rect() for name in names}
+    return [
         f"{name} is beyond the window"
         for name, rect in rects.items()
-        if rect.min.x < 0 or rect.max.x > size.x or rect.max.y > size.y
+        if rect.min.x < 0 or rect.min.y < 0 or rect.max.x > size.x or rect.max.y > size.y
     ]
-    return found
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 python tools/readme/readme_pictures.py [NAME ...]
 
-Names: landscape, modes, window, timeline, editing, accuracy, effects, training. None: all.
+Names: landscape, modes, window, timeline, editing, crop, accuracy, effects, training. None: all.
 """
 
 from __future__ import annotations
@@ -134,6 +134,12 @@ def editing(folder: Path) -> None:
     grab([sys.executable, drive, "editing"], folder / "editing.png", SECONDS_TO_EDIT, until="readme-ready")
 
 
+def crop(folder: Path) -> None:
+    """The window on the demo with a crop box, one face of which has been dragged."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "crop"], folder / "crop.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
 def accuracy(folder: Path) -> None:
     """The window on the demo with prices of shortcuts, and exact beside one."""
     drive = Path(__file__).with_name("readme_windows.py")
@@ -158,6 +164,7 @@ MAKERS = {
     "window": window,
     "timeline": timeline,
     "editing": editing,
+    "crop": crop,
     "accuracy": accuracy,
     "effects": effects,
     "training": training,

@@ -15,11 +15,15 @@ from typing import Any
 from imgui_bundle import ImVec2, imgui
 
 from splatview.viewer.app import run_window
+from splatview.viewer.editing.commands import take_tool
+from splatview.viewer.editing.face_handles import place_of
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.editing.tool_state import Face
 from splatview.viewer.entries import open_page, toggle_strip
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
+from splatview.viewer.theme import point_on_picture
 
 READY = "readme-ready"
 """File, beside the settings, that says: now is the moment."""
@@ -61,6 +65,38 @@ def editing(app: AppState, ctx: Any) -> None:
         settle()
     ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
     settle()
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while not app.quitting:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
+def crop(app: AppState, ctx: Any) -> None:
+    """A crop box about a part of the demo: each of two faces dragged by its dot, the mouse on a third."""
+
+    def settle() -> None:
+        ctx.yield_(5)
+        while app.waiting or not app.is_open or app.transition is not None:
+            ctx.yield_(1)
+        ctx.yield_(10)
+
+    settle()
+    app.post(open_page, "Edit", "Crop")
+    app.post(take_tool, "crop_box")
+    settle()
+    session = session_of(app)
+    assert session is not None
+    view = ctx.window_info("//View").rect_full
+    width, height = round(view.max.x - view.min.x), round(view.max.y - view.min.y)
+    for face, dx, dy in ((Face(0, -1), 150, 0), (Face(1, -1), 0, 110), (Face(0, 1), 0, 0)):
+        place = place_of(session.document.crops[session.forms.crop], face).tolist()
+        at = point_on_picture(app.view.camera(width, height), view.min, place)
+        assert at is not None
+        ctx.mouse_teleport_to_pos(at)
+        ctx.yield_(5)
+        if dx or dy:
+            ctx.mouse_drag_with_delta(ImVec2(dx, dy), 0)
+        settle()
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
     while not app.quitting:
         ctx.yield_(1)
@@ -110,7 +146,7 @@ def effects(app: AppState, ctx: Any) -> None:
         time.sleep(0.05)
 
 
-DRIVES = {"editing": editing, "accuracy": accuracy, "effects": effects}
+DRIVES = {"editing": editing, "crop": crop, "accuracy": accuracy, "effects": effects}
 
 
 if __name__ == "__main__":
