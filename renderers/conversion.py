@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
 from splatview.renderers.rate_distortion import (
@@ -112,7 +114,8 @@ def measure(
     folder = tempfile.TemporaryDirectory(prefix="splatview-", ignore_cleanup_errors=True)
     try:
         scene = gaussians if sh_degree is None else with_degree(gaussians, sh_degree)
-        judge = Judge(gaussians, [] if known.exact and scene is gaussians and target is None else views)
+        same = scene is gaussians and target is None and keeps_numbers(known, gaussians)
+        judge = Judge(gaussians, [] if same else views)
         if target is not None:
             trial = search(scene, path, known, target, judge, Path(folder.name), progress)
         else:
@@ -148,15 +151,10 @@ def convert(
     path, target = Path(path), parse_target(target) if isinstance(target, str) else target
     known = format_of(path)
     whole = target is None and (sh_degree is None or sh_degree >= gaussians.sh_degree)
-    if known is not None and known.exact and whole:
+    if known is not None and whole and keeps_numbers(known, gaussians) and not losses(gaussians, path):
         save_scene(gaussians, path, progress=progress)
-        found = Conversion(
-            bytes=stored_bytes(path),
-            splats=len(gaussians),
-            psnr=math.inf,
-            max_error=0.0,
-            lost=tuple(losses(gaussians, path)),
-        )
+        size = stored_bytes(path)
+        found = Conversion(bytes=size, splats=len(gaussians), psnr=math.inf, max_error=0.0, lost=())
         on_measured(found)
         return found
     options = {"sh_degree": sh_degree, "target": target, "cameras": cameras}
@@ -164,6 +162,11 @@ def convert(
         on_measured(measured.found)
         measured.write(path, Progress(cancelled=progress.cancelled))
         return measured.found
+
+
+def keeps_numbers(known: Format, gaussians: Gaussians) -> bool:
+    """Whether every number of a scene comes back from a format."""
+    return known.exact and (known.doubles or gaussians.means.dtype == np.float32)
 
 
 def sample_views(gaussians: Gaussians) -> list[Camera]:

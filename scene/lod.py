@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatview.scene.gaussians import Gaussians, concatenate
+from splatview.scene.gaussians import ARRAYS, Gaussians
 from splatview.scene.projection import covariances_3d, sigmoid
 
 MEMBER_SIZE = 1.5
@@ -31,8 +31,8 @@ LEAST_GAIN = 0.85
 FULL_OPACITY = 0.99
 """The most that a merged splat has; what renderers allow."""
 
-MEMBERS_AT_ONCE = 1 << 17
-"""Some 50 MiB of numbers in between."""
+MEMBERS_AT_ONCE = 1 << 15
+"""Some 12 MiB of numbers in between."""
 
 MIXED_CELLS = 2
 """Cells along the side of a cube that is merged or not as a whole, see `chances`."""
@@ -53,10 +53,11 @@ def levels_and_cells(gaussians: Gaussians, *, levels: int = 4) -> Iterator[tuple
         fewer, side = merge_in_cells(gaussians, cell), cell
         cell *= GROWTH
         if len(fewer) <= LEAST_GAIN * len(gaussians):
-            yield fewer, side
             gaussians, levels = fewer, levels - 1
+            yield gaussians, side
             if levels == 0:
                 return
+        del fewer  # the next one is made without it
 
 
 def merge_in_cells(gaussians: Gaussians, cell: float) -> Gaussians:
@@ -67,11 +68,18 @@ def merge_in_cells(gaussians: Gaussians, cell: float) -> Gaussians:
     members, starts = _groups(gaussians, cell)
     alone = np.ones(len(gaussians), bool)
     alone[members] = False
-    parts = [
-        _merged(gaussians, members[first:end], starts[begin:stop] - first)
-        for begin, stop, first, end in _batches(starts, len(members))
-    ]
-    return concatenate([*parts, replace(gaussians, extras={}).take(alone)])
+    rest = np.flatnonzero(alone)
+    arrays = {}
+    for name in ARRAYS:
+        values = getattr(gaussians, name)
+        arrays[name] = np.empty((len(starts) + len(rest), *values.shape[1:]), values.dtype)
+        # With mode="clip" numpy writes to `out` itself, not to a copy first.
+        np.take(values, rest, axis=0, out=arrays[name][len(starts) :], mode="clip")
+    for begin, stop, first, end in _batches(starts, len(members)):
+        merged = _merged(gaussians, members[first:end], starts[begin:stop] - first)
+        for name, values in arrays.items():
+            values[begin:stop] = getattr(merged, name)
+    return replace(gaussians, **arrays, extras={})
 
 
 def chances(finer: Gaussians, cell: float, gaussians: Gaussians) -> np.ndarray:

@@ -179,6 +179,11 @@ def antialiasing(comments: tuple[str, ...]) -> tuple[bool, float, str]:
     return result
 
 
+def is_tag(comment: str) -> bool:
+    """Whether a comment says how the scene was trained, as `antialiasing` and `is_flat` read it."""
+    return any(said.match(comment) for said in (SAYS_MODE, SAYS_RASTERISER, SAYS_FLAG))
+
+
 def antialiased_effect(gaussians: Gaussians) -> Effect:
     on, blur, comment = antialiasing(gaussians.comments)
     said = f"the file says {comment!r}" if comment else "the file does not say that it was trained so"

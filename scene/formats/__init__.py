@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from splatview.scene.camera import Camera
-from splatview.scene.effects.appearance import antialiasing, is_flat
+from splatview.scene.effects.appearance import antialiasing, is_flat, is_tag
 from splatview.scene.errors import InputError
+from splatview.scene.formats import compressed_ply, splat, spz
 from splatview.scene.formats.cameras import read_cameras_file, write_camera
 from splatview.scene.formats.colmap import find_model, is_colmap
 from splatview.scene.formats.compressed_ply import save_compressed
@@ -24,16 +25,18 @@ from splatview.scene.formats.folders import atomic_folder, folder_target
 from splatview.scene.formats.gltf import is_glb, read_glb, read_gltf, save_glb
 from splatview.scene.formats.io import atomic_write, open_regular, target_of
 from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
-from splatview.scene.formats.packing import storable
+from splatview.scene.formats.packing import slices, storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
-from splatview.scene.formats.sog import LOD_META, META, is_sog_folder, is_zip, read_sog, read_sog_folder
+from splatview.scene.formats.sog import META, is_zip, read_sog
 from splatview.scene.formats.sog_folder import foreign_name, save_sog_folder, save_streamed
+from splatview.scene.formats.sog_streamed import LOD_META, is_sog_folder, read_sog_folder
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
-from splatview.scene.formats.spz import is_spz, read_spz, save_spz
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.formats.spz import is_record, is_spz, read_spz, save_spz
+from splatview.scene.gaussians import NOTE, Gaussians
 from splatview.scene.image_model import BLUR
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
+from splatview.scene.sh import SH_C0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +60,12 @@ class Format:
     """The same of the SH above the constant band; one at most."""
     sh: bool = True
     """Whether it holds bands above the constant one, as all that follows are things that it may hold."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """The least and the largest of values in RANGED that it holds, where they are few; those beyond become
+    the nearest."""
     comments: bool = False
+    held_comment: Callable[[str], bool] = lambda comment: False
+    """Whether one without `comments` has a place of its own for this one."""
     extras: bool = False
     """Properties that are not a splat's own."""
     doubles: bool = False
@@ -102,16 +110,19 @@ FORMATS = {
         suffix=".compressed.ply",
         read=read_ply,
         write=save_compressed,
+        ranges=compressed_ply.RANGES,
         comments=True,
         antialiased=True,
         discs=True,
     ),
-    "splat": Format(suffix=".splat", read=read_splat, write=save_splat, sh=False),
+    "splat": Format(suffix=".splat", read=read_splat, write=save_splat, sh=False, ranges=splat.RANGES),
     "spz": Format(
         suffix=".spz",
         sniff=is_spz,
         read=read_spz,
         write=save_spz,
+        ranges=spz.RANGES,
+        held_comment=is_record,
         antialiased=True,
         knobs={"position_bits": (12, 14, 16, 18, 20, 24)},
         sh_knobs={"sh_bits": ((3, 2, 2), (4, 3, 3), (5, 4, 4), (6, 5, 5), (8, 8, 8))},
@@ -287,12 +298,38 @@ def losses(gaussians: Gaussians, path: Path) -> list[str]:
         lost.append(f"the kernel of {blur:g} px² that it was trained with; readers take {BLUR:g}")
     if is_flat(gaussians) and not known.discs:
         lost.append("the tag that its splats are discs")
-    comments = len(gaussians.comments) - len(gaussians.notes)
+    for name, (low, high) in known.ranges.items():
+        what, values, text = RANGED[name]
+        if beyond := _count_beyond(values(gaussians), low, high):
+            lost.append(
+                f"{beyond:,} splats have {what} beyond its range of {text(low)} to {text(high)}, and get the "
+                "nearest"
+            )
+    said = [one for one in gaussians.comments if not (one.startswith(NOTE) or is_tag(one))]
+    comments = sum(not known.held_comment(one) for one in said)
     if comments and not known.comments:
         lost.append("a comment" if comments == 1 else f"{comments} comments")
     if gaussians.extras and not known.extras:
         lost.append(f"properties that are not a splat's own: {', '.join(gaussians.extras)}")
     return lost
+
+
+RANGED: dict[str, tuple[str, Callable[[Gaussians], np.ndarray], Callable[[float], str]]] = {
+    "log_scales": ("sizes", lambda scene: scene.log_scales, lambda value: f"{math.exp(value):.3g}"),
+    "colours": ("colours", lambda scene: scene.sh[:, 0], lambda value: f"{round(0.5 + SH_C0 * value, 3):g}"),
+    "sh": ("SH coefficients", lambda scene: scene.sh[:, 1:], lambda value: f"{value:.3g}"),
+}
+"""What formats may have a range of: its word, the values (N, ...), and a limit as users know it."""
+
+BEYOND = 0.002
+"""Share of a range by which values are beyond it: what is nearer is rounded to its end, as to any step."""
+
+
+def _count_beyond(values: np.ndarray, low: float, high: float) -> int:
+    """Splats with a value out of a range."""
+    low, high = low - BEYOND * (high - low), high + BEYOND * (high - low)
+    rows = (values[part].reshape(part.stop - part.start, -1) for part in slices(len(values)))
+    return sum(int(((part < low) | (part > high)).any(axis=1).sum()) for part in rows)
 
 
 def check_saving(path: Path) -> None:

@@ -40,6 +40,9 @@ LARGEST_LOG_SCALE = 20.0
 SH_RANGE = 8.0
 """Width of the range of coefficients, about 0."""
 
+RANGES = {"log_scales": (-LARGEST_LOG_SCALE, LARGEST_LOG_SCALE), "sh": (-SH_RANGE / 2, SH_RANGE / 2)}
+"""What its numbers reach to."""
+
 
 def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room: float) -> Gaussians:
     """The splats of a file whose vertices are packed. Raises InputError and Cancelled."""

@@ -41,8 +41,8 @@ a file that was made to fill the memory costs at most, with the scene that is ma
 
 
 def storable(gaussians: Gaussians) -> np.ndarray:
-    """(N,) bool: splats whose every value is finite and whose quaternion has a length. No renderer draws the
-    others, but for log-scales of -inf."""
+    """(N,) bool: splats whose every value is finite as float32 and whose quaternion has a length. No renderer
+    draws the others, but for log-scales of -inf."""
     return _storable(gaussians)[0]
 
 

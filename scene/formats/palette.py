@@ -115,14 +115,14 @@ def vectors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """At most `count` centroids (C, D) float32 of N rows, and the index (N,) of each row's own.
 
-    Weighted by `weights` (N,), at least 0. Where there are no more different rows than that, those are the
-    centroids, and nothing is lost. Raises Cancelled.
+    Weighted by `weights` (N,) float64, at least 0. Where there are no more different rows than that, those
+    are the centroids, and nothing is lost. Raises Cancelled.
     """
     rng = np.random.default_rng(seed)
     found = _distinct(rows, count)
     if found is not None:
         return found
-    weights = weights.astype(np.float64) + 1e-12 * max(float(weights.max(initial=0.0)), 1e-300)
+    weights = weights + 1e-12 * max(float(weights.max(initial=0.0)), 1e-300)
     groups = int(np.clip(np.sqrt(count) / 2, 1, 256))
     sample = rng.choice(len(rows), min(SAMPLE, len(rows)), replace=False)
     middles = _clustered(rows[sample], weights[sample], groups, rng)
@@ -132,7 +132,8 @@ def vectors(
         np.bincount(group_of, minlength=groups),
         count,
     )
-    centroids, labels = [], np.empty(len(rows), np.int64)
+    del errors
+    centroids, labels = [], np.empty(len(rows), np.int32)
     first = 0
     for group in range(groups):
         members = np.flatnonzero(group_of == group)
@@ -160,9 +161,11 @@ def _distinct(rows: Rows, most: int) -> tuple[np.ndarray, np.ndarray] | None:
             mixed ^= column
             mixed *= np.uint64(HASH_FACTOR)
             mixed ^= mixed >> np.uint64(29)
-    found, first, labels = np.unique(hashes, return_index=True, return_inverse=True)
-    if len(found) > most:
+    ordered = np.sort(hashes)
+    if np.count_nonzero(ordered[1:] != ordered[:-1]) >= most:
         return None
+    del ordered
+    _, first, labels = np.unique(hashes, return_index=True, return_inverse=True)
     distinct = rows[first]
     for part in slices(len(rows)):
         if not np.array_equal(distinct[labels[part]], rows[part]):
@@ -204,8 +207,8 @@ def _clustered(rows: np.ndarray, weights: np.ndarray, count: int, rng: np.random
 
 
 def nearest(rows: np.ndarray | Rows, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index (N,) of the centroid nearest to each of rows (N, D), and the squared distance."""
-    labels, errors = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
+    """Index (N,) int32 of the centroid nearest to each of rows (N, D), and the squared distance."""
+    labels, errors = np.empty(len(rows), np.int32), np.empty(len(rows), np.float32)
     half_squares = 0.5 * np.einsum("cd,cd->c", centroids, centroids)
     step = max(1, BLOCK // len(centroids))
     for start in range(0, len(rows), step):

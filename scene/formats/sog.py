@@ -1,8 +1,7 @@
 """Scenes from .sog, splats as pictures: a zip or a folder of lossless WebP and a meta.json.
 
-Texel i of every picture is splat i. Versions 1 (ranges) and 2 (codebooks), and streamed SOG: a lod-meta.json
-whose tree names parts of several such folders, one per level of detail, of which the finest is read. Source:
-playcanvas/splat-transform, read-sog.ts, read-sog-v1.ts and read-lod.ts (MIT), read for facts.
+Texel i of every picture is splat i. Versions 1 (ranges) and 2 (codebooks). Source:
+playcanvas/splat-transform, read-sog.ts and read-sog-v1.ts (MIT), read for facts.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,21 +30,21 @@ from splatview.scene.formats.packing import (
     rows_of,
     scene_of,
 )
-from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenate
+from splatview.scene.gaussians import SH_COEFFICIENTS, Gaussians
 from splatview.scene.progress import Progress
 
-META, LOD_META = "meta.json", "lod-meta.json"
+META = "meta.json"
 
 MAX_META_BYTES = 1 << 24
 
 PALETTE_COLUMNS = 64
 """Palette entries side by side in the picture of the centroids."""
 
+PALETTE_ROWS = 1 << 12
+"""Entries that are looked up at once: numpy makes eight bytes of the index of each of their numbers."""
+
 TAGS = {"antialiased": "antialiased 1", "2dgs": "SplatRenderMode: 2dgs"}
 """The file's word for its model -> the comment that says so."""
-
-MOST_CHUNKS = 1 << 16
-"""Files that a streamed scene may name."""
 
 
 class Source(Protocol):
@@ -65,14 +64,6 @@ def is_zip(start: bytes) -> bool:
     return start.startswith(b"PK\x03\x04")
 
 
-def is_sog_folder(path: Path) -> bool:
-    """Whether `path` is such a folder, or the file in it that describes the others."""
-    if path.name in (META, LOD_META):
-        return os.path.isfile(path)
-    # os.path: unlike Path's, its questions have an answer for every name.
-    return os.path.isdir(path) and any(os.path.isfile(path / name) for name in (META, LOD_META))
-
-
 DAMAGED_ZIP = (
     *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error),
     *(NotImplementedError, RuntimeError, EOFError, UnicodeDecodeError),
@@ -86,7 +77,7 @@ def read_sog(file: io.BufferedReader, path: Path, progress: Progress, room: floa
     try:
         with zipfile.ZipFile(file) as archive:
             source = _Zip(archive, path, os.fstat(file.fileno()).st_size)
-            return _read_unit(source, _meta_of(source, META), progress, room)
+            return read_unit(source, progress, room)
     except DAMAGED_ZIP as error:
         raise InputError(f"{path}: is a damaged zip ({error}); copy or export it again") from None
 
@@ -111,23 +102,13 @@ def _check_directory(file: io.BufferedReader, path: Path) -> None:
         raise InputError(f"{path}: lists more files than a scene has: it is damaged; export it again")
 
 
-def read_sog_folder(path: Path, progress: Progress, room: float) -> Gaussians:
-    """Splats of a folder, or of the finest level of a streamed scene. Raises InputError and Cancelled."""
-    folder = path if path.is_dir() else path.parent
-    streamed = path.name == LOD_META or not os.path.isfile(folder / META)
-    source = _Folder(folder)
-    if streamed:
-        return _read_streamed(source, folder, progress, room)
-    return _read_unit(source, _meta_of(source, META), progress, room)
-
-
 class _Zip:
     def __init__(self, archive: zipfile.ZipFile, path: Path, held: int) -> None:
         self.name, self._archive, self.held = path, archive, held
 
     def read(self, name: str, most: int) -> bytes:
         try:
-            entry = self._archive.getinfo(_plain(name, self.name))
+            entry = self._archive.getinfo(plain(name, self.name))
         except KeyError:
             raise InputError(f"{self.name}: has no {excerpt(name)}; export it again") from None
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -146,7 +127,7 @@ class _Zip:
         return data
 
 
-class _Folder:
+class SogFolder:
     def __init__(self, folder: Path) -> None:
         self.name = folder
         try:
@@ -156,7 +137,7 @@ class _Folder:
             raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from None
 
     def read(self, name: str, most: int) -> bytes:
-        path = self.name / _plain(name, self.name)
+        path = self.name / plain(name, self.name)
         with open_regular(path) as file:
             data = file.read(most + 1)
         if len(data) > most:
@@ -164,7 +145,7 @@ class _Folder:
         return data
 
 
-def _plain(name: Any, where: Path) -> str:
+def plain(name: Any, where: Path) -> str:
     """`name` if it is that of a file beside meta.json; nothing else is ever opened. Raises InputError."""
     if not isinstance(name, str) or not name or name in (".", "..") or any(c in name for c in "/\\:\0"):
         raise InputError(
@@ -173,7 +154,7 @@ def _plain(name: Any, where: Path) -> str:
     return name
 
 
-def _meta_of(source: Source, name: str) -> dict[str, Any]:
+def meta_of(source: Source, name: str) -> dict[str, Any]:
     meta = parsed_json(source.read(name, MAX_META_BYTES), source.name, f"its {name}")
     if not isinstance(meta, dict):
         raise InputError(f"{source.name}: its {name} holds no object; export it again")
@@ -181,7 +162,7 @@ def _meta_of(source: Source, name: str) -> dict[str, Any]:
 
 
 @contextmanager
-def _described(source: Source) -> Iterator[None]:
+def described(source: Source) -> Iterator[None]:
     """Whatever is not as meta.json should have it is told in one line."""
     try:
         yield
@@ -194,19 +175,58 @@ def _described(source: Source) -> Iterator[None]:
         ) from None
 
 
-def _read_unit(source: Source, meta: dict[str, Any], progress: Progress, room: float) -> Gaussians:
-    with _described(source):
-        version = meta.get("version", 1)
-        if version not in (1, 2):
-            raise InputError(f"{source.name}: is version {excerpt(str(version))} of .sog; 1 and 2 are read")
-        n = meta["count"] if version == 2 else meta["means"]["shape"][0]
-        if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31:
-            raise InputError(f"{source.name}: a count of {excerpt(str(n))} splats: it is damaged")
-        check_expansion(source.name, 20 * n, source.held)
-        shn = meta.get("shN") or {}
-        check_room(source.name, n, int(shn.get("bands", 3 if shn else 0)), room)
-        pictures = _Pictures(source, n)
-        return _decoded(pictures, meta, version, n, progress)
+def read_unit(source: Source, progress: Progress, room: float) -> Gaussians:
+    unit = SogUnit.of(source)
+    check_room(source.name, unit.count, unit.degree, room)
+    arrays = empty_arrays(unit.count, unit.degree)
+    unit.decode(arrays, progress)
+    return scene_of(arrays, unit.comments)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SogUnit:
+    """A scene of one meta.json whose counts have been checked, and nothing of which is decoded yet."""
+
+    source: Source
+    meta: dict[str, Any]
+    version: int
+    count: int
+    degree: int
+
+    @staticmethod
+    def of(source: Source) -> SogUnit:
+        """Raises InputError."""
+        meta = meta_of(source, META)
+        with described(source):
+            version = meta.get("version", 1)
+            if version not in (1, 2):
+                raise InputError(
+                    f"{source.name}: is version {excerpt(str(version))} of .sog; 1 and 2 are read"
+                )
+            n = meta["count"] if version == 2 else meta["means"]["shape"][0]
+            if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31:
+                raise InputError(f"{source.name}: a count of {excerpt(str(n))} splats: it is damaged")
+            check_expansion(source.name, BYTES * n, source.held)
+            shn = meta.get("shN") or None
+            degree = _palette_degree(source, shn, version) if shn else 0
+            return SogUnit(source=source, meta=meta, version=version, count=n, degree=degree)
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        tag = TAGS.get(str(self.meta.get("model", "")))
+        if tag is None and self.meta.get("antialias") is True:
+            tag = TAGS["antialiased"]
+        return (tag,) if tag else ()
+
+    def decode(self, arrays: dict[str, np.ndarray], progress: Progress) -> None:
+        """Fills arrays of `Gaussians` of its count; SH bands above its own become zeros. Raises InputError
+        and Cancelled."""
+        with described(self.source):
+            _decode(self, arrays, progress)
+
+
+BYTES = 20
+"""Of a splat's texels, of which files hold fewer."""
 
 
 class _Pictures:
@@ -224,9 +244,7 @@ class _Pictures:
         """(H, W, 3 or 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
         from PIL import WebPImagePlugin
 
-        source = self.source
-        # A WebP is packed already: a zip makes it no smaller.
-        data = source.read(name, 2 * source.held + MAX_META_BYTES)
+        source, data = self.source, _webp_of(self.source, name)
         # Before the library is asked, which makes room for whatever size is said.
         width, height = _size_of_webp(data)
         if width * height < least:
@@ -253,6 +271,12 @@ class _Pictures:
             ) from None
 
 
+def _webp_of(source: Source, name: Any) -> bytes:
+    """A picture's file. Raises InputError."""
+    # A WebP is packed already: a zip makes it no smaller.
+    return source.read(name, 2 * source.held + MAX_META_BYTES)
+
+
 def _size_of_webp(data: bytes) -> tuple[int, int]:
     """Width and height that a WebP says to have; (0, 0) of what is none. Source: the container's
     specification, of which the first chunk is enough."""
@@ -269,19 +293,21 @@ def _size_of_webp(data: bytes) -> tuple[int, int]:
     return 0, 0
 
 
-def _decoded(
-    pictures: _Pictures, meta: dict[str, Any], version: int, n: int, progress: Progress
-) -> Gaussians:
+def _decode(unit: SogUnit, arrays: dict[str, np.ndarray], progress: Progress) -> None:
     from splatview.scene.formats.kernels.compiling import over_splats
     from splatview.scene.formats.kernels.decoding import decode_sog
 
+    meta, version, n = unit.meta, unit.version, unit.count
+    pictures, columns = _Pictures(unit.source, n), 3 * (arrays["sh"].shape[1] - 1)
     names = [*_names(meta["means"], 2), *(_names(meta[entry], 1)[0] for entry in ("quats", "scales", "sh0"))]
     texels = []
     for name, alpha in zip(names, (False, False, True, False, True), strict=True):
         texels.append(pictures.texels(name, alpha=alpha))
         progress.step(0.1 * len(texels))
     shn = meta.get("shN") or None
-    palette = _palette(pictures, shn, version) if shn else NO_PALETTE
+    palette = np.zeros((1, columns), np.float32)
+    if shn:
+        palette = _palette(pictures, shn, version, unit.degree, columns)
     progress.step(0.6)
     texels.append(pictures.texels(_names(shn, 2)[1]) if shn else texels[0])
     progress.step(0.7)
@@ -298,7 +324,6 @@ def _decoded(
     else:
         log_scales, colours = _levels(meta["scales"], 3), _levels(meta["sh0"], 4)
         colours, logits = colours[:3], colours[3]
-    arrays = empty_arrays(n, SH_COEFFICIENTS.index(1 + palette.shape[1] // 3))
     over_splats(
         decode_sog,
         n,
@@ -308,10 +333,6 @@ def _decoded(
         rows_of(arrays),
         progress=progress.part(0.7, 1.0),
     )
-    tag = TAGS.get(str(meta.get("model", "")))
-    if tag is None and meta.get("antialias") is True:
-        tag = TAGS["antialiased"]
-    return scene_of(arrays, (tag,) if tag else ())
 
 
 QUAT_LEVELS = (np.arange(256, dtype=np.float32) * np.float32(2 / 255) - 1) * SQRT_HALF
@@ -324,25 +345,31 @@ def _levels(entry: dict[str, Any], count: int) -> np.ndarray:
     return _between(low, high, np.arange(256)[None], 255).astype(np.float32)
 
 
-NO_PALETTE = np.zeros((1, 0), np.float32)
+def _palette_degree(source: Source, shn: dict[str, Any], version: int) -> int:
+    """SH degree of a palette. Raises InputError, KeyError and ValueError."""
+    if version == 2:
+        degree = int(shn["bands"])
+        if not 1 <= degree <= 3:
+            raise InputError(f"{source.name}: SH degree {degree}; there are 1 to 3: it is damaged")
+        return degree
+    width = _size_of_webp(_webp_of(source, _names(shn, 2)[0]))[0]
+    if width % PALETTE_COLUMNS or width // PALETTE_COLUMNS + 1 not in SH_COEFFICIENTS[1:]:
+        raise InputError(f"{source.name}: a palette {width} texels wide makes no SH bands")
+    return SH_COEFFICIENTS.index(width // PALETTE_COLUMNS + 1)
 
 
-def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> np.ndarray:
-    """(entries + 1, 3 x coefficients) float32: the bands above the constant one, for each label. The last is
-    zeros, for labels that are none. Raises InputError, KeyError and ValueError."""
-    name = _names(shn, 2)[0]
+def _palette(pictures: _Pictures, shn: dict[str, Any], version: int, degree: int, columns: int) -> np.ndarray:
+    """(entries + 1, columns) float32: the bands above the constant one, for each label, and zeros where there
+    are more `columns`. The last is zeros, for labels that are none. Raises InputError, KeyError and
+    ValueError."""
     most = int(shn["count"]) if version == 2 else 2**16
     if not 0 < most <= 2**16:
         raise InputError(f"{pictures.source.name}: a palette of {most:,} entries: it is damaged")
-    pixels = pictures.pixels(name, PALETTE_COLUMNS) if version == 1 else None
-    if pixels is None:
-        degree = int(shn["bands"])
-        if not 1 <= degree <= 3:
-            raise InputError(f"{pictures.source.name}: SH degree {degree}; there are 1 to 3: it is damaged")
-        rows = -(-most // PALETTE_COLUMNS)
-        pixels = pictures.pixels(name, rows * PALETTE_COLUMNS * (SH_COEFFICIENTS[degree] - 1))
-    per_channel = pixels.shape[1] // PALETTE_COLUMNS
-    if per_channel + 1 not in SH_COEFFICIENTS[1:] or pixels.shape[1] % PALETTE_COLUMNS:
+    per_channel = SH_COEFFICIENTS[degree] - 1
+    # Version 1 does not say how many there are.
+    rows = -(-most // PALETTE_COLUMNS) if version == 2 else 1
+    pixels = pictures.pixels(_names(shn, 2)[0], rows * PALETTE_COLUMNS * per_channel)
+    if pixels.shape[1] != PALETTE_COLUMNS * per_channel:
         raise InputError(f"{pictures.source.name}: a palette {pixels.shape[1]} texels wide makes no SH bands")
     if version == 2:
         levels = _codebook(shn)
@@ -351,8 +378,10 @@ def _palette(pictures: _Pictures, shn: dict[str, Any], version: int) -> np.ndarr
         levels = (low + (high - low) * (np.arange(256) / np.float32(255))).astype(np.float32)
     # The coefficients of an entry lie side by side, and so do PALETTE_COLUMNS entries.
     rows = pixels[..., :3].reshape(len(pixels) * PALETTE_COLUMNS, 3 * per_channel)[:most]
-    palette = np.zeros((len(rows) + 1, rows.shape[1]), np.float32)
-    np.take(levels, rows, out=palette[:-1])
+    palette = np.zeros((len(rows) + 1, columns), np.float32)
+    for start in range(0, len(rows), PALETTE_ROWS):
+        part = rows[start : start + PALETTE_ROWS]
+        palette[start : start + len(part), : part.shape[1]] = levels[part]
     return palette
 
 
@@ -385,69 +414,3 @@ def _codebook(entry: dict[str, Any]) -> np.ndarray:
 
 def _between(low: np.ndarray, high: np.ndarray, whole: np.ndarray, most: int) -> np.ndarray:
     return low + (high - low) * (whole / most)
-
-
-def _read_streamed(source: _Folder, folder: Path, progress: Progress, room: float) -> Gaussians:
-    """Every leaf of the tree at its finest level: levels show the same things, and are never put together."""
-    meta = _meta_of(source, LOD_META)
-    with _described(source):
-        if meta.get("version", 1) != 1:
-            raise InputError(
-                f"{folder}: is version {excerpt(str(meta['version']))} of streamed SOG; 1 is read"
-            )
-        names = meta["filenames"]
-        if not isinstance(names, list) or len(names) > MOST_CHUNKS:
-            raise InputError(f"{folder}: its {LOD_META} names no files, or too many")
-        parts = _finest(meta["tree"], len(names), folder)
-        if isinstance(meta.get("environment"), str):
-            names, parts = [*names, meta["environment"]], {**parts, len(names): None}
-    scenes = []
-    for done, (number, ranges) in enumerate(sorted(parts.items())):
-        unit = _unit_folder(folder, names[number])
-        piece = progress.part(done / len(parts), (done + 1) / len(parts))
-        scene = _read_unit(unit, _meta_of(unit, META), piece, room - sum(scene.nbytes for scene in scenes))
-        if ranges is not None:
-            if any(stop > len(scene) for _, stop in ranges):
-                raise InputError(
-                    f"{unit.name}: has {len(scene):,} splats, and {LOD_META} asks for more: damaged"
-                )
-            taken = np.zeros(len(scene), bool)
-            for start, stop in ranges:
-                taken[start:stop] = True
-            scene = scene if taken.all() else scene.take(taken)
-        scenes.append(scene)
-    if not scenes:
-        raise InputError(f"{folder}: its {LOD_META} names no splats")
-    levels = meta.get("lodLevels")
-    whole = concatenate(scenes) if len(scenes) > 1 else scenes[0]
-    note = f"splatview: the finest of {levels} levels of detail, from {len(scenes)} files"
-    return whole if levels in (None, 1) else replace(whole, comments=(*whole.comments, note))
-
-
-def _finest(tree: Any, files: int, folder: Path) -> dict[int, list[tuple[int, int]] | None]:
-    """Ranges of splats by number of the file."""
-    found: dict[int, list[tuple[int, int]] | None] = {}
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
-        levels = {int(level): part for level, part in (node.get("lods") or {}).items()}
-        if levels:
-            part = levels[min(levels)]
-            number, start, count = (part[key] for key in ("file", "offset", "count"))
-            if any(isinstance(x, bool) or not isinstance(x, int) or x < 0 for x in (number, start, count)):
-                raise ValueError("file, offset and count must be whole numbers")
-            if number >= files:
-                raise InputError(f"{folder}: its tree asks for file {number}, and there are {files}: damaged")
-            ranges = found.setdefault(number, [])
-            assert ranges is not None
-            ranges.append((start, start + count))
-        waiting += node.get("children") or []
-    return found
-
-
-def _unit_folder(folder: Path, name: Any) -> _Folder:
-    """The folder of a meta.json one level down; no other path is followed. Raises InputError."""
-    parts = name.split("/") if isinstance(name, str) else []
-    if len(parts) != 2 or parts[1] != META:
-        raise InputError(f"{folder}: names {excerpt(str(name))}, and only FOLDER/{META} below it is read")
-    return _Folder(folder / _plain(parts[0], folder))

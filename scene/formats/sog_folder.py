@@ -18,7 +18,8 @@ import numpy as np
 
 from splatview.scene.formats.folders import atomic_folder
 from splatview.scene.formats.packing import in_z_order, storable, unit_quats
-from splatview.scene.formats.sog import LOD_META, META
+from splatview.scene.formats.sog import META
+from splatview.scene.formats.sog_streamed import LOD_META
 from splatview.scene.formats.sog_write import SogKnobs, sog_files
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.lod import levels_and_cells
@@ -109,19 +110,20 @@ def save_streamed(
     with atomic_folder(path, foreign_name) as folder:
         # Level by level: all of them are up to three scenes.
         for number, level in enumerate(_levels(gaussians)):
-            everything = np.arange(len(level))
+            kept = np.flatnonzero(storable(level))
             if number == 0:
-                tree = _split(level.means, everything, leaf)
+                tree = _split(level.means, kept, leaf)
             else:
-                _sort_in(tree, level.means, everything)
-            counts.append(len(level))
+                _sort_in(tree, level.means, kept)
+            counts.append(len(kept))
+            del kept
             chunks, done = _chunks(_leaves(tree), level, number, chunk, len(names)), 0
             # Each level is about half of the one before.
             share = progress.part(1 - 0.5**number, 1 - 0.5 ** (number + 1))
             for name, parts in chunks.items():
                 order = np.concatenate(parts)
-                start, done = done / max(len(level), 1), done + len(order)
-                piece = share.part(start, done / max(len(level), 1))
+                start, done = done / max(counts[-1], 1), done + len(order)
+                piece = share.part(start, done / max(counts[-1], 1))
                 _write(sog_files(level, piece, SogKnobs(**knobs), order), folder / name)
                 names.append(name)
         meta = {
@@ -137,17 +139,10 @@ def save_streamed(
 
 
 def _levels(gaussians: Gaussians) -> Iterator[Gaussians]:
-    """The scene and its coarser levels, of splats that are storable, each made when it is asked for."""
-    finest = _storable(gaussians)
-    yield finest
-    if len(finest):
-        for fewer, _ in levels_and_cells(finest, levels=COARSER_LEVELS):
-            yield _storable(fewer)
-
-
-def _storable(gaussians: Gaussians) -> Gaussians:
-    good = storable(gaussians)
-    return gaussians if good.all() else gaussians.take(good)
+    """The scene and its coarser levels, each made when it is asked for."""
+    yield gaussians
+    for fewer, _ in levels_and_cells(gaussians, levels=COARSER_LEVELS):
+        yield fewer
 
 
 def _split(means: np.ndarray, members: np.ndarray, leaf: int) -> _Node:

@@ -6,6 +6,7 @@ import io
 import json
 import math
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,13 @@ import numpy as np
 
 from splatview.scene.effects.appearance import antialiasing, is_flat
 from splatview.scene.formats.io import atomic_write
-from splatview.scene.formats.packing import opacity_levels, slices, smallest_three, storable_in_z_order
+from splatview.scene.formats.packing import (
+    in_slices,
+    opacity_levels,
+    slices,
+    smallest_three,
+    storable_in_z_order,
+)
 from splatview.scene.formats.palette import Rows, levels, vectors
 from splatview.scene.formats.sog import META, PALETTE_COLUMNS
 from splatview.scene.gaussians import Gaussians
@@ -74,68 +81,92 @@ def sog_files(
         files[f"{name}.webp"] = _webp(picture.reshape(*shape, 4))
         return f"{name}.webp"
 
+    def texels(columns: int, encode: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """(M, columns) uint8 of what `encode` makes of the indices of some splats at a time."""
+        rows = np.empty((n, columns), np.uint8)
+        for part in slices(n):
+            rows[part] = encode(order[part])
+        return rows
+
     weights = importance(gaussians, order)
-    means = gaussians.means[order].astype(np.float64)
-    means = np.sign(means) * np.log1p(np.abs(means))
-    low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
-    if not n:
-        low, high = np.zeros(3), np.zeros(3)
+    low, high = _log_bounds(gaussians.means, order)
     spare = 16 - knobs.position_bits
     steps = 2**knobs.position_bits - 1
-    whole = np.rint((means - low) / np.where(high > low, high - low, 1) * steps).astype(np.uint16) << spare
-    high = low + (high - low) * (65535 / (steps << spare))
+
+    def positions(at: np.ndarray) -> np.ndarray:
+        shares = (_logarithmic(gaussians.means[at]) - low) / np.where(high > low, high - low, 1)
+        whole = np.rint(shares * steps).astype(np.uint16) << spare
+        return np.column_stack([whole & 255, whole >> 8])
+
     meta: dict[str, object] = {"version": 2, "asset": {"generator": "splatview"}, "count": n}
     if is_flat(gaussians):
         meta["model"] = "2dgs"
     elif antialiasing(gaussians.comments)[0]:
         meta["model"] = "antialiased"
+    found = texels(6, positions)
     meta["means"] = {
         "mins": low.tolist(),
-        "maxs": high.tolist(),
-        "files": [
-            add("means_l", (whole & 255).astype(np.uint8)),
-            add("means_u", (whole >> 8).astype(np.uint8)),
-        ],
+        "maxs": (low + (high - low) * (65535 / (steps << spare))).tolist(),
+        "files": [add("means_l", found[:, :3]), add("means_u", found[:, 3:])],
     }
-    del means, whole
     progress.step(0.1)
-    book, indices = levels(gaussians.log_scales[order], weights, knobs.codes)
-    meta["scales"] = {"codebook": _whole(book), "files": [add("scales", indices)]}
+    book, found = levels(gaussians.log_scales[order], weights, knobs.codes)
+    meta["scales"] = {"codebook": _whole(book), "files": [add("scales", found)]}
     progress.step(0.2)
-    largest, rest = smallest_three(gaussians.quats[order])
     step = 1 << (8 - knobs.rotation_bits)
-    rest = np.minimum(np.rint((rest + 1) * (127.5 / step)) * step, 256 - step)
-    packed = np.column_stack([np.minimum(rest, 255), 252 + largest]).astype(np.uint8)
-    meta["quats"] = {"files": [add("quats", packed)]}
-    del largest, rest, packed
+
+    def rotations(at: np.ndarray) -> np.ndarray:
+        largest, rest = smallest_three(gaussians.quats[at])
+        rest = np.minimum(np.rint((rest + 1) * (127.5 / step)) * step, 256 - step)
+        return np.column_stack([np.minimum(rest, 255), 252 + largest])
+
+    meta["quats"] = {"files": [add("quats", texels(4, rotations))]}
     progress.step(0.3)
-    book, indices = levels(gaussians.sh[order, 0], weights, knobs.codes)
-    opacities = opacity_levels(gaussians.opacity_logits[order]).astype(np.uint8)
-    meta["sh0"] = {"codebook": _whole(book), "files": [add("sh0", np.column_stack([indices, opacities]))]}
+    book, found = levels(gaussians.sh[order, 0], weights, knobs.codes)
+    opacities = texels(1, lambda at: opacity_levels(gaussians.opacity_logits[at])[:, None])
+    meta["sh0"] = {"codebook": _whole(book), "files": [add("sh0", np.column_stack([found, opacities]))]}
+    del found, opacities
     progress.step(0.4)
     if gaussians.sh_degree and n:
         entries = min(knobs.palette, LARGEST_PALETTE)
-        centroids, labels = vectors(
-            Rows(gaussians.sh[:, 1:], order), weights, entries, progress=progress.part(0.4, 0.9)
-        )
+        rows = Rows(gaussians.sh[:, 1:], order)
+        centroids, labels = vectors(rows, weights, entries, progress=progress.part(0.4, 0.9))
         similar = _similar_order(centroids)
-        centroids, places = centroids[similar], np.empty(len(similar), np.int64)
+        centroids, places = centroids[similar], np.empty(len(similar), np.uint16)
         places[similar] = np.arange(len(similar))
-        labels = places[labels].astype(np.uint16)
-        book, indices = levels(centroids, np.bincount(labels, weights, len(centroids)))
-        per_channel = gaussians.sh.shape[1] - 1
-        rows = -(-len(centroids) // PALETTE_COLUMNS)
-        picture = add("shN_centroids", indices.reshape(-1, 3), (rows, PALETTE_COLUMNS * per_channel))
-        numbered = np.column_stack([labels & 255, labels >> 8]).astype(np.uint8)
+        labels = places[labels]
+        book, found = levels(centroids, np.bincount(labels, weights, len(centroids)))
+        count, per_channel = len(centroids), gaussians.sh.shape[1] - 1
+        del centroids, weights
+        picture = -(-count // PALETTE_COLUMNS), PALETTE_COLUMNS * per_channel
         meta["shN"] = {
-            "count": len(centroids),
+            "count": count,
             "bands": gaussians.sh_degree,
             "codebook": book.tolist(),
-            "files": [picture, add("shN_labels", numbered)],
+            "files": [
+                add("shN_centroids", found.reshape(-1, 3), picture),
+                add("shN_labels", np.column_stack([labels & 255, labels >> 8])),
+            ],
         }
     files[META] = json.dumps(meta, separators=(",", ":")).encode()
     progress.step(1.0)
     return files
+
+
+def _logarithmic(means: np.ndarray) -> np.ndarray:
+    """(M, 3) float64: positions as they are stored, with steps that grow with the distance."""
+    wide = means.astype(np.float64)
+    return np.sign(wide) * np.log1p(np.abs(wide))
+
+
+def _log_bounds(means: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest (3,) of `_logarithmic` of the splats `order`, which rises with positions;
+    zeros where there are none."""
+    if not len(order):
+        return np.zeros(3), np.zeros(3)
+    ends = [(rows.min(axis=0), rows.max(axis=0)) for rows in (means[at] for at in in_slices(order))]
+    low, high = np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)
+    return _logarithmic(low), _logarithmic(high)
 
 
 def _whole(book: np.ndarray) -> list[float]:

@@ -25,6 +25,9 @@ ROW = np.dtype(
     [("mean", "<f4", 3), ("scale", "<f4", 3), ("rgb", "u1", 3), ("opacity", "u1"), ("quat", "u1", 4)]
 )
 
+RANGES = {"colours": (-0.5 / SH_C0, 0.5 / SH_C0)}
+"""What its numbers reach to: from black to white."""
+
 
 def read_splat(file: io.BufferedReader, path: Path, progress: Progress, room: float) -> Gaussians:
     """Splats of SH degree 0. Raises InputError and Cancelled."""

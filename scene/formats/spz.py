@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import re
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,6 +97,20 @@ LEVEL = 5
 LONG_MATCHES = {"window_log": 24, "chain_log": 20, "hash_log": 19, "min_match": 7}
 """Settings for SH, whose rows return as a whole or not at all: long matches alone, but in all of 16 MiB. They
 make 2.71 MB in 0.18 s, where level 5 makes 3.28 in 0.24, level 9 2.66 in 0.54, level 12 2.34 in 1.07."""
+
+RANGES = {
+    "log_scales": (-10.0, 255 / 16 - 10),
+    "colours": (-0.5 / COLOUR_SCALE, 0.5 / COLOUR_SCALE),
+    "sh": (-1.0, 0.9375),
+}
+"""What its numbers reach to; SH with the bits of SH_BITS."""
+
+SAYS_ORBIT = re.compile(r"spz safe orbit: elevation (\S+) to (\S+), radius (\S+)")
+SAYS_RECORD = re.compile(r"spz extension 0x([0-9a-f]{8}): ((?:[0-9a-f]{2})*)")
+"""Comments that extension records of a file are kept as, and made of again."""
+
+MOST_RECORDS = 1 << 14
+"""Bytes of extension records that are kept: comments are text, which a .ply has a mebibyte of at most."""
 
 AT_ONCE = 1 << 20
 """Bytes that are packed between two questions whether to go on."""
@@ -278,9 +293,11 @@ def _decoded(
     if len(extensions.get(ORBIT, b"")) == 12:
         low, high, radius = struct.unpack("<3f", extensions[ORBIT])
         comments.append(f"spz safe orbit: elevation {low:.9g} to {high:.9g}, radius {radius:.9g}")
-    for kind, payload in extensions.items():
-        if kind not in (FRAME, ORBIT):
-            comments.append(f"spz extension {kind:#010x}: {payload.hex()}")
+    others = {kind: payload for kind, payload in extensions.items() if kind not in (FRAME, ORBIT)}
+    if sum(8 + len(payload) for payload in others.values()) <= MOST_RECORDS:
+        comments += [f"spz extension {kind:#010x}: {payload.hex()}" for kind, payload in others.items()]
+    else:
+        comments.append(f"splatview: {len(others):,} extensions of the file are large, and were left out")
     return scene_of(_arrays(header, content, frame, progress), tuple(comments))
 
 
@@ -375,6 +392,7 @@ def save_spz(
     encoded = _encoded(gaussians, order, header, sh_bits, progress.part(0.1, 0.2))
     blocks = {name: block for name, block in encoded.items() if block.size}
     records = struct.pack("<III", FRAME, 4, NUMBERED_FRAMES.index(DEFAULT_FRAME) + 1)
+    records += b"".join(map(_record, gaussians.comments))
     from splatview.scene.compiling import run, threads_for
 
     # The largest is the last.
@@ -428,6 +446,23 @@ def _encoded(
     )
     blocks["rotations"] = blocks["rotations"].astype("<u4", copy=False)
     return blocks
+
+
+def is_record(comment: str) -> bool:
+    """Whether a comment is written to a .spz as an extension record, which it was read from."""
+    return _record(comment) != b""
+
+
+def _record(comment: str) -> bytes:
+    """The extension record that became a comment; nothing of other comments."""
+    if other := SAYS_RECORD.fullmatch(comment):
+        kind, payload = int(other[1], 16), bytes.fromhex(other[2])
+        return struct.pack("<II", kind, len(payload)) + payload if kind != FRAME else b""
+    orbit = SAYS_ORBIT.fullmatch(comment)
+    try:
+        return struct.pack("<II3f", ORBIT, 12, *map(float, orbit.groups())) if orbit else b""
+    except (ValueError, OverflowError):  # somebody else's comment
+        return b""
 
 
 def _frame(name: str, block: np.ndarray, progress: Progress) -> bytes:

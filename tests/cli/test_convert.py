@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from splatview.cli.main import main
+from splatview.renderers.conversion import convert
 from splatview.scene import look_at
 from splatview.scene.formats import load_scene, save_camera, save_scene
 
@@ -41,10 +42,10 @@ def scene(tmp_path, random_gaussians):
     ("suffix", "least_db", "said"),
     [
         ("ply", None, []),
-        ("glb", None, ["tag that it was trained antialiased", "2 comments", "own: label"]),
+        ("glb", None, ["tag that it was trained antialiased", "a comment", "own: label"]),
         ("compressed.ply", 40, ["fewer bits", "own: label"]),
-        ("sog", 40, ["fewer bits", "kernel of 0.1 px", "2 comments", "own: label"]),
-        ("spz", 30, ["fewer bits", "kernel of 0.1 px", "2 comments", "own: label"]),
+        ("sog", 40, ["fewer bits", "kernel of 0.1 px", "a comment", "own: label"]),
+        ("spz", 30, ["fewer bits", "kernel of 0.1 px", "a comment", "own: label"]),
         ("splat", 15, ["one colour from everywhere", "fewer bits", "trained antialiased", "own: label"]),
     ],
 )
@@ -61,6 +62,35 @@ def test_what_is_lost_is_told(splatview, scene, tmp_path, suffix, least_db, said
         assert report["psnr"] is None and "every number as it was" in err
     else:
         assert report["psnr"] > least_db and f"{report['psnr']:.1f} dB" in err
+
+
+@pytest.mark.parametrize("suffix", ["glb", "sog"])
+def test_losses_are_told_before_anything_is_written(scene, tmp_path, suffix):
+    """Also by a format that keeps every number, but drops comments."""
+    out, told = tmp_path / f"out.{suffix}", []
+    convert(load_scene(scene), out, on_measured=lambda found: told.append((found.lost != (), out.exists())))
+    assert told == [(True, False)] and out.exists()
+
+
+def test_values_beyond_a_format_are_counted(splatview, tmp_path, random_gaussians):
+    """Sizes, colours and SH that become the nearest that there is; positions that no float32 is."""
+    scene = random_gaussians(50, sh_degree=1)
+    means = scene.means.astype(np.float64)
+    sh, log_scales = np.clip(scene.sh, -0.5, 0.5), np.clip(scene.log_scales, -5, 0)
+    means[0], log_scales[1], sh[2:4, 0, 1], sh[4:7, 1, 0] = 1e300, 9.0, 5.0, -3.0
+    save_scene(replace(scene, means=means, log_scales=log_scales, sh=sh), tmp_path / "a.ply")
+    for suffix, said in (
+        ("spz", "1 splats have sizes beyond its range of 4.54e-05 to 379, and get the nearest"),
+        ("spz", "2 splats have colours beyond its range of -0.44 to 1.44, and get the nearest"),
+        ("spz", "3 splats have SH coefficients beyond its range of -1 to 0.938, and get the nearest"),
+        ("splat", "2 splats have colours beyond its range of 0 to 1, and get the nearest"),
+        ("compressed.ply", "1 splats with values that nothing can draw are left out"),
+    ):
+        code, _, err = splatview("convert", tmp_path / "a.ply", tmp_path / f"out.{suffix}")
+        assert code == 0 and said in err, err
+        assert len(load_scene(tmp_path / f"out.{suffix}")) == 49
+    code, _, err = splatview("convert", tmp_path / "out.spz", tmp_path / "again.spz")
+    assert code == 0 and "get the nearest" not in err, "what came from the format is in its range"
 
 
 def test_nothing_is_written_where_the_scene_does_not_fit(splatview, tmp_path, random_gaussians):

@@ -28,7 +28,7 @@ from splatview.scene.formats.io import take_lock
 from splatview.viewer import camera
 from splatview.viewer import open as opening
 from splatview.viewer.app import window_state
-from splatview.viewer.editing import files
+from splatview.viewer.editing import files, saving
 from splatview.viewer.editing.files import Restoring
 from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.preferences import Preferences, beside, load_bookmarks
@@ -65,8 +65,8 @@ def run(app: AppState, until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def export(app: AppState, path: Path) -> None:
-    files.export_to(app, path)
+def save(app: AppState, path: Path) -> None:
+    saving.write(app, path)
     run(app, lambda: (session := session_of(app)) is not None and session.job is None)
     app.feature(Editing).before_frame(app)
 
@@ -122,7 +122,7 @@ def test_a_disk_that_fills_up_under_the_journal(tmp_path, scene, monkeypatch, ro
     assert written == done[: len(written)] and len(written) < len(done)
 
 
-def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(app, tmp_path, monkeypatch) -> None:
+def test_a_full_disk_while_saving_is_one_line_and_the_old_file_stays(app, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.ply"
     out.write_bytes(b"as it was")
 
@@ -131,18 +131,18 @@ def test_a_full_disk_while_exporting_is_one_line_and_the_old_file_stays(app, tmp
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        export(app, out)
+        save(app, out)
     assert app.problem == f"{out}: cannot be written: No space left on device"
     assert out.read_bytes() == b"as it was"
     session = session_of(app)
     assert session is not None and session.document.history.modified is False
     assert not list(tmp_path.glob(".*.tmp"))
     app.problem = None
-    export(app, out)
+    save(app, out)
     assert app.problem is None and len(load_scene(out)) == 60
 
 
-def test_a_scene_that_others_change_is_not_exported_over(app, scene, tmp_path, random_gaussians) -> None:
+def test_a_scene_that_others_change_is_not_saved_over(app, scene, tmp_path, random_gaussians) -> None:
     before = app.scene.gaussians.means.copy()
     save_scene(random_gaussians(25, sh_degree=0), scene)
     theirs = scene.read_bytes()
@@ -150,19 +150,19 @@ def test_a_scene_that_others_change_is_not_exported_over(app, scene, tmp_path, r
     session = session_of(app)
     assert session is not None
     session.apply(SelectAll())
-    export(app, scene)
+    save(app, scene)
     assert "another program has changed it since it was opened here" in app.problem
     assert scene.read_bytes() == theirs
     app.problem = None
-    export(app, tmp_path / "mine.ply")
+    save(app, tmp_path / "mine.ply")
     assert app.problem is None
     np.testing.assert_array_equal(load_scene(tmp_path / "mine.ply").means, before)
     # Opened again, it may be written over, also twice.
-    opening.reload(app)
+    opening.open_paths(app, [scene])
     run(app, lambda: app.loading is None)
     assert len(app.scene.gaussians) == 25
     for _ in range(2):
-        export(app, scene)
+        save(app, scene)
         assert app.problem is None
 
 
@@ -170,9 +170,9 @@ def test_a_file_cut_off_in_place_hurts_nothing_that_is_open(app, scene, tmp_path
     with open(scene, "r+b") as file:
         file.truncate(2000)
     assert np.isfinite(app.scene.gaussians.means).all()
-    export(app, tmp_path / "mine.ply")
+    save(app, tmp_path / "mine.ply")
     assert len(load_scene(tmp_path / "mine.ply")) == 60
-    opening.reload(app)
+    opening.open_paths(app, [scene])
     run(app, lambda: app.loading is None)
     assert "truncated" in app.problem
     assert len(app.scene.gaussians) == 60, "the old scene stays"

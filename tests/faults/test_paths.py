@@ -27,7 +27,7 @@ from splatview.scene.user_dirs import config_folder
 from splatview.viewer import camera
 from splatview.viewer import open as opening
 from splatview.viewer.app import window_state
-from splatview.viewer.editing import files
+from splatview.viewer.editing import files, saving
 from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.preferences import (
     Preferences,
@@ -242,7 +242,7 @@ def test_the_window_complains_of_bad_paths(scene, place, monkeypatch, kind):
     session = session_of(app)
     assert session is not None
     ply, json = Path(bad_path(place, kind, ".ply")), Path(bad_path(place, kind, ".json"))
-    written = [lambda: files.export_to(app, ply), lambda: files.save_recipe_to(app, json)]
+    written = [lambda: saving.write(app, ply), lambda: files.save_recipe_to(app, json)]
     actions: list[Callable[[], object]] = [
         lambda: opening.open_paths(app, [ply]),
         lambda: opening.open_paths(app, [json]),

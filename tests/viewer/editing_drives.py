@@ -12,7 +12,7 @@ from drives import Hand, pose
 from imgui_bundle import ImVec2, imgui
 
 from splatview.scene.edits import SELECTED, bake
-from splatview.viewer.editing import files
+from splatview.viewer.editing import files, saving
 from splatview.viewer.editing.files import Restoring
 from splatview.viewer.editing.gizmos import angles_of, guizmo
 from splatview.viewer.editing.session import Editing, session_of
@@ -110,12 +110,12 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     found["titles"] = [step.title for step in session.document.history.done]
 
     out, recipe = Path(options["out"]), Path(options["recipe"])
-    hand.on_gl_thread(lambda: files.export_to(app, out))
+    hand.on_gl_thread(lambda: saving.write(app, out))
     settle(hand)
     hand.on_gl_thread(lambda: files.save_recipe_to(app, recipe))
     found["journal_left"] = len(list(Path(options["journals"]).glob("*")))
     hand.drop(str(out))
-    hand.wait(lambda: app.is_open and app.scene.name == out.name, "the export to open")
+    hand.wait(lambda: session_of(app) not in (None, session), "the saved scene to open")
     settle(hand)
     found["reopened"] = counts(app)
 

@@ -22,7 +22,7 @@ from training_drives import seen, steps, training_of
 from splatview.edit.operations import Delete, SelectAll
 from splatview.edit.operations.transform import Transform
 from splatview.viewer import layout, overlays
-from splatview.viewer.editing import commands, files
+from splatview.viewer.editing import commands, saving
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
@@ -90,19 +90,19 @@ def display_ends_in_training(
     hand.wait(lambda: False, "an end")
 
 
-def closes_while_exporting(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+def closes_while_saving(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """The window is closed while a file is being written."""
     hand.settle()
-    export, begun = files.export, threading.Event()
+    export, begun = saving.export, threading.Event()
 
     def slowly(*arguments: Any) -> int:
         begun.set()
         time.sleep(1.0)
         return export(*arguments)
 
-    files.export = slowly  # pyright: ignore[reportPrivateImportUsage]
-    hand.on_gl_thread(lambda: files.export_to(app, Path(options["out"])))
-    hand.wait(begun.is_set, "the export to begin")
+    saving.export = slowly  # pyright: ignore[reportPrivateImportUsage]
+    hand.on_gl_thread(lambda: saving.write(app, Path(options["out"])))
+    hand.wait(begun.is_set, "the saving to begin")
     found["there"] = Path(options["out"]).exists()
 
 
@@ -136,7 +136,7 @@ def edits_until_killed(app: AppState, hand: Hand, options: dict[str, Any], found
     if options["export"]:
         hand.on_gl_thread(lambda: commands.apply(app, Delete()))
         hand.on_gl_thread(lambda: commands.undo(app))
-        hand.on_gl_thread(lambda: files.export_to(app, Path(options["export"])))
+        hand.on_gl_thread(lambda: saving.write(app, Path(options["export"])))
         hand.wait(lambda: (session := session_of(app)) is not None and session.job is None, "the export")
         hand.frames(3)
     found["said"] = hand.said

@@ -23,7 +23,7 @@ from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.framing import robust_bounds
 from splatview.viewer.camera import bounds
 from splatview.viewer.commands import COMMANDS
-from splatview.viewer.editing import files
+from splatview.viewer.editing import saving
 from splatview.viewer.editing import session as changed_scene
 from splatview.viewer.editing.files import import_files
 from splatview.viewer.editing.scene_files import rows
@@ -338,13 +338,13 @@ def test_framing_shows_the_selection_else_everything(app, open_scene, random_gau
 @pytest.mark.parametrize(
     ("suffix", "said", "saved"), [("ply", "every number", True), ("spz", " dB, ", False)]
 )
-def test_an_export_tells_what_comes_back(app, open_scene, random_gaussians, tmp_path, suffix, said, saved):
+def test_saving_tells_what_comes_back(app, open_scene, random_gaussians, tmp_path, suffix, said, saved):
     session = open_scene(random_gaussians(40, sh_degree=1))
     session.apply(OPERATIONS["select_all"]())
-    files.export_to(app, tmp_path / f"out.{suffix}")
+    saving.write(app, tmp_path / f"out.{suffix}")
     while session.job is not None:
         session.advance()
-    assert session.news.startswith("Exported 40 splats") and said in session.news
+    assert session.news.startswith("Saved 40 splats") and said in session.news
     assert session.document.history.modified is not saved
     lost = any("fewer bits" in message.text for message in app.messages)
     assert lost is not saved and len(load_scene(tmp_path / f"out.{suffix}")) == 40

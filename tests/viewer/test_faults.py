@@ -124,7 +124,7 @@ def test_a_display_that_ends_costs_no_edits(own_display, scene, tmp_path):
 def test_closing_waits_for_a_file_that_is_being_written(drive, scene, tmp_path):
     out = tmp_path / "out" / "edited.ply"
     out.parent.mkdir()
-    found = drive("closes_while_exporting", scene, script=SCRIPT, renderer="cpu", out=str(out))
+    found = drive("closes_while_saving", scene, script=SCRIPT, renderer="cpu", out=str(out))
     assert not found["there"]
     assert len(load_scene(out)) == len(load_scene(scene))
     assert list(out.parent.iterdir()) == [out]

@@ -16,7 +16,7 @@ from splatview.scene.effects.overrides import quick_settings, settings_for
 from splatview.scene.formats import load_scene, save_scene
 from splatview.viewer import open as opening
 from splatview.viewer import sequence
-from splatview.viewer.editing.files import export_to
+from splatview.viewer.editing import saving
 from splatview.viewer.editing.session import at_rest, can_edit, session_for_edit, session_of
 from splatview.viewer.open import open_paths
 from splatview.viewer.sequence import SETTLE_SECONDS, Player, Sequences
@@ -181,17 +181,17 @@ def test_edits_hold_the_frame(opened):
     assert fresh is not None and fresh is not session and fresh.document.counts.deleted == 0
 
 
-def test_an_exported_frame_may_be_left(opened, folder):
-    """An exported frame may be left; where it went to its own file, that is what is found there again."""
+def test_a_saved_frame_may_be_left(opened, folder):
+    """A saved frame may be left; where it went to its own file, that is what is found there again."""
     app = opened
     session = session_for_edit(app)
     assert session is not None
     session.apply(Select(by=Sphere(centre=(0, 0, 0), radius=0.4)))
     session.apply(Delete())
     assert app.feature(Sequences).held(app) is not None
-    export_to(app, folder / "f1.ply")
+    saving.write(app, folder / "f1.ply")
     until(app, lambda: session.job is None)
-    assert app.problem is None and "Exported" in app.messages[-1].text
+    assert app.problem is None and "Saved" in app.messages[-1].text
     assert app.feature(Sequences).held(app) is None
     kept = len(load_scene(folder / "f1.ply"))
     assert 0 < kept < 101

@@ -269,6 +269,21 @@ def rows_of(results: list[dict[str, Any]]) -> list[list[str]]:
     return rows
 
 
+def stored_results(path: Path) -> list[dict[str, Any]]:
+    """What an earlier run has found. Ends the program where it is of another shape, before anything is
+    measured."""
+    needed = {"program", "work", "format", "ours_seconds", "seconds", "ours_in_it", "ours_in_it_range"}
+    try:
+        stored = json.loads(path.read_text(encoding="utf8"))["results"]
+        if all(needed | {"ours_in_it_of_the_processor"} <= one.keys() for one in stored):
+            return stored
+    except (ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise SystemExit(
+        f"{path}: is of another version of this benchmark: measure all without --add, or move it"
+    )
+
+
 def main() -> None:
     parser = make_parser(__doc__, "format_speed.json")
     parser.add_argument("scene", type=Path)
@@ -277,6 +292,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--add", action="store_true", help="keep what the JSON has of other programs")
     options = parser.parse_args()
+    stored = stored_results(options.output) if options.add and options.output.exists() else []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         files = {suffix: folder / f"scene{suffix}" for suffix in SUFFIXES}
@@ -308,9 +324,7 @@ def main() -> None:
     if missing:
         print(f"not there, and left out: {', '.join(missing)}", file=sys.stderr)
     results = results_of(found, sizes)
-    if options.add and options.output.exists():
-        stored = json.loads(options.output.read_text(encoding="utf8"))["results"]
-        results += [one for one in stored if one["program"] not in programs]
+    results += [one for one in stored if one["program"] not in programs]
     columns = ["what, and beside whom", "splatview, s", "the other, s", "ratio", "ratio of processor time"]
     note = (
         f"Medians of rounds in turn ({options.rounds} of the first rows) on {options.scene.name} "

@@ -187,7 +187,9 @@ LOADERS: tuple[Loader, ...] = (
         file="lod-meta.json",
         seeds=lambda: [whole.lod_meta()],
         call=_load_named("lod-meta.json"),
-        around=lambda: {f"0_0/{name}": data for name, data in whole.sog_folder().items()},
+        around=lambda: {
+            f"{chunk}/{name}": data for chunk in ("0_0", "1_0") for name, data in whole.sog_folder().items()
+        },
     ),
     Loader(name="cameras_json", file="c.json", seeds=whole.camera_lists, call=_cameras_of("c.json")),
     Loader(

@@ -212,9 +212,11 @@ def sog_folder() -> dict[str, bytes]:
 
 
 def lod_meta() -> bytes:
-    leaves = [{"lods": {"0": {"file": 0, "offset": 0, "count": 20}}}]
-    meta = {"version": 1, "lodLevels": 1, "filenames": ["0_0/meta.json"], "tree": {"children": leaves}}
-    return json.dumps(meta).encode()
+    """Two leaves, one of which has the coarser level alone, of which it takes a part."""
+    finest, coarser = {"file": 0, "offset": 0, "count": 20}, {"file": 1, "offset": 0, "count": 5}
+    leaves = [{"lods": {"0": finest, "1": coarser}}, {"lods": {"1": {**coarser, "offset": 8}}}]
+    names = ["0_0/meta.json", "1_0/meta.json"]
+    return json.dumps({"lodLevels": 2, "filenames": names, "tree": {"children": leaves}}).encode()
 
 
 def camera_lists() -> list[bytes]:

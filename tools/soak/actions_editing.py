@@ -35,6 +35,7 @@ from splatview.scene.edits import Crop, bake
 from splatview.scene.formats import load_scene
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing import cleanup, commands, files
+from splatview.viewer.editing.exporting import Exporting, ExportSettings, measure_export, write_export
 from splatview.viewer.editing.session import can_edit, session_of
 from splatview.viewer.training.live import LiveTraining
 
@@ -231,8 +232,11 @@ def export(user: Soaked, rng: np.random.Generator) -> str | None:
         return None
     path = user.folder / "exported.ply"
     path.unlink(missing_ok=True)
-    user.post(files.export_to, path)
-    user.calm()
+    exporting = user.app.feature(Exporting)
+    exporting.settings, exporting.path = ExportSettings(), str(path)
+    for command in (measure_export, write_export):
+        user.post(command)
+        user.calm()
     document = session.document
     wanted = bake(document.gaussians, document.edits, hidden=True)
     if not len(wanted):

@@ -1,4 +1,4 @@
-"""Exporting the edited scene, and saving, replaying and restoring what was done to it."""
+"""Importing and splitting scenes, and saving, replaying and restoring what was done to one."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splatview.edit.document import export
 from splatview.edit.journal import AbandonedJournal, find_abandoned_journals
 from splatview.edit.operations.merge_split import Merge, Split
 from splatview.edit.recipe import Recipe, check_scene, load_recipe, recipe_of, replay, save_recipe
-from splatview.renderers.conversion import Conversion, convert
 from splatview.scene import InputError
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import config_folder
@@ -55,37 +53,6 @@ def changed_elsewhere(session: EditSession, target: Path) -> str:
         f"{target}: another program has changed it since it was opened here; export under another name, or "
         "open it again"
     )
-
-
-@with_session
-def export_to(app: AppState, session: EditSession, path: Path) -> None:
-    """Writes the edited scene, whole or not at all, in a thread."""
-    target = path if path.suffix else path.with_suffix(".ply")
-    if problem := changed_elsewhere(session, target):
-        app.complain(problem)
-        return
-    session.document.cancel_preview()
-    document = session.document
-
-    found: list[Conversion] = []
-
-    def work(progress: Progress) -> int:
-        session.before_writing(target)
-        return export(
-            document,
-            target,
-            write=lambda scene, path: found.append(convert(scene, path, progress=progress)),
-        )
-
-    def done(count: int) -> None:
-        if Path(os.path.realpath(target)) in session.stamps:
-            session.stamps.update(stamps_of([target]))
-        session.written(target)
-        session.news = f"Exported {count:,} splats to {target}: {found[0].in_words}"
-        for loss in found[0].lost:
-            app.tell(f"{target.name}: {loss}")
-
-    session.start(f"Exporting {target.name}", work, done)
 
 
 def choose_recipe_to_save(app: AppState) -> None:

@@ -18,15 +18,16 @@ SQRT_2 = math.sqrt(2.0)
 
 @kernel
 def find_storable(start, stop, scene, kept):
-    """Marks splats whose every value is finite and whose quaternion has a length (a logit may be infinite),
-    and returns the bounds of their means, low and high, as six numbers."""
+    """Marks splats whose every value is finite as float32 and whose quaternion has a length (a logit may be
+    infinite), and returns the bounds of their means, low and high, as six numbers."""
     means, quats, log_scales, logits, sh = scene
     low_x, low_y, low_z, high_x, high_y, high_z = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
     for i in range(start, stop):
         # x - x is 0 for all numbers but infinities and NaN, for which it is NaN.
         wrong = np.float64(0)
         for axis in range(3):
-            wrong += (means[i, axis] - means[i, axis]) + (log_scales[i, axis] - log_scales[i, axis])
+            place = np.float32(means[i, axis])
+            wrong += (place - place) + (log_scales[i, axis] - log_scales[i, axis])
         longest = np.float32(0)
         for axis in range(4):
             wrong += quats[i, axis] - quats[i, axis]

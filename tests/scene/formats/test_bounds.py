@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -20,7 +21,7 @@ import pytest
 import zstandard
 
 from splatview.scene import Gaussians, InputError
-from splatview.scene.formats import load_scene, save_scene
+from splatview.scene.formats import load_scene, losses, save_scene
 from splatview.scene.formats.sog_write import save_sog, sog_files
 from splatview.scene.formats.spz import NUMBERED_FRAMES
 from splatview.scene.frames import reframed
@@ -85,6 +86,31 @@ def test_memory_of_a_sog_stays_within_twice_the_scene(tmp_path, large):
     flat = replace(large, sh=np.ascontiguousarray(large.sh[:, :1]))
     save_scene(flat, tmp_path / "b.sog")
     assert peak(lambda: load_scene(tmp_path / "b.sog")) <= 2 * flat.nbytes + CONSTANT
+
+
+def test_chunks_of_streamed_sog_are_read_into_one_scene(tmp_path):
+    """What was needed: each chunk's own arrays, and then the scene. Chunks of fewer SH bands get zeros."""
+    large = scene(25_000, 3)
+    large.sh[:] = large.sh[np.arange(25_000) % 500]  # a small palette
+    parts = [large] * 3 + [scene(300, 1)]
+    for number, part in enumerate(parts):
+        if number in (1, 2):
+            shutil.copytree(tmp_path / "c0", tmp_path / f"c{number}")
+        else:
+            save_scene(part, tmp_path / f"c{number}" / "meta.json")
+    counts = [25_000, 25_000, 25_000, 200]
+    leaves = [{"lods": {"0": {"file": i, "offset": 0, "count": n}}} for i, n in enumerate(counts)]
+    names = [f"c{number}/meta.json" for number in range(4)]
+    (tmp_path / "lod-meta.json").write_text(json.dumps({"filenames": names, "tree": {"children": leaves}}))
+    load_scene(tmp_path / "c3")  # libraries are loaded and kernels compiled
+    read: list[Gaussians] = []
+    assert peak(lambda: read.append(load_scene(tmp_path))) <= read[0].nbytes + (16 << 20)
+    assert len(read[0]) == sum(counts) and not read[0].sh[-200:, 4:].any()
+    for start, chunk in ((0, 0), (50_000, 2), (75_000, 3)):
+        own = load_scene(tmp_path / f"c{chunk}").take(np.arange(counts[chunk]))
+        at = slice(start, start + counts[chunk])
+        np.testing.assert_array_equal(read[0].means[at], own.means)
+        np.testing.assert_array_equal(read[0].sh[at, : own.sh.shape[1]], own.sh)
 
 
 @pytest.mark.parametrize("frame", NUMBERED_FRAMES)
@@ -283,10 +309,25 @@ def test_halves_of_version_1_and_of_none(tmp_path):
 
 
 def test_unknown_extensions_are_kept_and_unknown_kernels_refused(tmp_path):
+    """Also the limits of orbits, through other formats that keep comments and back."""
     head = struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 0, 12, 2, 0)
-    records = struct.pack("<III", 0x12340001, 4, 7)
-    (tmp_path / "a.spz").write_bytes(gzip.compress(head + bytes(20) + records))
-    assert "spz extension 0x12340001: 07000000" in load_scene(tmp_path / "a.spz").comments
+    records = struct.pack("<II3f", 0xADBE0002, 12, -0.1, 1.5, 2) + struct.pack("<III", 0x12340001, 4, 7)
+    (tmp_path / "a.spz").write_bytes(gzip.compress(head + bytes(19) + b"\xc0" + records))
+    read = load_scene(tmp_path / "a.spz")
+    assert "spz extension 0x12340001: 07000000" in read.comments
+    assert losses(read, tmp_path / "b.spz") == ["numbers are rounded to fewer bits"]
+    assert "2 comments" in losses(read, tmp_path / "b.sog")
+    forged = "spz extension 0xadbe0003: 01000000"
+    save_scene(
+        replace(read, comments=(*read.comments, forged, "spz safe orbit: elevation a to b, radius c")),
+        tmp_path / "b.ply",
+    )
+    save_scene(load_scene(tmp_path / "b.ply"), tmp_path / "b.spz")
+    assert (tmp_path / "b.spz").read_bytes()[44:].startswith(records)
+    assert "splatview: the file says that its frame is RUB" in load_scene(tmp_path / "b.spz").comments
+    large = struct.pack("<II", 9, 1 << 20) + bytes(1 << 20)
+    (tmp_path / "a.spz").write_bytes(gzip.compress(head + bytes(20) + large))
+    assert "1 extensions of the file are large, and were left out" in load_scene(tmp_path / "a.spz").notes
     save_scene(scene(4, 0), tmp_path / "a.glb")
     data = (tmp_path / "a.glb").read_bytes().replace(b'"ellipse"', b'"elbow"  ')
     (tmp_path / "a.glb").write_bytes(data)

@@ -8,12 +8,16 @@ import struct
 import tracemalloc
 import warnings
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.formats import load_scene, save_scene
@@ -27,11 +31,11 @@ from splatview.scene.sh import SH_C0
 SUFFIXES = (".spz", ".splat", ".compressed.ply", ".sog", ".glb")
 
 
-def scene(seed: int, degree: int, count: int = 300) -> Gaussians:
-    """Values that every format has in its range, no two means alike."""
+def scene(seed: int, degree: int, count: int = 300, spread: float = 3.0) -> Gaussians:
+    """Values that every format has in its range, no two means alike; `spread`: of those, world units."""
     rng = np.random.default_rng(seed)
     return Gaussians(
-        means=rng.normal(0, 3, (count, 3)).astype(np.float32),
+        means=rng.normal(0, spread, (count, 3)).astype(np.float32),
         quats=(rng.normal(size=(count, 4)) * rng.uniform(1e-3, 50, (count, 1))).astype(np.float32),
         log_scales=rng.uniform(-9, 4, (count, 3)).astype(np.float32),
         opacity_logits=rng.uniform(-6, 6, count).astype(np.float32),
@@ -43,6 +47,21 @@ def scene(seed: int, degree: int, count: int = 300) -> Gaussians:
             axis=1,
         ).astype(np.float32),
     )
+
+
+def scenes() -> st.SearchStrategy[Gaussians]:
+    counts, spreads = st.integers(1, 300), st.floats(0.5, 100)
+    return st.builds(scene, st.integers(0, 2**32 - 1), st.integers(0, 3), counts, spreads)
+
+
+def any_scene(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Runs a test with so many scenes as `written`."""
+
+    def wrap(test: Callable[..., None]) -> Callable[..., None]:
+        quiet = [HealthCheck.function_scoped_fixture]
+        return settings(max_examples=examples, suppress_health_check=quiet)(given(written=scenes())(test))
+
+    return wrap
 
 
 def matched(read: Gaussians, written: Gaussians) -> Gaussians:
@@ -78,16 +97,15 @@ def opacity_error(read: Gaussians, written: Gaussians) -> float:
 ROUNDING = 1e-6
 
 
-@pytest.mark.parametrize("degree", range(4))
-def test_spz_is_within_half_a_step(tmp_path, degree):
-    written = scene(degree, degree)
+@any_scene(30)
+def test_spz_is_within_half_a_step(tmp_path, written):
     read = round_trip(written, tmp_path, ".spz")
     assert np.abs(read.means - written.means).max() <= 2.0**-13 + ROUNDING
     assert np.abs(read.log_scales - written.log_scales).max() <= 1 / 32 + ROUNDING
     assert opacity_error(read, written) <= 0.5 / 255 + ROUNDING
     assert np.abs(read.sh[:, 0] - written.sh[:, 0]).max() <= 0.5 / 255 / 0.15 + ROUNDING
     assert smallest(quat_error(read, written), written) <= 0.5 / 511 / np.sqrt(2) + ROUNDING
-    for band in range(1, degree + 1):
+    for band in range(1, written.sh_degree + 1):
         own = slice(band**2, (band + 1) ** 2)
         half_step = 2.0 ** (8 - SH_BITS[band - 1]) / 128 / 2
         assert np.abs(read.sh[:, own] - written.sh[:, own]).max() <= half_step + ROUNDING
@@ -104,22 +122,21 @@ def test_spz_takes_fewer_bits_where_positions_are_large(tmp_path):
     assert not (tmp_path / "far.spz").exists()
 
 
-def test_splat_is_within_half_a_step(tmp_path):
-    written = scene(1, 0)
+@any_scene(20)
+def test_splat_is_within_half_a_step(tmp_path, written):
     read = round_trip(written, tmp_path, ".splat")
     assert np.array_equal(read.means, written.means)
     np.testing.assert_allclose(read.log_scales, written.log_scales, atol=2e-6)
     assert opacity_error(read, written) <= 0.5 / 255 + ROUNDING
-    assert np.abs(read.sh - written.sh).max() <= 0.5 / 255 / SH_C0 + ROUNDING
+    assert np.abs(read.sh[:, 0] - written.sh[:, 0]).max() <= 0.5 / 255 / SH_C0 + ROUNDING
     # 128 steps to 1, which itself has none; lengths are left as the bytes give them.
     ours = unit_quats(written.quats)
     theirs = read.quats * np.sign(np.einsum("ni,ni->n", ours, read.quats))[:, None]
     assert np.abs(ours - theirs).max() <= 1 / 128 + ROUNDING
 
 
-@pytest.mark.parametrize("degree", [0, 1, 3])
-def test_compressed_ply_is_within_half_a_step(tmp_path, degree):
-    written = scene(degree, degree, count=600)
+@any_scene(30)
+def test_compressed_ply_is_within_half_a_step(tmp_path, written):
     read = round_trip(written, tmp_path, ".compressed.ply")
     # Of a chunk's bounds, which are those of the scene at most.
     for name, steps in (("means", 1023), ("log_scales", 1023)):
@@ -130,13 +147,11 @@ def test_compressed_ply_is_within_half_a_step(tmp_path, degree):
     assert np.abs(read.sh[:, 0] - written.sh[:, 0]).max() <= colours + ROUNDING
     assert opacity_error(read, written) <= 0.5 / 255 + ROUNDING
     assert smallest(quat_error(read, written), written) <= 0.5 * np.sqrt(2) / 1023 + ROUNDING
-    if degree:
-        assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max() <= 4 / 256 + ROUNDING
+    assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max(initial=0) <= 4 / 256 + ROUNDING
 
 
-@pytest.mark.parametrize("degree", range(4))
-def test_sog_is_within_half_a_step(tmp_path, degree):
-    written = scene(degree, degree)
+@any_scene(20)
+def test_sog_is_within_half_a_step(tmp_path, written):
     read = round_trip(written, tmp_path, ".sog")
     logs = [np.sign(g.means) * np.log1p(np.abs(g.means)) for g in (read, written)]
     assert np.abs(logs[0] - logs[1]).max() <= 0.5 * np.ptp(logs[1], axis=0).max() / 65535 + ROUNDING
@@ -145,8 +160,7 @@ def test_sog_is_within_half_a_step(tmp_path, degree):
     # Of codebooks of 256 levels over 900 and 900·K values.
     assert np.abs(read.log_scales - written.log_scales).max() <= 13 / 128
     assert np.abs(read.sh[:, 0] - written.sh[:, 0]).max() <= 3.2 / 128
-    if degree:
-        assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max() <= 1.8 / 128
+    assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max(initial=0) <= 1.8 / 128
 
 
 def test_sog_does_not_quantise_again(tmp_path):
@@ -192,15 +206,17 @@ def test_streamed_sog_is_read_at_its_finest_level(tmp_path):
     read = load_scene(tmp_path)
     ours = np.concatenate([load_scene(tmp_path / "0_0").means[:100], load_scene(tmp_path / "1_0").means[30:]])
     np.testing.assert_array_equal(read.means, ours)
+    (tmp_path / "lod-meta.json").write_text(json.dumps({**meta, "filenames": ["0_0/meta.json"] * 2}))
+    with pytest.raises(InputError, match="names a file twice"):
+        load_scene(tmp_path)
     for bad in ("../0_0/meta.json", "/etc/meta.json", "0_0/../../meta.json", "0_0/other.json"):
         (tmp_path / "lod-meta.json").write_text(json.dumps({**meta, "filenames": [bad, "1_0/meta.json"]}))
         with pytest.raises(InputError, match="FOLDER/meta"):
             load_scene(tmp_path)
 
 
-@pytest.mark.parametrize("degree", range(4))
-def test_glb_keeps_every_number(tmp_path, degree):
-    written = scene(degree, degree)
+@any_scene(20)
+def test_glb_keeps_every_number(tmp_path, written):
     read = round_trip(written, tmp_path, ".glb")
     np.testing.assert_array_equal(read.means, written.means)
     np.testing.assert_array_equal(read.sh, written.sh)
@@ -302,6 +318,69 @@ def test_cut_and_damaged_files_are_read_or_refused(tmp_path, suffix):
             damaged[at] = rng.integers(256)
         bad.write_bytes(damaged)
         read_or_refused(bad)
+
+
+def test_compressed_ply_without_bounds_of_colours(tmp_path):
+    """Chunks of 12 numbers, as older files have: colours are from 0 to 1."""
+    written = scene(1, 0, count=300)
+    save_scene(written, tmp_path / "a.compressed.ply")
+    data = (tmp_path / "a.compressed.ply").read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    chunks = np.frombuffer(body, "<f4", 2 * 18).reshape(2, 18)
+    lines = [line for line in head.split(b"\n") if line[-5:] not in (b"min_r", b"min_g", b"min_b")]
+    lines = [line for line in lines if line[-5:] not in (b"max_r", b"max_g", b"max_b")]
+    short = np.ascontiguousarray(chunks[:, :12]).tobytes() + body[chunks.nbytes :]
+    (tmp_path / "b.compressed.ply").write_bytes(b"\n".join(lines) + b"end_header\n" + short)
+    long, read = load_scene(tmp_path / "a.compressed.ply"), load_scene(tmp_path / "b.compressed.ply")
+    np.testing.assert_array_equal(read.means, long.means)
+    low, high = (np.repeat(chunks[:, at : at + 3], 256, axis=0)[:300] for at in (12, 15))
+    shares = (0.5 + SH_C0 * long.sh[:, 0] - low) / (high - low)
+    np.testing.assert_allclose(0.5 + SH_C0 * read.sh[:, 0], shares, atol=1e-5)
+
+
+def webp(texels: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(texels, "RGBA").save(out, "WEBP", lossless=True, exact=True)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_sog_of_version_1(tmp_path, degree):
+    """Ranges in the place of codebooks, and no count of the palette; numbers by the format's definition."""
+    rng = np.random.default_rng(degree)
+    names = ("means_l", "means_u", "scales", "quats", "sh0", "shN_labels")
+    pictures = {name: rng.integers(0, 256, (4, 8, 4), np.uint8) for name in names}
+    pictures["quats"][..., 3] = rng.integers(252, 256, (4, 8))
+    pictures["shN_labels"][..., 1] = 0
+    coefficients = (degree + 1) ** 2 - 1
+    low, high = np.array([-1.0, -2, 0, -4]), np.array([3.0, 1, 2, 5])
+    means = {"shape": [30, 3], "mins": low[:3].tolist(), "maxs": high[:3].tolist()}
+    ranges = {"scales": (low[:3], high[:3]), "sh0": (low, high)}
+    meta = {"means": {**means, "files": ["means_l.webp", "means_u.webp"]}, "quats": {"files": ["quats.webp"]}}
+    for name, (least, most) in ranges.items():
+        meta[name] = {"mins": least.tolist(), "maxs": most.tolist(), "files": [f"{name}.webp"]}
+    if degree:
+        pictures["shN_centroids"] = rng.integers(0, 256, (4, 64 * coefficients, 4), np.uint8)
+        files = ["shN_centroids.webp", "shN_labels.webp"]
+        meta["shN"] = {"mins": -0.5, "maxs": 0.25, "files": files}
+    for name, texels in pictures.items():
+        (tmp_path / f"{name}.webp").write_bytes(webp(texels))
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    read = load_scene(tmp_path)
+    assert len(read) == 30 and read.sh_degree == degree
+    rows = {name: texels.reshape(-1, 4)[:30].astype(np.float64) for name, texels in pictures.items()}
+    logs = low[:3] + (high - low)[:3] * (rows["means_u"] * 256 + rows["means_l"])[:, :3] / 65535
+    np.testing.assert_allclose(read.means, np.sign(logs) * np.expm1(np.abs(logs)), atol=1e-5)
+    np.testing.assert_allclose(
+        read.log_scales, low[:3] + (high - low)[:3] * rows["scales"][:, :3] / 255, atol=1e-6
+    )
+    colours = low + (high - low) * rows["sh0"] / 255
+    np.testing.assert_allclose(read.sh[:, 0], colours[:, :3], atol=1e-6)
+    np.testing.assert_allclose(read.opacity_logits, colours[:, 3], atol=1e-6)
+    if degree:
+        palette = pictures["shN_centroids"][..., :3].reshape(256, coefficients, 3)
+        rest = -0.5 + 0.75 * palette[rows["shN_labels"][:, 0].astype(int)] / 255.0
+        np.testing.assert_allclose(read.sh[:, 1:], rest, atol=1e-6)
 
 
 def spz4(count: int, streams: list[bytes], sizes: list[int]) -> bytes:
