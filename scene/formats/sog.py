@@ -139,7 +139,8 @@ class SogFolder:
     def read(self, name: str, most: int) -> bytes:
         path = self.name / plain(name, self.name)
         with open_regular(path) as file:
-            data = file.read(most + 1)
+            # Python makes room for all that is asked for.
+            data = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
         if len(data) > most:
             raise InputError(f"{path}: is larger than {most:,} bytes: it is damaged")
         return data
