@@ -28,8 +28,14 @@ from splatview.scene.formats.ksplat import is_ksplat, read_ksplat
 from splatview.scene.formats.packing import slices, storable
 from splatview.scene.formats.ply import is_ply, read_ply, save_ply
 from splatview.scene.formats.sog import META, is_zip, read_sog
-from splatview.scene.formats.sog_folder import foreign_name, save_sog_folder, save_streamed
-from splatview.scene.formats.sog_streamed import LOD_META, is_sog_folder, read_sog_folder
+from splatview.scene.formats.sog_folder import (
+    LOD_META,
+    foreign_name,
+    is_sog_folder,
+    read_sog_folder,
+    save_sog_folder,
+    save_streamed,
+)
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_record, is_spz, read_spz, save_spz

@@ -18,7 +18,7 @@ from pathlib import Path
 from splatview.scene.errors import InputError, printable
 from splatview.scene.formats import FORMATS, format_of, load_scene
 from splatview.scene.formats.colmap import find_model
-from splatview.scene.formats.sog_streamed import is_sog_folder
+from splatview.scene.formats.sog_folder import is_sog_folder
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.progress import Progress
 
