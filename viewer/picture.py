@@ -13,6 +13,7 @@ from splatview.renderers.async_renderer import AsyncRenderer
 from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key
+from splatview.renderers.modes import MODES, VisualMode
 from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
 from splatview.renderers.request import FrameRequest, FrameStats
 from splatview.scene import Camera, Gaussians, InputError
@@ -43,6 +44,8 @@ class Picture:
     _async: AsyncRenderer | None = None
     _by_gl: bool = False
     _mode_to_come: bool = False
+    _announced: VisualMode = "splats"
+    """Mode of the latest request: its first frame says what the next one, which may take a second, draws."""
 
     def __init__(
         self,
@@ -108,8 +111,9 @@ class Picture:
         """Brings the texture up to date with the loaded scene; costs nothing where nothing has changed."""
         request = replace(request, gaussians=None)
         if self._async is not None:
-            other = request.mode != "splats"
-            self._by_gl = other and self._mode_compiled(request)
+            other = request.mode not in self._async.capabilities.modes
+            announced, self._announced = self._announced == request.mode, request.mode
+            self._by_gl = other and announced and self._mode_compiled(request)
             self._mode_to_come = other and not self._by_gl
         if self._by_gl:
             self._loaded_gl().draw(request)
@@ -118,7 +122,7 @@ class Picture:
         elif self._async is not None:
             self._async.threads, self._async.cores = self.threads, self.cores
             self._async.sharp, self._async.budget_ms = self.sharp, self.budget_ms
-            self._async.draw(replace(request, mode="splats"))
+            self._async.draw(replace(request, mode="splats") if self._mode_to_come else request)
             image = self._async.take_picture()
             if image is not None:
                 self._upload(image)
@@ -197,7 +201,9 @@ class Picture:
         """What the user should know while waiting, or ""."""
         own = self._async.status if self._async and not self._by_gl else ""
         title = "" if self._precompiler is None else self._precompiler.title
-        return own or (f"Compiling for this machine: {title}" if title else "")
+        if own or title:
+            return own or f"Compiling for this machine: {title}"
+        return f"Drawing {MODES[self._announced].label.lower()}" if self._mode_to_come else ""
 
     @property
     def note(self) -> str:

@@ -202,6 +202,11 @@ class AppState:
         """Runs `command(app, *args)` before the next frame. May be called from any thread."""
         self._posted.append((command, args))
 
+    @property
+    def has_posted(self) -> bool:
+        """Whether commands wait for the next frame."""
+        return bool(self._posted)
+
     def run_posted(self) -> int:
         """Runs what was posted, what that posts included; returns how many commands ran.
 

@@ -86,7 +86,7 @@ def timed(checkout: Path, item: Item) -> tuple[float, float]:
     """The item's time, and processor seconds. Raises Failed."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
-        hidden = ("DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH")
+        hidden = ("DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
         environment = {key: value for key, value in os.environ.items() if key not in hidden}
         command = [checkout / ".venv" / "bin" / "splatview", *item.arguments]
         with open(folder / "out", "w+") as out, open(folder / "err", "w+") as err:
