@@ -138,6 +138,7 @@ def test_one_splat_is_seen(random_gaussians):
         ("scenes/guitar/guitar.compressed.ply", (1, 0, 0), 60),
         ("scenes/biker/biker.spz", (-1, 0, 0), 60),
         ("scenes/playbot_lod0.ply", (0, 0, -1), 60),
+        ("scenes/spot_10k.splat", (0, 0, -1), 80),
     ],
 )
 def test_fronts_of_real_scenes(data_file, name, front, within):
