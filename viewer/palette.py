@@ -85,7 +85,7 @@ def show(app: AppState) -> None:
     palette.chosen = min(max(palette.chosen + down - up, 0), max(len(found) - 1, 0))
     run = found[palette.chosen] if found and imgui.is_key_pressed(imgui.Key.enter) else None
     height = imgui.get_text_line_height_with_spacing() * ROWS
-    imgui.begin_child("##found", ImVec2(0, height))
+    imgui.begin_child("##found", ImVec2(0, height), imgui.ChildFlags_.always_use_window_padding)
     for number, command in enumerate(found):
         side = f"{command.group}   {', '.join(command.keys)}".strip()
         room = imgui.get_content_region_avail().x - imgui.calc_text_size(side).x - imgui.get_font_size()
