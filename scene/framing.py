@@ -78,13 +78,23 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius or 1.0
 
 
-def robust_box(means: np.ndarray, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3): `factor`
-    times as wide along each axis as all would be were they spread as the middle ones are, and no wider than
-    they are."""
-    least, low, high, greatest = _percentiles(means)
-    margin = (high - low) * (factor * 100 / (100 - 2 * OUTLIERS) - 1) / 2
-    return np.maximum(low - margin, least), np.minimum(high + margin, greatest)
+BOX_OUTLIERS, BOX_MARGIN = 0.1, 0.03
+"""Of a box about nearly all splats: percent left out at either end of each axis, and share by which it is
+wider there than the others."""
+
+
+def robust_box(means: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (3,) float64, world units, of a box about nearly all of `means` (N, 3), no wider
+    than all are, nor than `most` times as wide along an axis as all would be if spread as the middle ones."""
+    least, low, first, last, high, greatest = _percentiles(
+        means, (0, BOX_OUTLIERS, OUTLIERS, 100 - OUTLIERS, 100 - BOX_OUTLIERS, 100)
+    )
+    margin = BOX_MARGIN * (high - low)
+    middle, half = (first + last) / 2, most * (last - first) / 2 * 100 / (100 - 2 * OUTLIERS)
+    return (
+        np.maximum(np.maximum(low - margin, middle - half), least),
+        np.minimum(np.minimum(high + margin, middle + half), greatest),
+    )
 
 
 def _bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
@@ -93,14 +103,17 @@ def _bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
-def _percentiles(means: np.ndarray) -> np.ndarray:
-    """(4, 3) float64: the least x, y, z, those of OUTLIERS percent from either end, and the greatest."""
+def _percentiles(
+    means: np.ndarray, shares: tuple[float, ...] = (0, OUTLIERS, 100 - OUTLIERS, 100)
+) -> np.ndarray:
+    """(len(shares), 3) float64: x, y, z that so many percent of the finite `means` (N, 3) are below; 0 for no
+    means."""
     with np.errstate(invalid="ignore"):
         finite = means[(np.abs(means) <= FLOAT32_MAX).all(axis=1)]
     if not len(finite):
-        return np.zeros((4, 3))
+        return np.zeros((len(shares), 3))
     sample = finite[:: _stride(len(finite))].astype(np.float64)
-    return np.percentile(sample, [0, OUTLIERS, 100 - OUTLIERS, 100], axis=0)
+    return np.percentile(sample, shares, axis=0)
 
 
 def _stride(count: int) -> int:

@@ -310,13 +310,13 @@ def test_a_new_crop_fits_what_is_shown(app, open_scene, random_gaussians, shape)
     session = open_scene(replace(scene, means=means))
     COMMANDS[f"add_{shape}"].run(app)
     (crop,) = session.document.crops
-    np.testing.assert_allclose(crop.centre, (5, 0, 0), atol=0.3)
+    np.testing.assert_allclose(crop.centre, (5, 0, 0), atol=0.8)
     half = np.array(crop.half_extents)
-    # Of means within 1 of the middle; 1.5 times as wide as what is left of them without outliers.
-    assert (half > 0).all() and half.max() < 1.5
-    assert half[1] < 0.3 if shape == "box" else (half == half[0]).all()
+    # Of means within 1 of the middle; floaters make it 2.5 times as wide as the middle ones at most.
+    assert (half > 0).all() and half.max() < 2.9
+    assert half[1] < 0.6 if shape == "box" else (half == half[0]).all()
     inside = session.document.cropped_in()
-    assert inside[20:].mean() > 0.99 and not inside[:20].any(), "all of it, and no floaters"
+    assert inside[20:].all() and not inside[:20].any(), "all of it, and no floaters"
 
 
 def test_framing_shows_the_selection_else_everything(app, open_scene, random_gaussians) -> None:
