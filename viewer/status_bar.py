@@ -70,18 +70,19 @@ def brief(count: int) -> str:
 def figures(app: AppState, *, short: bool = False) -> list[tuple[str, str, str]]:
     """Text, the widest that it gets, and what it means, of each figure on the right; `short`: counts rounded
     and without their names, for a narrow window."""
-    stats = app.stats
+    stats, session = app.stats, session_of(app)
+    count = stats.splats if session is None else session.document.counts.kept
     rate = app.rate.at(app.now(), stats.drawn)
     size = app.picture.texture.size if app.picture.texture is not None else (0, 0)
     wide = f"{len(app.scene.gaussians) if app.is_open else stats.splats:,}"
     speed = "at rest" if rate is None else f"{rate:.0f} fps"
     total = sum(stats.ms.values())
-    splats, visible = f"{stats.splats:,} splats", f"{stats.visible:,} visible"
+    splats, visible = f"{count:,} splats", f"{stats.visible:,} visible"
     return [
         (
-            brief(stats.splats) if short else splats,
+            brief(count) if short else splats,
             BRIEF if short else f"{wide} splats",
-            f"{splats} in the scene.",
+            f"{splats} in the scene, without deleted ones.",
         ),
         (
             brief(stats.visible) if short else visible,

@@ -349,7 +349,7 @@ def cropping(app: AppState, session: EditSession, right: float) -> None:
     if session.target.at_rest:
         button(
             right,
-            icons.ICON_FA_TRASH,
+            f"{icons.ICON_FA_CHECK}  Apply",
             "delete cropped",
             "Deletes what the crops cut away; undo brings it back.",
             partial(post_edit, app, EditSession.apply, DeleteCropped()),

@@ -13,9 +13,8 @@ from drives import Hand
 from editing_drives import counts, settle
 from imgui_bundle import imgui
 
-from splatview.scene.formats import FORMATS
 from splatview.viewer.camera import shown_sample
-from splatview.viewer.editing.exporting import SCOPES, WRITTEN, Exporting, contents_of, title_of
+from splatview.viewer.editing.exporting import SCOPES, WRITTEN, Exporting, title_of
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels.export import GOAL_NAMES
 from splatview.viewer.state import AppState
@@ -44,7 +43,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
         return not hand.ctx.item_info(f"{DIALOG}/{name}").item_flags & imgui.ItemFlags_.disabled
 
     def choose(row: str, index: int) -> None:
-        formats = [f"{title_of(name)}: {contents_of(FORMATS[name])}" for name in WRITTEN]
+        formats = [title_of(name) for name in WRITTEN]
         rows = {"Format": formats, "Splats": SCOPES, "Target": GOAL_NAMES}
         hand.ctx.set_ref(DIALOG)
         hand.ctx.combo_click(f"##{row}/{rows[row][index]}")

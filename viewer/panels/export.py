@@ -8,7 +8,6 @@ from pathlib import Path
 from imgui_bundle import imgui
 
 from splatview.scene.errors import bytes_in_words
-from splatview.scene.formats import FORMATS
 from splatview.viewer import theme
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
 from splatview.viewer.editing.exporting import (
@@ -61,7 +60,7 @@ def _choices(app: AppState, exporting: Exporting, session: EditSession) -> None:
         settings.format,
         WRITTEN,
         "The format of the file.",
-        [f"{title_of(name)}: {contents_of(FORMATS[name])}" for name in WRITTEN],
+        [title_of(name) for name in WRITTEN],
     )
     if chosen is not None:
         exporting.choose(app, format=chosen)
