@@ -9,17 +9,20 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from imgui_bundle import ImVec2, imgui
 
+from splatview.edit.operations.crop import ChangeCrop
 from splatview.viewer.app import run_window
 from splatview.viewer.editing.commands import take_tool
 from splatview.viewer.editing.face_handles import place_of
-from splatview.viewer.editing.session import session_of
+from splatview.viewer.editing.session import EditSession, post_edit, session_of
 from splatview.viewer.editing.tool_state import Face
 from splatview.viewer.entries import open_page, toggle_strip
+from splatview.viewer.navigation import orbit
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
@@ -72,11 +75,11 @@ def editing(app: AppState, ctx: Any) -> None:
 
 
 def crop(app: AppState, ctx: Any) -> None:
-    """A crop box about a part of the demo: each of two faces dragged by its dot, the mouse on a third."""
+    """A crop box about the middle of the demo, one face of it dragged by its dot, the mouse on another."""
 
     def settle() -> None:
         ctx.yield_(5)
-        while app.waiting or not app.is_open or app.transition is not None:
+        while app.waiting or app.picture.status or not app.is_open or app.transition is not None:
             ctx.yield_(1)
         ctx.yield_(10)
 
@@ -86,16 +89,22 @@ def crop(app: AppState, ctx: Any) -> None:
     settle()
     session = session_of(app)
     assert session is not None
+    x, y, z = app.view.target.tolist()
+    side = 0.22 * app.view.distance
+    small = replace(session.document.crops[0], centre=(x, y, z), half_extents=(1.6 * side, side, side))
+    post_edit(app, EditSession.apply, ChangeCrop(index=0, crop=small))
+    app.post(lambda app: app.steer(orbit(app.view, 0.5, 0.25)))
+    settle()
     view = ctx.window_info("//View").rect_full
     width, height = round(view.max.x - view.min.x), round(view.max.y - view.min.y)
-    for face, dx, dy in ((Face(0, -1), 150, 0), (Face(1, -1), 0, 110), (Face(0, 1), 0, 0)):
-        place = place_of(session.document.crops[session.forms.crop], face).tolist()
+    for face, dx in ((Face(0, -1), 60), (Face(1, -1), 0)):
+        place = place_of(session.document.crops[0], face).tolist()
         at = point_on_picture(app.view.camera(width, height), view.min, place)
         assert at is not None
         ctx.mouse_teleport_to_pos(at)
         ctx.yield_(5)
-        if dx or dy:
-            ctx.mouse_drag_with_delta(ImVec2(dx, dy), 0)
+        if dx:
+            ctx.mouse_drag_with_delta(ImVec2(dx, 0), 0)
         settle()
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
     while not app.quitting:

@@ -12,13 +12,16 @@ from dataclasses import replace
 from functools import cache, wraps
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from splatview.edit.document import Document
 from splatview.edit.journal import Journal
 from splatview.edit.warm_up import warm_up
 from splatview.renderers.cpu import CpuRenderer
+from splatview.renderers.edit_snapshot import tinted
 from splatview.renderers.request import Highlight
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import Adjustment, Crop, SceneEdits, is_graded
+from splatview.scene.edits import SELECTED, Adjustment, Crop, SceneEdits, is_graded
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.user_dirs import config_folder
 from splatview.viewer.editing.edit_session import EditSession
@@ -303,5 +306,12 @@ LEAVING_SECONDS = 60.0
 
 @cache
 def warm_up_once() -> None:
-    """Compiles the kernels of the first edits in a thread, once for each process."""
-    Task(lambda _: warm_up(), name="splatview-warm-up")
+    """Compiles the kernels of the first edits, and those that light up what is selected, in a thread, once
+    for each process."""
+
+    def work(_: Task[None]) -> None:
+        marks = np.array([0, SELECTED], np.uint32)
+        tinted(SceneEdits(marks=marks, flags=SELECTED), Highlight())
+        warm_up()
+
+    Task(work, name="splatview-warm-up")
