@@ -68,7 +68,7 @@ def tools(app: AppState, accuracy: Accuracy) -> None:
             partial(app.post, accuracy.measure),
         )
     else:
-        imgui.progress_bar(measurement.progress, (-imgui.get_font_size() * 5, 0), measurement.text)
+        widgets.progress(measurement.progress, measurement.text, beside_em=5)
         imgui.same_line()
         widgets.button(
             "Cancel###cancel", "Ends measuring.", partial(app.post, lambda app: accuracy.cancel_measuring())

@@ -50,7 +50,7 @@ def tools(app: AppState, effects: Effects) -> None:
             partial(app.post, effects.measure),
         )
     else:
-        imgui.progress_bar(pricing.progress, (-imgui.get_font_size() * 5, 0), pricing.text)
+        widgets.progress(pricing.progress, pricing.text, beside_em=5)
         imgui.same_line()
         widgets.button(
             "Cancel###cancel effects",

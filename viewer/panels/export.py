@@ -110,7 +110,7 @@ def _result(app: AppState, exporting: Exporting, session: EditSession) -> None:
     """Measure, its progress, or what it found."""
     imgui.separator()
     if session.job is not None:
-        imgui.progress_bar(session.job.progress, (-imgui.get_font_size() * 5, 0), session.job.title)
+        widgets.progress(session.job.progress, session.job.title, beside_em=5)
         imgui.same_line()
         if imgui.button("Cancel"):
             session.job.cancel()

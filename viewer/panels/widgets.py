@@ -93,6 +93,12 @@ def fitting(text: str, room: float) -> str:
     return f"{text[:low].rstrip()}..." if low else ""
 
 
+def progress(share: float, text: str, *, beside_em: float) -> None:
+    """A progress bar that leaves so many font heights to what is beside it, with as much of `text` as fits."""
+    room = imgui.get_content_region_avail().x - beside_em * imgui.get_font_size()
+    imgui.progress_bar(share, (room, 0), fitting(text, room - imgui.get_font_size()))
+
+
 def slider(
     name: str,
     value: float,
