@@ -94,7 +94,7 @@ def fitting(text: str, room: float) -> str:
 
 
 def progress(share: float, text: str, *, beside_em: float) -> None:
-    """A progress bar that leaves so many font heights to what is beside it, with as much of `text` as fits."""
+    """A progress bar with as much of `text` as fits; so many font heights are left to what is beside it."""
     room = imgui.get_content_region_avail().x - beside_em * imgui.get_font_size()
     imgui.progress_bar(share, (room, 0), fitting(text, room - imgui.get_font_size()))
 
