@@ -31,8 +31,8 @@ LEAST_GAIN = 0.85
 FULL_OPACITY = 0.99
 """The most that a merged splat has; what renderers allow."""
 
-MEMBERS_AT_ONCE = 1 << 15
-"""Some 12 MiB of numbers in between."""
+MEMBERS_AT_ONCE = 1 << 13
+"""Some 3 MiB of numbers in between."""
 
 MIXED_CELLS = 2
 """Cells along the side of a cube that is merged or not as a whole, see `chances`."""

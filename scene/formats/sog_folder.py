@@ -256,6 +256,8 @@ def save_streamed(
                 piece = share.part(start, done / max(counts[-1], 1))
                 _write(sog_files(level, piece, SogKnobs(**knobs), order), folder / name)
                 names.append(name)
+                del parts, order
+            del chunks  # before the next level is made
         meta = {
             "version": 1,
             "asset": {"generator": "splatview"},
