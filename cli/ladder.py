@@ -60,6 +60,7 @@ from splatview.scene.framing import robust_bounds
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import (
+    FULL_REG_LOSS,
     TrainSettings,
     automatic_dropout,
     automatic_limit,
@@ -180,6 +181,7 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
         seed=seed,
         opacity_reg=regularisation,
         scale_reg=regularisation,
+        full_reg_loss=FULL_REG_LOSS,
         dropout=automatic_dropout(len(views)),
         max_aspect=automatic_max_aspect(len(views)),
         background=capture.background or (0.0, 0.0, 0.0),

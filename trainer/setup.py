@@ -19,6 +19,7 @@ from splatview.trainer.evaluate import Evaluation, evaluate
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
+    FULL_REG_LOSS,
     PAPER_ITERATIONS,
     TrainSettings,
     automatic_dropout,
@@ -53,6 +54,7 @@ def settings_for(
     automatic: dict[str, Any] = {
         "opacity_reg": automatic_regularisation(photos),
         "scale_reg": automatic_regularisation(photos),
+        "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
         "background": capture.background or (0.0, 0.0, 0.0),

@@ -27,11 +27,15 @@ from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
+from splatview.trainer.strategies.mcmc import need_of_reg
 from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 
 KEPT = ("seed", "strategy", "background", "model", "exposure")
 """Settings that a run keeps from its first step to its last."""
+
+LOSS_SHARE = 0.01
+"""Of a step in the running mean of the photo loss."""
 
 CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
@@ -195,7 +199,7 @@ class Trainer:
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
         optimizer.threads, optimizer.rates = self.threads, settings.rates(progress, self.extent)
-        optimizer.set_options("log_scales", max_aspect=settings.max_aspect)
+        optimizer.set_options("log_scales", max_aspect=settings.max_aspect / self.need_of_reg)
         info, loss = self._backward(progress)
         self._check_seen(info)
         counters.iteration += 1
@@ -209,6 +213,7 @@ class Trainer:
                 splats, optimizer, self.state, counters.iteration, info, progress=progress
             )
             self._cut()
+        self._note_loss(loss)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(splats), self.progress)
@@ -262,7 +267,7 @@ class Trainer:
         how many photos have been looked at before."""
         splats, settings, clock = SplatTensors(*self.splats.parameters()), self.settings, self.clock
         progress, drawn_as = self.progress, self.render_settings
-        logits, share = splats.opacity_logits, settings.dropout * progress
+        logits, share = splats.opacity_logits, settings.dropout * self.need_of_reg * progress
         if share > 0:
             with clock.stage("drop"):
                 logits = dropout(logits, share, np.random.default_rng([settings.seed, place, 2]))
@@ -338,6 +343,17 @@ class Trainer:
             total = np.array([math.fsum(differences), len(differences)])
             self.group.add_up([total])
             self.resolution.note(total[0] / total[1], int(total[1]))
+
+    def _note_loss(self, loss: float) -> None:
+        """Takes the photo loss of a step into its running mean, by which regularisers are eased."""
+        if self.loss is None and 0 < loss < math.inf:
+            mean = self.state.get("photo_loss", loss)
+            self.state["photo_loss"] = mean + LOSS_SHARE * (loss - mean)
+
+    @property
+    def need_of_reg(self) -> float:
+        """See `strategies.mcmc.need_of_reg`."""
+        return need_of_reg(self.state.get("photo_loss", 0.0), self.settings.full_reg_loss)
 
     def _decide_exposures(self, progress: float) -> None:
         rounds = self.counters.iteration * self.settings.batch / len(self.views)

@@ -255,13 +255,14 @@ def split_of(capture: Capture, split: int) -> Capture:
     return replace(capture, photos=tuple(photos))
 
 
-def bench_capture(name: str, data: Path, made: Path) -> Capture:
-    """A capture of the bench by its name; rendered ones are in `made`, see `make_all`."""
+def bench_capture(name: str, data: Path, made: Path, smaller: int = 1) -> Capture:
+    """A capture of the bench by its name, with photos smaller by a factor; rendered ones are in `made`, see
+    `make_all`."""
     if name in REAL:
         real = REAL[name]
-        whole = load_capture(data / "captures" / real.folder, downscale=real.downscale)
+        whole = load_capture(data / "captures" / real.folder, downscale=real.downscale * smaller)
         return part_of(whole, real.photos, real.spread)
-    return load_capture(folder_of(name, made))
+    return load_capture(folder_of(name, made), downscale=smaller)
 
 
 def folder_of(name: str, made: Path) -> Path:

@@ -43,7 +43,8 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
         with Image.open(path) as image:
             if image.mode != "RGBA":
                 return None
-            empty = np.asarray(image)[..., 3] == 0
+            size = (view.camera.width, view.camera.height)
+            empty = np.asarray(image.getchannel("A").resize(size, Image.Resampling.BOX)) == 0
         drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
         if empty.any():
             found.append(float(drawn[empty].mean()))
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("made", type=Path)
     parser.add_argument("--split", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--smaller", type=int, default=1, help="factor of the photos, to try rules quickly")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=JSON", help="fields of the settings")
     parser.add_argument("--pictures", type=Path, help="folder for held-out photos beside what was trained")
@@ -69,7 +71,9 @@ def main() -> None:
     from splatview.trainer.warm_up import warm_up
 
     warm_up(lens=True)
-    capture = split_of(bench_capture(options.name, options.data, options.made), options.split)
+    capture = split_of(
+        bench_capture(options.name, options.data, options.made, options.smaller), options.split
+    )
     centre = capture.centre
     capture = capture.about(centre)
     views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)

@@ -58,6 +58,17 @@ SMALLEST_REGULARISED = 0.1
 """Pixels, seen from as far as the extent: thinner splats are not drawn to be thinner still."""
 
 
+def need_of_reg(photo_loss: float, full: float) -> float:
+    """How far regularisers that stand for missing photos are needed, 0 to 1, at a running mean of the photo
+    loss; 1 where there is none yet, or `full` is 0."""
+    return photo_loss / full if 0 < photo_loss < full else 1.0
+
+
+def eased(weight: float, need: float) -> float:
+    """A regulariser's weight by need, but not below `LEAST_REG` or the weight itself, the lesser of both."""
+    return max(need * weight, min(weight, LEAST_REG))
+
+
 @dataclass(frozen=True, kw_only=True)
 class MCMCSettings(DensitySettings):
     """Settings of the sampling strategy."""
@@ -70,6 +81,10 @@ class MCMCSettings(DensitySettings):
     """mcmc: weight of the mean opacity in the loss. See `automatic_regularisation`."""
     scale_reg: float = LEAST_REG
     """mcmc: weight of the mean scale, world units over the extent, in the loss."""
+    full_reg_loss: float = 0.0
+    """Photo loss from which on both weights are full, as dropout and the limit to needles are with every
+    strategy; below they are less in proportion, but not below `LEAST_REG`. 0: always full. See
+    `settings.FULL_REG_LOSS`."""
     reg_end: float = 0.1
     """mcmc: factor of both weights at the end of the run, reached exponentially. Adam moves what only a
     regulariser moves at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a
@@ -100,10 +115,11 @@ class MCMCStrategy(Strategy[MCMCSettings]):
     ) -> None:
         """Sets the weights of the regularisers in the optimiser's next step."""
         settings, extent, factor = self.settings, state["extent"], self.settings.reg_end**progress
-        optimizer.set_options("opacity_logits", reg=factor * settings.opacity_reg)
+        needed = need_of_reg(state.get("photo_loss", 0.0), settings.full_reg_loss)
+        optimizer.set_options("opacity_logits", reg=factor * eased(settings.opacity_reg, needed))
         optimizer.set_options(
             "log_scales",
-            reg=factor * settings.scale_reg / extent,
+            reg=factor * eased(settings.scale_reg, needed) / extent,
             least=SMALLEST_REGULARISED * extent / state["focal"],
         )
 

@@ -1,0 +1,78 @@
+"""Regularisers that stand for missing photos are eased where photos are met well."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.plugin import LossPlugin
+from splatview.trainer.strategies.mcmc import LEAST_REG, eased, need_of_reg
+
+
+@pytest.mark.parametrize(
+    ("loss", "full", "need"),
+    [(0.01, 0.04, 0.25), (0.04, 0.04, 1), (0.3, 0.04, 1), (0.01, 0, 1), (0, 0.04, 1), (math.nan, 0.04, 1)],
+)
+def test_need_follows_the_loss(loss: float, full: float, need: float) -> None:
+    assert need_of_reg(loss, full) == need
+
+
+def test_weights_keep_a_floor() -> None:
+    assert eased(0.1, 1.0) == 0.1
+    assert eased(0.1, 0.5) == 0.05
+    assert eased(0.1, 0.001) == LEAST_REG
+    assert eased(LEAST_REG / 2, 0.001) == LEAST_REG / 2
+    assert eased(0.0, 0.5) == 0
+
+
+def regs(trainer) -> list[float]:
+    """Weights of opacity and scale in the last step, as at its end, per unit of those in the recipe."""
+    fade = trainer.settings.reg_end ** ((trainer.counters.iteration - 1) / trainer.settings.iterations)
+    groups = {group["name"]: group["reg"] for group in trainer.optimizer.param_groups if "reg" in group}
+    return [groups["opacity_logits"] / fade, groups["log_scales"] * trainer.extent / fade]
+
+
+FEW = {"opacity_reg": 0.1, "scale_reg": 0.08, "dropout": 0.2, "max_aspect": 6.0}
+
+
+def test_a_run_that_meets_its_photos_is_regularised_less(make_trainer) -> None:
+    trainer = make_trainer(**FEW, full_reg_loss=10.0)
+    trainer.step(0.0)
+    assert regs(trainer) == pytest.approx([0.1, 0.08])
+    losses = [trainer.state["photo_loss"]]
+    losses += [trainer.step(0.0).loss for _ in range(20)]
+    assert min(losses) < trainer.state["photo_loss"] < max(losses)
+    assert regs(trainer) == pytest.approx([LEAST_REG, LEAST_REG])
+    assert trainer.need_of_reg == trainer.state["photo_loss"] / 10
+    full = make_trainer(**FEW)
+    for _ in range(3):
+        full.step(0.0)
+    assert regs(full) == pytest.approx([0.1, 0.08]) and full.need_of_reg == 1
+
+
+def test_a_loss_of_the_users_says_nothing_of_the_photos(make_trainer) -> None:
+    trainer = make_trainer(**FEW, full_reg_loss=10.0)
+    trainer.loss = LossPlugin(lambda step: 1e-3 * step.photo_loss)
+    for _ in range(3):
+        trainer.step(0.0)
+    assert regs(trainer) == pytest.approx([0.1, 0.08])
+
+
+def test_a_resumed_run_is_regularised_alike(make_trainer, tmp_path: Path) -> None:
+    settings = {**FEW, "full_reg_loss": 0.3, "iterations": 60}
+    whole = make_trainer(**settings)
+    for step in range(60):
+        if step == 30:
+            save_checkpoint(whole, tmp_path / "c.safetensors")
+        whole.step(0.0)
+    resumed = make_trainer(**settings)
+    restore(resumed, load_checkpoint(tmp_path / "c.safetensors"))
+    while not resumed.done:
+        resumed.step(0.0)
+    assert resumed.need_of_reg == whole.need_of_reg < 1
+    for ours, theirs in zip(resumed.splats.arrays, whole.splats.arrays, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
