@@ -99,7 +99,7 @@ def saves(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     shoot(hand, "save_as")
     hand.ctx.key_chars_replace_enter(options["other"])
     hand.wait(lambda: app.scene.name == Path(options["other"]).name, "the other name")
-    hand.wait(thumbnail_file(Path(options["other"])).exists, "its picture among the recent scenes", 10)
+    hand.wait(thumbnail_file(Path(options["other"])).exists, "its picture among the recent scenes")
     titles.append(layout.title(app))
     delete_some(hand)
     hand.press("Ctrl+Shift+S")

@@ -84,11 +84,18 @@ def on_a_display() -> Iterator[dict[str, str]]:
         server.wait()
 
 
-def grab(command: Sequence[str | Path], path: Path, seconds: float, *, until: str | None = None) -> None:
-    """Runs `command` on a display of its own and takes a picture of it after so many seconds, or as soon as
-    it has made the file `until` in its settings."""
-    with on_a_display() as environment, tempfile.TemporaryDirectory() as work:
-        viewer = subprocess.Popen(command, env=environment, cwd=work)
+def grab(
+    command: Sequence[str | Path],
+    path: Path,
+    seconds: float,
+    *,
+    until: str | None = None,
+    work: str | None = None,
+) -> None:
+    """Runs `command` on a display of its own, in the folder `work` or one of its own, and takes a picture of
+    it after so many seconds, or as soon as it has made the file `until` in its settings."""
+    with on_a_display() as environment, tempfile.TemporaryDirectory() as empty:
+        viewer = subprocess.Popen(command, env=environment, cwd=work or empty)
         limit = time.monotonic() + seconds
         ready = Path(environment["SPLATVIEW_CONFIG_DIR"], until or "never")
         while time.monotonic() < limit and not ready.exists():
@@ -125,7 +132,7 @@ def timeline(folder: Path) -> None:
             means[:, 0] += (0.1 * np.sin(0.26 * i + means[:, 2])).astype(means.dtype)
             save_scene(replace(scene, means=means), frames / f"frame_{i + 1}.splat")
         (frames / "frame_9.splat").write_bytes(b"damaged")
-        grab([SPLATVIEW, frames], folder / "timeline.png", SECONDS_TO_SETTLE)
+        grab([SPLATVIEW, "wind"], folder / "timeline.png", SECONDS_TO_SETTLE, work=name)
 
 
 def editing(folder: Path) -> None:
