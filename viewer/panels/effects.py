@@ -93,7 +93,8 @@ def row(app: AppState, effects: Effects, effect: Effect) -> None:
     elif not price.clear:
         imgui.text_colored(theme.QUIET, "same")
     else:
-        imgui.text_unformatted(f"{price.saved_ms:+.2g} ms")
+        saved = price.saved_ms
+        imgui.text_unformatted(f"{saved:+.0f} ms" if abs(saved) >= 100 else f"{saved:+.2g} ms")
     widgets.tooltip(str(price) if price is not None else "Not measured: it cannot be turned the other way.")
 
 
