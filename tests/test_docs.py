@@ -20,7 +20,7 @@ MOST_README_LINES = 150
 
 BLOCK = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
 SPAN = re.compile(r"`([^`\n]+)`")
-LINK = re.compile(r"(!?)\[[^\]]*\]\(([^)\s]+)\)")
+LINK = re.compile(r"(!?)\[[^\[\]]*\]\(([^)\s]+)\)")
 REPOSITORY_PATH = re.compile(r"[\w.-]+/([\w./-]*(\.py|\.glsl|/))?")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
