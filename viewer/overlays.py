@@ -229,7 +229,8 @@ def over_picture(app: AppState) -> None:
     width = imgui.get_window_width()
     right = corner.x + width - margin
     show_axis_gizmo(app, ImVec2(right, corner.y + margin))
-    view_buttons(app, ImVec2(right, corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size()))
+    below_axes = corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size()
+    view_buttons(app, ImVec2(right, below_axes), corner.y + imgui.get_window_height())
     left = corner.x + margin + TOOLS_EM * imgui.get_font_size()
     if app.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(left, corner.y + 5 * margin + imgui.get_font_size()))
@@ -281,10 +282,15 @@ TOOLS_EM = 2.7
 """Width that the tool bar takes at the left edge, in font heights."""
 
 
-def view_buttons(app: AppState, corner: ImVec2) -> None:
-    """The navigation mode and the visual mode, as wide as the axes above them; top right at `corner`."""
+def view_buttons(app: AppState, corner: ImVec2, bottom: float) -> None:
+    """The navigation mode and the visual mode, as wide as the axes above them; top right at `corner`.
+
+    What does not end above `bottom` is left to the View page and the keys.
+    """
     em = imgui.get_font_size()
     wide = 2 * (ARM_EM + BALL_EM) * em
+    if corner.y + 1.6 * em > bottom:
+        return
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 2))
     imgui.set_cursor_screen_pos(ImVec2(corner.x - wide, corner.y))
     side = (wide - len(NAVIGATION_MODES) + 1) / len(NAVIGATION_MODES)
@@ -298,8 +304,9 @@ def view_buttons(app: AppState, corner: ImVec2) -> None:
             app.post(COMMANDS[f"navigate_{mode}"].run)
         imgui.pop_style_color()
         widgets.command_tooltip(app, f"navigate_{mode}")
-    imgui.set_cursor_screen_pos(ImVec2(corner.x - wide, corner.y + 1.8 * em))
-    mode_chooser(app, wide)
+    if corner.y + 1.8 * em + imgui.get_frame_height() <= bottom:
+        imgui.set_cursor_screen_pos(ImVec2(corner.x - wide, corner.y + 1.8 * em))
+        mode_chooser(app, wide)
     imgui.pop_style_var()
 
 

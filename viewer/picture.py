@@ -113,7 +113,7 @@ class Picture:
         if self._async is not None:
             other = request.mode not in self._async.capabilities.modes
             announced, self._announced = self._announced == request.mode, request.mode
-            self._by_gl = other and announced and self._mode_compiled(request)
+            self._by_gl = other and self._mode_compiled(request) and announced
             self._mode_to_come = other and not self._by_gl
         if self._by_gl:
             self._loaded_gl().draw(request)

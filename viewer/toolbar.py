@@ -237,7 +237,7 @@ def choices(right: float, entries: Sequence[tuple[str, str, str]], chosen: str) 
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(1, 0))
     for number, (value, label, tip) in enumerate(entries):
         if number:
-            imgui.same_line()
+            follow(right, width_of(label))
         bright = value == chosen
         if bright:
             imgui.push_style_color(imgui.Col_.button, theme.CHOSEN)
