@@ -305,7 +305,7 @@ class Window:
         layout.show(self.app)
         layout.show_floating(self.app, self.dialogs)
         asked = any(imgui.is_mouse_clicked(i) or imgui.is_mouse_released(i) for i in range(3))
-        asked = asked or self.app.has_posted
+        asked = (asked or self.app.has_posted) and not self.app.feature(Sequences).playing
         if asked and not self._asked:  # what asks in every frame, as a drag does, is paced as ever
             self._prompt_frames = PROMPT_FRAMES
         self._asked = asked
