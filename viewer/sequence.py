@@ -239,6 +239,8 @@ class Sequences(Feature):
     def play(self, app: AppState) -> None:
         if self.player is not None and self._may_leave(app):
             player = self.player
+            app.feature(Editing).leave()  # an edit before the next frame is due must pause, too
+            player.settled = False
             player.head.play(app.now())
             player.shown_tick = player.head.tick
             player.times.clear()
@@ -249,7 +251,8 @@ class Sequences(Feature):
         if player is not None and player.head.playing:
             player.drop_arriving()
             player.head.pause()
-            player.head.seek(player.shown)
+            if player.shown >= 0:
+                player.head.seek(player.shown)
 
     def _may_leave(self, app: AppState) -> bool:
         why = self.held(app)

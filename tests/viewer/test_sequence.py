@@ -152,6 +152,19 @@ def test_playing_has_no_session_until_something_edits(opened):
     assert player.head.playing, "a selection is no loss"
 
 
+def test_an_edit_right_after_play_pauses_before_the_next_frame_is_due(opened):
+    app = opened
+    go(app, 2)
+    sequence.play_or_pause(app)
+    player = player_of(app)
+    assert session_of(app) is None and player.shown == 2
+    session = session_for_edit(app)
+    assert session is not None and not player.head.playing and player.head.frame == 2
+    assert session.apply(Select(by=Sphere(centre=(0, 0, 0), radius=9)))
+    until(app, lambda: not app.waiting)
+    assert session_of(app) is session
+
+
 def test_edits_hold_the_frame(opened):
     app = opened
     go(app, 2)
