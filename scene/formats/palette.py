@@ -133,7 +133,8 @@ def vectors(
         count,
     )
     del errors
-    centroids, labels = [], np.empty(len(rows), np.int32)
+    # Made once: put together from parts it would be there twice, a tenth of a scene.
+    centroids, labels = np.empty((count, middles.shape[1]), np.float32), np.empty(len(rows), np.int32)
     first = 0
     for group in range(groups):
         members = np.flatnonzero(group_of == group)
@@ -141,10 +142,10 @@ def vectors(
             own = rows[members]
             mine = _clustered(own, weights[members], int(shares[group]), rng)
             labels[members] = first + nearest(own, mine)[0]
-            centroids.append(mine)
+            centroids[first : first + len(mine)] = mine
             first += len(mine)
         progress.step((group + 1) / groups)
-    return np.concatenate(centroids), labels
+    return centroids[:first], labels
 
 
 HASH_FACTOR = 0x9E3779B97F4A7C15
@@ -175,9 +176,11 @@ def _distinct(rows: Rows, most: int) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _shares(errors: np.ndarray, sizes: np.ndarray, count: int) -> np.ndarray:
     """Centroids of each group: by the cube root of error and size, which evens out what is left, at least one
-    and no more than members."""
+    and no more than members; together at most `count`, which is no less than the number of groups."""
     wish = np.cbrt(np.maximum(errors, 0)) * np.cbrt(sizes) ** 2 + 1e-300
     shares = np.minimum(np.maximum(np.floor(wish / wish.sum() * count), 1), np.maximum(sizes, 1))
+    for group in np.argsort(-shares):  # one each may be more than there are
+        shares[group] -= min(max(shares.sum() - count, 0), shares[group] - 1)
     for group in np.argsort(-wish):
         room = count - shares.sum()
         if room <= 0:

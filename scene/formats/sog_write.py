@@ -189,9 +189,13 @@ def importance(gaussians: Gaussians, order: np.ndarray) -> np.ndarray:
 def _similar_order(centroids: np.ndarray) -> np.ndarray:
     """Centroids in an order in which neighbours are alike, which WebP makes smaller: along the direction in
     which they differ most."""
-    centred = centroids - centroids.mean(axis=0)
-    _, directions = np.linalg.eigh(centred.T @ centred)
-    return np.argsort(centred @ directions[:, -1], kind="stable")
+    mean = centroids.mean(axis=0, dtype=np.float64)
+    spread = np.zeros((len(mean), len(mean)))
+    for part in slices(len(centroids)):
+        centred = centroids[part] - mean
+        spread += centred.T @ centred
+    _, directions = np.linalg.eigh(spread)
+    return np.argsort(centroids @ directions[:, -1].astype(np.float32), kind="stable")
 
 
 def _webp(picture: np.ndarray) -> bytes:

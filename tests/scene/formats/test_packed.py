@@ -150,20 +150,24 @@ def test_compressed_ply_is_within_half_a_step(tmp_path, written):
     assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max(initial=0) <= 4 / 256 + ROUNDING
 
 
-@any_scene(4)
+@any_scene(12)
 def test_sog_is_within_half_a_step(tmp_path, written):
     read = round_trip(written, tmp_path, ".sog")
     logs = [np.sign(g.means) * np.log1p(np.abs(g.means)) for g in (read, written)]
     assert np.abs(logs[0] - logs[1]).max() <= 0.5 * np.ptp(logs[1], axis=0).max() / 65535 + ROUNDING
     assert smallest(quat_error(read, written), written) <= 0.5 / 127.5 / np.sqrt(2) + ROUNDING
     assert opacity_error(read, written) <= 0.5 / 255 + ROUNDING
-    # Each number is the nearest level of its codebook, whose steps are as wide as numbers are rare.
-    for ours, theirs in ((written.log_scales, read.log_scales), (written.sh[:, 0], read.sh[:, 0])):
+    # Each number is the nearest level of its codebook, whose steps are as wide as numbers are rare; so few
+    # splats have each an entry of the palette.
+    for ours, theirs in (
+        (written.log_scales, read.log_scales),
+        (written.sh[:, 0], read.sh[:, 0]),
+        (written.sh[:, 1:], read.sh[:, 1:]),
+    ):
         levels = np.unique(theirs)
         assert len(levels) <= 256
-        nearest = np.abs(ours[..., None] - levels).min(axis=-1)
+        nearest = np.abs(ours[..., None] - levels).min(axis=-1, initial=np.inf)
         assert (np.abs(ours - theirs) <= nearest + ROUNDING).all()
-    assert np.abs(read.sh[:, 1:] - written.sh[:, 1:]).max(initial=0) <= 1.8 / 64
 
 
 def test_sog_does_not_quantise_again(tmp_path):
