@@ -29,7 +29,9 @@ from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
+from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
+from splatview.viewer.app import ATTENDED_SECONDS
 from splatview.viewer.editing.session import Editing, session_of
 from splatview.viewer.overlays import PHOTO_SIZE, pyramids
 from splatview.viewer.state import AppState
@@ -127,10 +129,12 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     ctx.item_click("//Training/Measure")
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = training.scores
+    window.ATTENDED_SECONDS = ATTENDED_SECONDS
     hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
     found["unattended_fps"] = pacing.fps_idle
     ctx.mouse_move("//Training/###pause")
     hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
+    without_frame_limit()
 
     shown = seen(hand)
     hand.press("F3")
