@@ -112,7 +112,12 @@ def make_parser() -> Parser:
         "--alpha", action="store_true", help="a .png with transparency instead of a background"
     )
     group.add_argument("--renderer", choices=("auto", *choices("render")), default="auto")
-    group.add_argument("--mode", choices=tuple(MODES), default="splats", help="other than splats: quads only")
+    group.add_argument(
+        "--mode",
+        choices=tuple(MODES),
+        default="splats",
+        help="what of the scene is drawn: every one by quads and cpu",
+    )
     group.add_argument(
         "--antialiased",
         action=argparse.BooleanOptionalAction,

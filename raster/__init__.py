@@ -13,7 +13,7 @@ from splatview.raster.compiling import available_threads, will_compile
 from splatview.raster.edits import edit_arrays
 from splatview.raster.forward import EARLY_STOP
 from splatview.raster.forward_per_pixel import depth_slopes
-from splatview.raster.frame import Frame, draw
+from splatview.raster.frame import Frame, Repaint, draw
 from splatview.raster.parameters import (
     NonzeroBands,
     Parameters,
@@ -97,6 +97,7 @@ def draw_frame(
     background: np.ndarray | None = None,
     dtype: type[np.floating] = np.float32,
     early_stop: float | None = None,
+    repaint: Repaint | None = None,
     threads: int | None = None,
 ) -> Frame:
     """Draws a picture in `dtype`, float32 or float64, and keeps what `differentiate` needs.
@@ -104,7 +105,8 @@ def draw_frame(
     `depth_order` serves further frames where the settings' `resort_frames` allow it; without it each frame is
     sorted. A picture with `edits`, or over more than a colour, has no gradients. `nonzero`: the scene's SH
     bands that are not zero, where that is known; no picture depends on it. `background` (3,) replaces that
-    of the settings. `early_stop`: transmittance below which a pixel is terminated.
+    of the settings. `early_stop`: transmittance below which a pixel is terminated. `repaint`: as in
+    `frame.arrange`.
 
     Raises:
         ValueError: an argument cannot be used; the message names it.
@@ -151,6 +153,7 @@ def draw_frame(
         key_bits=key_bits,
         order_of=order_of,
         slopes_of=slopes_of,
+        repaint=repaint,
         threads=threads,
     )
     if not plain:

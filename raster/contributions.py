@@ -311,7 +311,7 @@ class Counted:
     pixel_splats: int
     """Alphas that this rasteriser evaluates, in whole blocks of pixels that an ellipse touches."""
     pairs: int
-    """Pairs of a splat and a tile."""
+    """Splat-tile pairs."""
     visible: int
     """Splats projected and sorted."""
     sh_degree: int

@@ -33,6 +33,9 @@ MAX_LISTED_PAIRS = 1 << 27
 Runs = list[tuple[int, int]]
 """(start, stop) each."""
 
+Repaint = Callable[[np.ndarray, np.ndarray, np.ndarray, Runs], None]
+"""Of records (N, RECORD), depths (N,), and visible (N,) in runs; see `Arrangement`."""
+
 
 class StageClock:
     """Wall-clock milliseconds by stage, added up."""
@@ -152,11 +155,12 @@ def draw(
     key_bits: int = 32,
     order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
     slopes_of: Callable[[np.ndarray], np.ndarray] | None = None,
+    repaint: Repaint | None = None,
 ) -> Frame:
     """Draws in the dtype of `background` (3,), float32 or float64. Arguments are taken to be valid.
 
-    See `arrange` for `nonzero` and `order_of`. `slopes_of` makes `forward_per_pixel.depth_slopes` of visible
-    splats, for a picture in per-pixel order.
+    See `arrange` for `nonzero`, `order_of` and `repaint`. `slopes_of` makes `forward_per_pixel.depth_slopes`
+    of visible splats, for a picture in per-pixel order.
     """
     clock = StageClock()
     dtype = background.dtype
@@ -174,6 +178,7 @@ def draw(
         clock=clock,
         key_bits=key_bits,
         order_of=order_of,
+        repaint=repaint,
     )
     bins, image = arranged.bins, np.empty((view.height, view.width, 4), dtype)
     termination = make_termination(early_stop, dtype)
@@ -235,11 +240,13 @@ def arrange(
     nonzero: NonzeroBands | None = None,
     key_bits: int = 32,
     order_of: Callable[[np.ndarray, Runs], np.ndarray] | None = None,
+    repaint: Repaint | None = None,
 ) -> Arrangement:
     """All that comes before pixels: project, sort, bin.
 
     `nonzero`: the SH bands that are not zero, where that is known. `order_of` gives visible splats (N,), in
-    runs, in depth order; None: they are sorted by keys of `key_bits` bits.
+    runs, in depth order; None: they are sorted by keys of `key_bits` bits. `repaint` changes the records of
+    visible splats before they are sorted and binned; such a picture cannot be differentiated.
     """
     with clock.stage("project"):
         count = len(splats.means)
@@ -262,6 +269,8 @@ def arrange(
         if min(found) < 0:
             raise ValueError("edits.marks names an adjustment that is not in edits.palette")
         runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
+        if repaint is not None:
+            repaint(records, depths, visible, runs)
     with clock.stage("sort"):
         if order_of is None:
             order = workspace.take("order", (sum(found),), np.int32)

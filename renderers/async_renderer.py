@@ -14,6 +14,7 @@ from splatview.raster.frame import specialisation_key
 from splatview.renderers import make_renderer
 from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
+from splatview.renderers.modes import MODES
 from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
 from splatview.renderers.quality import (
     MOVING_MS,
@@ -26,7 +27,7 @@ from splatview.renderers.quality import (
     price,
 )
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
-from splatview.scene import Gaussians
+from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
 
 FRAME_SECONDS = 0.02
@@ -62,10 +63,11 @@ class KernelPrecompiler:
         if self._precompiler.is_done([kind]):
             return None
         pinhole = not (camera.lens or camera.orthographic or request.settings.model.footprint == "disc")
-        if not edited and pinhole and not raster.will_compile():
+        usual = pinhole and request.mode == "splats"
+        if not edited and usual and not raster.will_compile():
             return None  # compiled with all the others
         self._precompiler.ask([kind], title_of(request), lambda: precompile_job("cpu", request))
-        return kind if not edited or not pinhole or raster.will_compile() else None
+        return kind if not edited or not usual or raster.will_compile() else None
 
     def wait(self, kind: str) -> bool:
         """False where nothing is to be drawn any more."""
@@ -94,9 +96,10 @@ def with_edits_of(snapshot: EditSnapshot | None, request: FrameRequest) -> Frame
 def kind_in(request: FrameRequest) -> str:
     """Key of the kernels that the picture needs."""
     assert request.gaussians is not None
-    return specialisation_key(
+    key = specialisation_key(
         request.gaussians, request.camera, request.settings, edited=request.edits is not None
     )
+    return key if request.mode == "splats" else f"{key} {request.mode}"
 
 
 def title_of(request: FrameRequest) -> str:
@@ -106,6 +109,7 @@ def title_of(request: FrameRequest) -> str:
         "a lens": request.camera.lens is not None,
         "parallel rays": request.camera.orthographic,
         "discs": request.settings.model.footprint == "disc",
+        MODES[request.mode].label.lower(): request.mode != "splats",
     }
     return ", ".join(name for name, on in effects.items() if on) or "the CPU renderer"
 
@@ -176,7 +180,14 @@ class AsyncRenderer(Renderer):
             self._plan = None  # which would keep the old scene in memory
 
     def draw(self, request: FrameRequest) -> None:
-        """Asks for a picture. Never waits."""
+        """Asks for a picture. Never waits.
+
+        Raises:
+            InputError: the backend cannot draw it.
+        """
+        problem = self.capabilities.unsupported(request)
+        if problem is not None:
+            raise InputError(problem)
         complete = self._with_scene(request)
         if complete is None:
             return
@@ -253,6 +264,12 @@ class AsyncRenderer(Renderer):
         with self._change:
             return self._stats
 
+    def depth_range(self, camera: Camera) -> tuple[float, float] | None:
+        """Depths, world units, of the ends of the colours of the mode "depth" from `camera`; None before the
+        first such picture."""
+        renderer = self._renderer
+        return renderer.depth_range(camera) if isinstance(renderer, CpuRenderer) else None
+
     def memory(self) -> int:
         return self._renderer.memory()
 
@@ -323,9 +340,10 @@ class AsyncRenderer(Renderer):
         return coarse is not self._request or self._resting
 
     def _shortcut(self, request: FrameRequest) -> Shortcut | None:
-        """How to draw a moving picture; None: in full. Merged splats know nothing of edits."""
-        plan = self._followed
-        if plan is not None and plan.gaussians is request.gaussians and request.edits is None:
+        """How to draw a moving picture; None: in full. Merged splats know nothing of edits, and other modes
+        show the splats themselves."""
+        plan, as_it_is = self._followed, request.edits is None and request.mode == "splats"
+        if plan is not None and plan.gaussians is request.gaussians and as_it_is:
             return self._governor.step
         full_ms = self._full_ms if self._drawn_of is request.gaussians else None
         if full_ms is not None and full_ms <= self._allowed_ms:
@@ -376,6 +394,7 @@ class AsyncRenderer(Renderer):
         """Has prices found out in another thread, where pictures are slow and no prices are known."""
         gaussians = request.gaussians
         unmerged = gaussians is None or not len(gaussians) or request.edits is not None
+        unmerged = unmerged or request.mode != "splats"
         if unmerged or not stats.milliseconds > self._allowed_ms:
             return
         if self._planner is not None and self._planner.is_alive():

@@ -5,12 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Generator, Sequence
+from typing import Any
 
 import numpy as np
 
 from splatview import raster
 from splatview.raster.contributions import contributions, dominant_splats
+from splatview.raster.modes import draw_mode
+from splatview.renderers.depth_colours import DepthColours
 from splatview.renderers.edit_snapshot import tinted
+from splatview.renderers.modes import MODES
 from splatview.renderers.request import Capabilities, FrameRequest, FrameStats, Highlight, Renderer
 from splatview.scene import Camera, Gaussians, InputError, reference
 from splatview.scene.attribute_formats import Attributes
@@ -51,11 +55,11 @@ class CpuRenderer(Renderer):
     capabilities = Capabilities(
         backend="cpu",
         orders=("32-bit", "16-bit", "per-pixel"),
-        modes=("splats", "normals"),
         precisions=("float32",),
     )
 
     def __init__(self) -> None:
+        self._depth_colours = DepthColours()
         self._gaussians: Gaussians | None = None
         self._own = threading.local()
         self._drawn = 0
@@ -69,18 +73,19 @@ class CpuRenderer(Renderer):
 
     def draw(self, request: FrameRequest) -> None:
         gaussians, edits = checked(self, request, self._gaussians), self.edits_of(request)
-        if request.mode == "normals":
-            gaussians, edits = with_normals(gaussians, request), None
-        frame = raster.draw_frame(
-            raster.parameters_of(gaussians),
-            request.view,
-            request.settings,
-            self._workspace,
-            depth_order=self._depth_order,
-            edits=edits,
-            nonzero=raster.nonzero_bands(gaussians),
-            threads=self.threads,
-        )
+        picture = raster.parameters_of(gaussians), request.view, request.settings, self._workspace
+        options: dict[str, Any] = {
+            "depth_order": self._depth_order,
+            "edits": edits,
+            "nonzero": raster.nonzero_bands(gaussians),
+            "threads": self.threads,
+        }
+        if request.mode == "splats":
+            frame = raster.draw_frame(*picture, **options)
+        else:
+            if MODES[request.mode].depths:
+                options["depth_range"] = self._depth_colours.range(gaussians, edits, request.view)
+            frame = draw_mode(request.mode, *picture, **options)
         self._drawn += 1
         self._own.image = frame.image
         self._own.stats = FrameStats(
@@ -92,6 +97,11 @@ class CpuRenderer(Renderer):
             drawn=self._drawn,
             pixel_splats=frame.pixel_splats,
         )
+
+    def depth_range(self, camera: Camera) -> tuple[float, float] | None:
+        """Depths, world units, of the ends of the colours of the mode "depth" from `camera`; None before the
+        first such picture."""
+        return self._depth_colours.latest_range(camera)
 
     def edits_of(self, request: FrameRequest) -> SceneEdits | None:
         """The edits, with the highlight as further adjustments of colours; the same object while they are."""

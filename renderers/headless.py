@@ -30,7 +30,7 @@ def make_headless(name: str, *, mode: VisualMode = "splats") -> Renderer:
         InputError: it does not work here, or cannot show `mode`.
     """
     if name == "auto":
-        name = MODES[mode].backends[0] if mode != "splats" else automatic_choice()[0]
+        name = automatic_choice()[0]
     if name not in MODES[mode].backends:
         raise InputError(f"--mode {mode} needs --renderer {' or '.join(MODES[mode].backends)}")
     if name in ("cpu", "reference"):

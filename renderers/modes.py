@@ -37,7 +37,7 @@ class Mode:
     """Shows the splats' colours, and so highlights."""
     stops_early: bool = False
     """Splats behind an opaque block of the picture cannot show."""
-    backends: tuple[str, ...] = ("quads",)
+    backends: tuple[str, ...] = ("quads", "cpu")
     """Backends with programs of their own for it."""
 
 

@@ -171,6 +171,8 @@ class Capabilities:
             return f"an order that is kept for several frames needs {self.needs}; use --resort 1"
         if request.mode not in self.modes:
             return f"--mode {request.mode} needs --renderer {' or '.join(MODES[request.mode].backends)}"
+        if MODES[request.mode].surfaces and request.camera.lens is not None:
+            return f"{request.mode} cannot be drawn through a lens; take the lens off, or show splats"
         return None
 
 

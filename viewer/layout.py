@@ -139,7 +139,11 @@ EDGE_EM = 0.3
 """Width of the edges that are dragged, in font heights."""
 
 LEAST_VIEW_EM = 12.0
-"""What is left to the picture, in font heights, before the inspector is narrower than it was asked to be."""
+"""What is left to the picture each way, in font heights, before inspector and strip are smaller than asked
+for."""
+
+LEAST_STRIP_EM = 5.0
+"""Height that the bottom strip has all the same, in font heights."""
 
 MOST_STRIP = 0.6
 """Share of the height that the bottom strip may take."""
@@ -153,7 +157,8 @@ def places(area: Rectangle, em: float, *, inspector: float, strip: float, rail: 
     rail_width = round(em * RAIL_EM) if rail else 0
     width = min(inspector * em, max(area.width - rail_width - LEAST_VIEW_EM * em, RANGES_LOW * em))
     width = round(width) if inspector else 0
-    low = round(min(strip * em, MOST_STRIP * height)) if strip else 0
+    left = max(height - LEAST_VIEW_EM * em, LEAST_STRIP_EM * em)
+    low = round(min(strip * em, MOST_STRIP * height, left)) if strip else 0
     view_width = max(area.width - rail_width - width, 1)
     right = area.x + view_width
     return Places(

@@ -13,7 +13,7 @@ from splatview.renderers import MODES
 from splatview.scene import Camera
 from splatview.scene.errors import printable
 from splatview.scene.image_model import NEAR
-from splatview.viewer import theme
+from splatview.viewer import theme, toolbar
 from splatview.viewer.camera import go_to_camera
 from splatview.viewer.commands import COMMANDS, NAVIGATION_MODES, keys_of, set_mode
 from splatview.viewer.depth_of_field import DepthOfField
@@ -221,16 +221,17 @@ def picture_corners(camera: Camera, size: float) -> np.ndarray:
 
 
 def over_picture(app: AppState) -> None:
-    """The tools in the picture's corner, and a welcome where nothing is open."""
+    """The tools in the picture's corner, where it is wide enough, and a welcome where nothing is open."""
     corner = imgui.get_window_pos()
     if shows_cameras(app):
         show_frusta(app, corner)
     margin = imgui.get_font_size() * 0.6
     width = imgui.get_window_width()
     right = corner.x + width - margin
-    show_axis_gizmo(app, ImVec2(right, corner.y + margin))
-    below_axes = corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size()
-    view_buttons(app, ImVec2(right, below_axes), corner.y + imgui.get_window_height())
+    if app.panels_hidden or toolbar.leaves_corner(width, imgui.get_window_height()):
+        show_axis_gizmo(app, ImVec2(right, corner.y + margin))
+        below_axes = corner.y + 2 * margin + 2 * (ARM_EM + BALL_EM) * imgui.get_font_size()
+        view_buttons(app, ImVec2(right, below_axes), corner.y + imgui.get_window_height())
     left = corner.x + margin + TOOLS_EM * imgui.get_font_size()
     if app.picture.status:
         imgui.set_cursor_screen_pos(ImVec2(left, corner.y + 5 * margin + imgui.get_font_size()))

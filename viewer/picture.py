@@ -12,9 +12,8 @@ from splatview.renderers import choices, make_renderer, on_this_gl
 from splatview.renderers.async_renderer import AsyncRenderer
 from splatview.renderers.gl.context import describe
 from splatview.renderers.gl.renderer import GLRenderer
-from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key
-from splatview.renderers.modes import MODES, VisualMode
-from splatview.renderers.precompile import ShaderPrecompiler, precompile_job
+from splatview.renderers.gl.shader_fallback import FallbackShaders
+from splatview.renderers.precompile import ShaderPrecompiler
 from splatview.renderers.request import FrameRequest, FrameStats
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.attribute_formats import Attributes
@@ -24,10 +23,7 @@ RENDERERS = ("auto", *choices("window"))
 
 class Picture:
     """Draws a scene into a texture. Only the thread of the OpenGL context calls it, but for `read` where it
-    `draws_anywhere`.
-
-    What the CPU cannot show (points, depth, ...) is drawn by `quads`, made and loaded when first asked for.
-    """
+    `draws_anywhere`."""
 
     threads: int | None = None
     """Cores that drawing may take, where the processor draws; None: all. As all that follows it counts from
@@ -42,10 +38,6 @@ class Picture:
     _fallback: FallbackShaders | None = None
     _gl: GLRenderer | None = None
     _async: AsyncRenderer | None = None
-    _by_gl: bool = False
-    _mode_to_come: bool = False
-    _announced: VisualMode = "splats"
-    """Mode of the latest request: its first frame says what the next one, which may take a second, draws."""
 
     def __init__(
         self,
@@ -65,10 +57,7 @@ class Picture:
         self._ctx = ctx
         self._precompiler = precompiler
         self._gaussians = EMPTY
-        self._gl_holds: Gaussians | None = None
-        """Scene that the OpenGL renderer has, where the CPU draws splats."""
-        self._by_gl = backend.gl_version is not None
-        if self._by_gl:
+        if backend.gl_version is not None:
             self._fallback = None if precompiler is None else FallbackShaders(ctx, precompiler)
             self._gl = gl_renderer(name, ctx, self._fallback)
             if self._fallback is not None:
@@ -94,10 +83,6 @@ class Picture:
         """Replaces the scene in short steps, as `Renderer.load_steps`."""
         if self._async is not None:
             yield from self._async.load_steps(gaussians, attributes)
-            if self._gl is not None:
-                # Not kept twice: loaded again when a mode needs it.
-                self._gl.load(EMPTY)
-                self._gl_holds = EMPTY
         elif self._gl is not None:
             for _ in self._fallback.while_loading() if self._fallback else ():
                 yield 0.0
@@ -108,21 +93,20 @@ class Picture:
         self._gaussians = gaussians
 
     def draw(self, request: FrameRequest) -> None:
-        """Brings the texture up to date with the loaded scene; costs nothing where nothing has changed."""
+        """Brings the texture up to date with the loaded scene; costs nothing where nothing has changed.
+
+        Raises:
+            InputError: this backend or machine cannot draw it.
+        """
         request = replace(request, gaussians=None)
-        if self._async is not None:
-            other = request.mode not in self._async.capabilities.modes
-            announced, self._announced = self._announced == request.mode, request.mode
-            self._by_gl = other and self._mode_compiled(request) and announced
-            self._mode_to_come = other and not self._by_gl
-        if self._by_gl:
-            self._loaded_gl().draw(request)
+        if self._gl is not None:
+            self._gl.draw(request)
             if self._fallback is not None:
                 self._fallback.after_drawing(self.backend, replace(request, gaussians=self._gaussians))
         elif self._async is not None:
             self._async.threads, self._async.cores = self.threads, self.cores
             self._async.sharp, self._async.budget_ms = self.sharp, self.budget_ms
-            self._async.draw(replace(request, mode="splats") if self._mode_to_come else request)
+            self._async.draw(request)
             image = self._async.take_picture()
             if image is not None:
                 self._upload(image)
@@ -137,31 +121,11 @@ class Picture:
     def read(self, request: FrameRequest) -> np.ndarray:
         """The finished picture (H, W, 4) float32 of the loaded scene, whatever the window shows meanwhile."""
         request = replace(request, gaussians=None)
-        if self._async is not None and request.mode in self._async.capabilities.modes:
+        if self._async is not None:
             return self._async.render(request)
-        renderer = self._loaded_gl()
-        renderer.draw(request)
-        return renderer.read()
-
-    def _mode_compiled(self, request: FrameRequest) -> bool:
-        """Whether OpenGL can show the mode without stopping the window for its programs; until then splats
-        are shown."""
-        if self._precompiler is None or not len(self._gaussians):
-            return True
-        key, version = mode_key(self._ctx, request.mode), self._precompiler.gl_version
-        complete = replace(request, gaussians=self._gaussians)
-        self._precompiler.ask(
-            [key], request.mode, lambda: precompile_job("quads", complete, gl_version=version)
-        )
-        return self._precompiler.is_done([key])
-
-    def _loaded_gl(self) -> GLRenderer:
-        if self._gl is None:
-            self._gl = gl_renderer("quads", self._ctx)
-        if self._async is not None and self._gl_holds is not self._gaussians:
-            self._gl.load(self._gaussians)
-            self._gl_holds = self._gaussians
-        return self._gl
+        assert self._gl is not None
+        self._gl.draw(request)
+        return self._gl.read()
 
     def forget_order(self) -> None:
         """Has the next picture that this thread reads sorted anew, whatever the settings say."""
@@ -170,49 +134,46 @@ class Picture:
             renderer.forget_order()
 
     def depth_range(self, camera: Camera) -> tuple[float, float] | None:
-        """Depths, world units, of the colours of the visual mode "depth"; None where OpenGL draws nothing."""
-        return None if self._gl is None else self._gl.depth_range(camera)
+        """Depths, world units, of the colours of the visual mode "depth"; None before they are known."""
+        renderer = self._async or self._gl
+        return None if renderer is None else renderer.depth_range(camera)
 
     @property
     def texture(self) -> moderngl.Texture:
         """The latest picture, row 0 on top; of another size than asked for while a better one is made."""
-        return self._gl.texture if self._by_gl and self._gl else self._texture
+        return self._gl.texture if self._gl is not None else self._texture
 
     @property
     def busy(self) -> bool:
         """Whether a better picture is on its way: the window then keeps asking."""
-        if self._mode_to_come:
-            return True
-        renderer = self._gl if self._by_gl else self._async
+        renderer = self._gl or self._async
         return renderer is not None and renderer.busy
 
     @property
     def is_current(self) -> bool:
         """Whether a picture of the loaded scene has been shown, be it a coarse one."""
-        return self._async is None or self._by_gl or self._async.pictured is self._gaussians
+        return self._async is None or self._async.pictured is self._gaussians
 
     @property
     def stats(self) -> FrameStats:
-        renderer = self._gl if self._by_gl else self._async
+        renderer = self._gl or self._async
         return renderer.stats() if renderer is not None else FrameStats()
 
     @property
     def status(self) -> str:
         """What the user should know while waiting, or ""."""
-        own = self._async.status if self._async and not self._by_gl else ""
+        own = self._async.status if self._async else ""
         title = "" if self._precompiler is None else self._precompiler.title
-        if own or title:
-            return own or f"Compiling for this machine: {title}"
-        return f"Drawing {MODES[self._announced].label.lower()}" if self._mode_to_come else ""
+        return own or (f"Compiling for this machine: {title}" if title else "")
 
     @property
     def note(self) -> str:
         """By what the picture in the texture is reduced while the camera moves, or ""."""
-        return self._async.note if self._async and not self._by_gl else ""
+        return self._async.note if self._async else ""
 
     def wait(self, seconds: float) -> None:
         """Returns when a picture that is being drawn has come, at once where none is, or after `seconds`."""
-        if self._async is not None and not self._by_gl:
+        if self._async is not None:
             self._async.wait(seconds)
 
     def take_problem(self) -> str | None:

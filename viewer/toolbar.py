@@ -85,24 +85,43 @@ def over_picture(app: AppState) -> None:
     right = bar(app, low, size.y - 2 * MARGIN_EM * em)
     session = session_of(app)
     if session is not None:
-        strip(app, session, ImVec2(right + MARGIN_EM * em, low.y), corner.x + size.x - CORNER_EM * em)
+        end = corner.x + size.x - (CORNER_EM if leaves_corner(size.x, size.y) else MARGIN_EM) * em
+        strip(app, session, ImVec2(right + MARGIN_EM * em, low.y), end)
 
 
 CORNER_EM = 7.0
 """Width of the picture's upper right corner that belongs to the axes, in font heights."""
 
+SHORT_EM, WHOLE_EM = 3.0, 12.0
+"""Widths beside the tool bar, in font heights, from which on there is room for the strip's buttons alone, and
+for what they open otherwise."""
+
+
+def leaves_corner(width: float, height: float) -> bool:
+    """Whether a picture of this size, px, has room for the axes beside tool bar and strip."""
+    em = imgui.get_font_size()
+    _, columns, _ = cells(height - 2 * MARGIN_EM * em)
+    taken = columns * round(SIDE_EM * em) + (2 * MARGIN_EM + SHORT_EM + CORNER_EM) * em
+    return taken <= width
+
+
+def cells(height: float) -> tuple[int, int, float]:
+    """Rows and columns of the tools in `height` px, and the gap between groups."""
+    em = imgui.get_font_size()
+    side, gap, pad = round(SIDE_EM * em), round(GAP_EM * em), round(0.15 * em)
+    if len(TOOLS) * side + (len(GROUPS) - 1) * gap + 2 * pad <= height:
+        return len(TOOLS), 1, gap
+    rows = max(int((height - 2 * pad) // side), 1)
+    columns = math.ceil(len(TOOLS) / rows)
+    return math.ceil(len(TOOLS) / columns), columns, 0
+
 
 def bar(app: AppState, low: ImVec2, height: float) -> float:
     """The tools in one column, or in several where the picture is low; its right edge."""
     em, session = imgui.get_font_size(), session_of(app)
-    side, gap = round(SIDE_EM * em), round(GAP_EM * em)
-    pad = round(0.15 * em)
-    whole = len(TOOLS) * side + (len(GROUPS) - 1) * gap + 2 * pad
-    gap = gap if whole <= height else 0
-    rows = len(TOOLS) if whole <= height else max(int((height - 2 * pad) // side), 1)
-    columns = math.ceil(len(TOOLS) / rows)
-    rows = math.ceil(len(TOOLS) / columns)
-    bottom = whole if columns == 1 and gap else rows * side + 2 * pad
+    side, pad = round(SIDE_EM * em), round(0.15 * em)
+    rows, columns, gap = cells(height)
+    bottom = rows * side + (len(GROUPS) - 1) * gap + 2 * pad
     draw = imgui.get_window_draw_list()
     high = ImVec2(low.x + columns * side + 2 * pad, low.y + bottom)
     draw.add_rect_filled(low, high, imgui.get_color_u32(GROUND), em * 0.3)
@@ -175,15 +194,23 @@ def draw_icon(icon: str, middle: ImVec2, colour: ImVec4) -> None:
 
 def strip(app: AppState, session: EditSession, low: ImVec2, right: float) -> None:
     """Options of the tool in hand and what can be done with the selection, beside each other where there is
-    room up to `right`, else below each other."""
-    groups: list[tuple[str, Callable[[], None]]] = []
+    room up to `right`, else below each other; where there is hardly any, buttons that open them."""
+    em = imgui.get_font_size()
+    viewport = imgui.get_main_viewport()
+    short = right - low.x < WHOLE_EM * em
+    end = viewport.work_pos.x + viewport.work_size.x if short else right
+    groups: list[tuple[str, str, Callable[[], None]]] = []
     if session.tool != "none":
-        groups.append(("tool", partial(TOOL_OPTIONS[session.tool], app, session, right)))
+        options = partial(TOOL_OPTIONS[session.tool], app, session, end)
+        groups.append(("tool", icons.ICON_FA_SLIDERS, options))
     if session.document.counts.selected:
-        groups.append(("selection", partial(selection, app, session, right)))
-    place, em, bottom = ImVec2(low.x, low.y), imgui.get_font_size(), low.y
+        groups.append(("selection", icons.ICON_FA_SQUARE_CHECK, partial(selection, app, session, end)))
+    if short:
+        openers(groups, low)
+        return
+    place, bottom = ImVec2(low.x, low.y), low.y
     storage = imgui.get_state_storage()
-    for name, contents in groups:
+    for name, _, contents in groups:
         key = imgui.get_id(f"{name} {session.tool} width")
         # Until it has been seen it gets a line of its own.
         width = storage.get_float(key, math.inf)
@@ -205,6 +232,29 @@ def strip(app: AppState, session: EditSession, low: ImVec2, right: float) -> Non
         storage.set_float(key, size.x)
         bottom = place.y + size.y
         place = ImVec2(place.x + size.x + 0.4 * em, place.y)
+
+
+OPENER_TIPS = {
+    "tool": "Options of the tool in hand.",
+    "selection": "What is selected, and what can be done with it.",
+}
+
+
+def openers(groups: Sequence[tuple[str, str, Callable[[], None]]], low: ImVec2) -> None:
+    """A button below another for each of the strip's parts, which opens it over the window."""
+    side = SIDE_EM * imgui.get_font_size()
+    imgui.push_style_color(imgui.Col_.button, GROUND)
+    for number, (name, icon, contents) in enumerate(groups):
+        place = ImVec2(low.x, low.y + number * (side + 2))
+        imgui.set_cursor_screen_pos(place)
+        if imgui.button(f"{icon}###open {name}", ImVec2(side, side)):
+            imgui.open_popup(f"##{name} strip")
+        widgets.tooltip(OPENER_TIPS[name])
+        imgui.set_next_window_pos(ImVec2(place.x, place.y + side))
+        if imgui.begin_popup(f"##{name} strip"):
+            contents()
+            imgui.end_popup()
+    imgui.pop_style_color()
 
 
 def follow(right: float, width: float) -> None:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from functools import cache
-from importlib import resources
-
 import moderngl
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from splatview import shaders
 from splatview.edit.operations.transform import Transform
 from splatview.renderers import MODES
 from splatview.renderers.gl.overlay import LineLayer, SplatLayer
 from splatview.renderers.request import FrameRequest
 from splatview.scene import InputError
+from splatview.shaders.colour_maps import MOST_OVERDRAW, colour_map
 from splatview.viewer import ground_grid
 from splatview.viewer.camera import bounds
 from splatview.viewer.editing.session import session_for_edit
@@ -34,9 +30,6 @@ FLOOR = 0.01
 
 FLOOR_SAMPLE = 20_000
 """Splats that it is found from."""
-
-MOST_OVERDRAW = 512
-"""Splats at one pixel that show as the last colour, as ``quads/resolve.frag.glsl`` has it."""
 
 LEGEND_COLOURS = 32
 """Steps of a legend's bar."""
@@ -153,20 +146,6 @@ def turn_scene(app: AppState, name: str) -> None:
     session.apply(Transform(scope="scene", rotation=rotation, pivot=(px, py, pz)))
 
 
-@cache
-def colour_map(name: str) -> np.ndarray:
-    """(LEGEND_COLOURS, 3) float64: the map `name` of ``common/colour_maps.glsl``, from 0 to 1."""
-    text = resources.files(shaders).joinpath("common/colour_maps.glsl").read_text(encoding="utf8")
-    body = text.split(f"vec3 {name}(float t)")[1].split("}")[0]
-    numbers = re.findall(r"vec3\(([^)]*)\)", body)
-    coefficients = [[float(number) for number in row.split(",")] for row in numbers]
-    t = np.linspace(0, 1, LEGEND_COLOURS)[:, None]
-    value = np.zeros((LEGEND_COLOURS, 3))
-    for row in coefficients:
-        value = value * t + np.array(row)
-    return np.clip(value, 0, 1)
-
-
 def legend(app: AppState) -> tuple[np.ndarray, list[tuple[float, str]], str] | None:
     """Colours from bottom to top, ticks (share of the height, text) and title of the visual mode's legend;
     None where it has none."""
@@ -177,12 +156,12 @@ def legend(app: AppState) -> tuple[np.ndarray, list[tuple[float, str]], str] | N
             return None
         shares = np.linspace(0, 1, 5)
         ticks = [(float(s), f"{depths[0] + s * (depths[1] - depths[0]):.3g}") for s in shares]
-        return colour_map("viridis")[::-1], ticks, "Depth, units"
+        return colour_map("viridis", LEGEND_COLOURS)[::-1], ticks, "Depth, units"
     if mode.flag == "OVERDRAW":
         counts = (0, 1, 7, 31, 127, MOST_OVERDRAW)
         most = np.log2(1 + MOST_OVERDRAW)
         ticks = [(float(np.log2(1 + n) / most), f"{n}" if n < MOST_OVERDRAW else f"{n}+") for n in counts]
-        return colour_map("inferno"), ticks, "Splats at a pixel"
+        return colour_map("inferno", LEGEND_COLOURS), ticks, "Splats at a pixel"
     return None
 
 

@@ -8,7 +8,8 @@ from functools import cached_property
 import moderngl
 import numpy as np
 
-from splatview.renderers.gl.scene_buffers import Placement, placement_of, sample_step
+from splatview.renderers.depth_colours import sample_step
+from splatview.renderers.gl.scene_buffers import Placement, placement_of
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, TexelArray
 from splatview.renderers.gl.uniforms import set_uniforms
 from splatview.renderers.modes import MODES, VisualMode

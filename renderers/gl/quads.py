@@ -8,11 +8,11 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from splatview.renderers.depth_colours import depth_range
 from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import DepthKeys, KeptOrder, Projector, short_keys
 from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
-from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_buffers import SceneBuffers, upload_plan, upload_steps
 from splatview.renderers.gl.sort import check_count
 from splatview.renderers.gl.uniforms import Uniform, view_uniforms
@@ -185,7 +185,7 @@ class QuadsRenderer(GLRenderer):
                 self._targets.shown,
                 background=settings.background,
                 camera=camera,
-                depths=depth_range(self._edits.placement, camera),
+                depths=depth_range(self._edits.placement.median, self._edits.placement.radius, camera),
                 weighted=order == "weighted",
             )
             self._resolved_key = resolved_key

@@ -16,13 +16,13 @@ import moderngl
 import numpy as np
 
 from splatview.measure.metrics import enlarged
+from splatview.renderers.depth_colours import depth_range
 from splatview.renderers.gl.blend import FRONT_TO_BACK, mode_program, quad_indices
 from splatview.renderers.gl.context import check_room, no_room
 from splatview.renderers.gl.edit_textures import Editing, EditTextures
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.project import QUADS_PER_INSTANCE
 from splatview.renderers.gl.renderer import GLRenderer, degree_of, view_key
-from splatview.renderers.gl.resolve import depth_range
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH, SceneTextures, TexelArray, upload_steps
 from splatview.renderers.gl.sort_thread import DepthOrder, SortWorker, ViewLine
 from splatview.renderers.gl.targets import ColourTarget
@@ -394,7 +394,7 @@ class QuadsGL33Renderer(GLRenderer):
                 self._targets.shown,
                 background=settings.background,
                 camera=camera,
-                depths=depth_range(self._edits.placement, camera),
+                depths=depth_range(self._edits.placement.median, self._edits.placement.radius, camera),
             )
         self._drawn = drawn
         self._counters["drawn"] += 1

@@ -10,12 +10,12 @@ from contextlib import contextmanager
 
 import moderngl
 
+from splatview.renderers.depth_colours import depth_range
 from splatview.renderers.gl.context import describe, held_bytes
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants
-from splatview.renderers.gl.resolve import Resolving, depth_range, float16_blending_truncates
+from splatview.renderers.gl.resolve import Resolving, float16_blending_truncates
 from splatview.renderers.gl.targets import PictureTargets
-from splatview.renderers.gl.uniforms import check_rays
 from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 
@@ -96,7 +96,6 @@ class GLRenderer(Renderer):
             self.load(request.gaussians, request.attributes)
         if self._source is None:
             raise RuntimeError("load() comes before draw()")
-        check_rays(request.camera, request.mode)
         problem = self.capabilities.unsupported(request)
         if problem is not None:
             raise InputError(problem)
@@ -132,7 +131,7 @@ class GLRenderer(Renderer):
 
     def depth_range(self, camera: Camera) -> tuple[float, float]:
         """Depths, world units, of the ends of the colours of the mode "depth" from `camera`."""
-        return depth_range(self._edits.placement, camera)
+        return depth_range(self._edits.placement.median, self._edits.placement.radius, camera)
 
     def memory(self) -> int:
         return held_bytes(self)

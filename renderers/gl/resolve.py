@@ -6,7 +6,6 @@ import moderngl
 import numpy as np
 
 from splatview.renderers.gl.programs import Variants, load_render_program
-from splatview.renderers.gl.scene_buffers import Placement
 from splatview.renderers.gl.targets import ColourTarget
 from splatview.renderers.gl.uniforms import Uniform, set_uniforms
 from splatview.renderers.modes import VisualMode, mode_flags
@@ -83,17 +82,6 @@ class BackgroundSource:
         if self._texture is not None:
             self._texture.release()
         self._texture, self._shown = None, None
-
-
-DEPTH_SPAN = 1.6
-"""Depth colours span so many scene radii (half the splats lie within one) on either side of the median."""
-
-
-def depth_range(placement: Placement, camera: Camera) -> tuple[float, float]:
-    """Depths, world units, of the colour map's ends: from the scene's extent, so that they never jump."""
-    middle = float(camera.forward @ (placement.median - camera.eye))
-    nearest = max(middle - DEPTH_SPAN * placement.radius, 0.0)
-    return nearest, max(middle + DEPTH_SPAN * placement.radius, nearest + placement.radius)
 
 
 class Resolving:

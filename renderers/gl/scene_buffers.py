@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import moderngl
 import numpy as np
 
+from splatview.renderers.depth_colours import Middle, sample_step
 from splatview.renderers.gl.context import reserve
 from splatview.scene import Gaussians
 from splatview.scene.attribute_formats import FORMATS, Attributes, half, sh_levels, stored_quats
@@ -108,9 +109,6 @@ FAR_FROM_ORIGIN = 4.0
 """Positions are stored relative to a centre once it lies this many scene radii from the origin; nearer
 scenes keep their float32 values to the bit."""
 
-SAMPLE = 100_000
-"""Splats that are looked at, at least, where there are so many."""
-
 REST_OF_SIZE = 5e-4
 """A splat that float32 moves by more than this share of its longest axis, a standard deviation, is drawn
 differently by up to 3e-4 of its alpha (the steepest slope of a Gaussian is 0.61 a deviation)..."""
@@ -136,11 +134,6 @@ class Placement:
         return _split(means, self.centre)
 
 
-def sample_step(count: int) -> int:
-    """Every so-manieth splat is enough to place `count` of them."""
-    return max(1, count // SAMPLE)
-
-
 def _split(means: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(over="ignore", invalid="ignore"):
         exact = means.astype(np.float64) - centre
@@ -161,13 +154,10 @@ def _is_wide(means: np.ndarray, log_scales: np.ndarray, centre: np.ndarray) -> b
 
 def placement_of(means: np.ndarray, log_scales: np.ndarray | None = None) -> Placement:
     """Of splats at `means` (N, 3); it is wide only where their `log_scales` (N, 3) say so."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        sample = means[:: sample_step(len(means))].astype(np.float64)
-        sample = sample[np.isfinite(sample).all(axis=1)]
-        if not len(sample):
-            return Placement(centre=np.zeros(3), median=np.zeros(3), radius=1.0, wide=False)
-        median = np.median(sample, axis=0)
-        radius = float(np.median(np.linalg.norm(sample - median, axis=1)))
+    middle = Middle.of(means)
+    if middle is None:
+        return Placement(centre=np.zeros(3), median=np.zeros(3), radius=1.0, wide=False)
+    median, radius = middle.median, middle.radius
     far = not np.abs(median).max() <= FAR_FROM_ORIGIN * radius
     # On a coarse grid of float32 numbers, what lies near the centre keeps its digits relative to it.
     step = 2.0 ** np.floor(np.log2(radius)) if 0 < radius < np.inf else 0.0

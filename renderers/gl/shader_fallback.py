@@ -15,8 +15,6 @@ from splatview.renderers.precompile import SIZE, ShaderPrecompiler, few_splats, 
 from splatview.renderers.request import FrameRequest, Renderer
 from splatview.scene.framing import frame_camera
 
-PLAIN_FILES = ("project.comp", "draw.vert", "draw.frag", "ellipsoids.vert", "ellipsoids.frag", "resolve.frag")
-
 STALL = 0.05
 """Seconds that a program may take here which has been compiled elsewhere: three late frames. More, and the
 driver has kept nothing."""
@@ -109,14 +107,6 @@ class FallbackShaders(Variants):
             digest = hashlib.sha256("\0".join((self._driver, *sources)).encode())
             self._keys[variant] = f"gl {digest.hexdigest()[:32]}"
         return self._keys[variant]
-
-
-def mode_key(ctx: moderngl.Context, mode: VisualMode) -> str:
-    """Of the programs that draw `mode` in its plainest form."""
-    info = describe(ctx)
-    sources = [expand(f"quads/{name}.glsl", "430 core", {})[0] for name in PLAIN_FILES]
-    digest = hashlib.sha256("\0".join((info.renderer, info.version, *sources)).encode())
-    return f"mode {mode} {digest.hexdigest()[:32]}"
 
 
 def title_of(variants: frozenset[Variant]) -> str:

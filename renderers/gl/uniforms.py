@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import moderngl
 import numpy as np
 
-from splatview.renderers.modes import MODES, VisualMode
-from splatview.scene import Camera, InputError, RenderSettings
+from splatview.scene import Camera, RenderSettings
 from splatview.scene.surfels import check_surfels
 
 Uniform = float | int | tuple[float, ...] | tuple[tuple[float, ...], ...]
@@ -70,12 +69,6 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
         "u_least_share": 0.0 if settings.sigma_cut is None else math.exp(-0.5 * settings.sigma_cut**2),
         "u_max_alpha": model.max_alpha,
     }
-
-
-def check_rays(camera: Camera, mode: VisualMode) -> None:
-    """Raises InputError where the camera's rays cannot be drawn in `mode`."""
-    if MODES[mode].surfaces and camera.lens is not None:
-        raise InputError(f"{mode} cannot be drawn through a lens; take the lens off, or show splats")
 
 
 def ray_flags(uniforms: Mapping[str, Uniform]) -> dict[str, bool]:

@@ -164,8 +164,7 @@ USAGE = {
     "index without camera": (["S", "-o", "O", "--camera-index", "1"], "--camera"),
     "index and name": (["S", "-o", "O", "--camera", "C", "--camera-index", "1", "--camera-name", "a"], "one"),
     "camera file missing": (["S", "-o", "O", "--camera", "C"], "no such file"),
-    "mode on the cpu": (["S", "-o", "O", "--mode", "depth", "--renderer", "cpu"], "quads"),
-    "mode by tiles": (["S", "-o", "O", "--mode", "depth", "--renderer", "tiles"], "quads"),
+    "mode by tiles": (["S", "-o", "O", "--mode", "depth", "--renderer", "tiles"], "quads or cpu"),
     "alpha and background": (["S", "-o", "O", "--alpha", "--background", "0,0,0"], "--background"),
     "alpha in npy": (["S", "-o", "N", "--alpha"], "--alpha"),
 }

@@ -962,7 +962,7 @@ def test_edits_of_another_scene_are_refused_and_forgotten(backend, random_gaussi
 STRAIGHT = look_at((0, 0, -4), (0, 0, 0), width=65, height=49)
 
 
-@on(*GL)
+@on(*FAST)
 @pytest.mark.parametrize("mode", ["splats", "points", "ellipsoids"])
 @pytest.mark.parametrize(
     ("mark", "expected"),
@@ -978,6 +978,8 @@ def test_marked_splats_are_highlighted(backend, mode, mark, expected):
     scene = splats([(0, 0, 0)] * 2, [(0, 1, 0), (0, 0, 0)], scales=(0.3,) * 3)
     scene.opacity_logits[1] = -9
     highlight = Highlight(selected=(1.0, 0.5, 0.0, 0.5), locked=(0, 0, 1, 1), preview=(1, 0, 0, 0.25))
+    if backend.name == "cpu":
+        mark %= 1 << PALETTE_SHIFT  # shaders take the last adjustment for one that is not there
     marks = np.array([mark, SELECTED | LOCKED | PREVIEW], np.uint32)  # the second cannot be seen
     edits = SceneEdits(marks=marks, flags=SELECTED | LOCKED | PREVIEW)
     for shown, colour in ((highlight, expected), (None, (0, 1, 0))):
@@ -1007,7 +1009,7 @@ OVER_BLUE = replace(EXACT, background=(0.0, 0.0, 1.0))
 MODES: tuple[VisualMode, ...] = ("splats", "points", "ellipsoids", "depth", "overdraw", "normals")
 
 
-@on(*GL)
+@on(*FAST)
 def test_points_are_small_opaque_dots_of_one_size_with_the_nearest_in_front(backend):
     scene = splats([(0, 0, 1), (0, 0, 0)], [RED, GREEN], scales=(2, 2, 2))
     for logit in (9.0, -4.0):  # faint ones as well
@@ -1021,7 +1023,7 @@ def test_points_are_small_opaque_dots_of_one_size_with_the_nearest_in_front(back
         assert np.allclose(image[0, 0], (0, 0, 1, 0))
 
 
-@on(*GL)
+@on(*FAST)
 def test_ellipsoids_are_opaque_surfaces_lit_from_the_eye(backend):
     axis = look_at((0, 0, 0), (0, 0, 1), up=(0, -1, 0), width=63, height=63)
     ball = splats([(0, 0, 3)], [(0.4, 0.4, 0.4)], scales=(0.3,) * 3, logit=2.0)
@@ -1036,7 +1038,7 @@ def test_ellipsoids_are_opaque_surfaces_lit_from_the_eye(backend):
     assert (image[(distance > 0.9) & (distance < 0.98)][:, 0] < 0.28).all()
 
 
-@on(*GL)
+@on(*FAST)
 def test_ellipsoids_hide_by_the_depth_of_each_pixel(backend):
     image = backend.draw(splats([(0, 0, 0)], [GREEN]), STRAIGHT, OVER_BLUE, "ellipsoids")
     centre, rim = image[24, 32], image[24, 32 + 9]
@@ -1057,7 +1059,7 @@ def test_ellipsoids_hide_by_the_depth_of_each_pixel(backend):
     assert image[24, 32 + 8, 1] > 0.3
 
 
-@on(*GL)
+@on(*FAST)
 def test_thin_and_faint_ellipsoids_and_one_around_the_eye(backend):
     def picture(scene: Gaussians) -> np.ndarray:
         return backend.draw(scene, STRAIGHT, OVER_BLUE, "ellipsoids")
@@ -1069,7 +1071,7 @@ def test_thin_and_faint_ellipsoids_and_one_around_the_eye(backend):
     assert np.allclose(picture(around)[24, 32], (0, 1, 0, 1), atol=0.03)
 
 
-@on(*GL)
+@on(*FAST)
 def test_ellipsoids_of_parallel_rays_have_their_size_everywhere(backend):
     """Radius 1.5 sigma, wherever in the picture and at whatever depth."""
     sizes = []
@@ -1080,7 +1082,7 @@ def test_ellipsoids_of_parallel_rays_have_their_size_everywhere(backend):
     np.testing.assert_allclose(sizes, expected, rtol=0.08)
 
 
-@on(*GL)
+@on(*FAST)
 def test_ellipsoids_through_a_lens_are_refused_in_one_line(backend):
     scene = splats([(0, 0, 0)], [(0.9, 0.9, 0.9)], scales=(0.1,) * 3, logit=4.0)
     with pytest.raises(InputError, match="ellipsoids cannot be drawn through a lens"):
@@ -1089,7 +1091,7 @@ def test_ellipsoids_through_a_lens_are_refused_in_one_line(backend):
     assert backend.draw(scene, through("FOV"), EXACT)[..., 3].max() > 0.5
 
 
-@on(*GL)
+@on(*FAST)
 def test_nearer_is_brighter_in_depth_colours_whatever_the_opacity(backend):
     # This camera looks along +z with y up, so +x is on its left.
     places, scales = [(1, 0, -0.5), (-1, 0, 0.5)], (0.3, 0.3, 0.3)
@@ -1110,7 +1112,7 @@ def test_nearer_is_brighter_in_depth_colours_whatever_the_opacity(backend):
     assert lightness[0] > lightness[1] > lightness[2]
 
 
-@on(*GL)
+@on(*FAST)
 def test_overdraw_counts_splats_on_a_logarithmic_scale(backend):
     def picture(count: int, scales: tuple = (0.5,) * 3) -> np.ndarray:
         scene = splats([(0, 0, 0)] * count, [GREEN] * count, scales, logit=0.0)
@@ -1124,17 +1126,41 @@ def test_overdraw_counts_splats_on_a_logarithmic_scale(backend):
     assert np.allclose(picture(1, (0.01,) * 3)[0, 0], (0, 0, 0, 1), atol=0.02)
 
 
-@on("quads-gl33", "tiles")
+@on("quads-gl33", "tiles", "cpu")
 @pytest.mark.parametrize("mode", MODES[1:])
 def test_modes_look_as_with_quads(backend, make_backend, random_gaussians: Make, mode):
     scene, camera = random_gaussians(500), camera_at(0.4, -0.3, -2.2, width=97, height=61)
     truth = make_backend("quads").draw(scene, camera, EXACT, mode)
+    image = backend.draw(scene, camera, EXACT, mode)
+    if backend.name == "cpu":
+        # An alpha at the cut, and an outline through the centre of a pixel, are decided otherwise in a few.
+        assert (np.abs(image - truth).max(axis=2) > 2e-3).mean() <= 2e-3
+        return
     # What draws is the same, but of normals, which have an order of their own in a tile.
     most = 0 if backend.name == "tiles" and mode != "normals" else 2e-3
-    assert largest_error(backend.draw(scene, camera, EXACT, mode), truth) <= most
+    assert largest_error(image, truth) <= most
 
 
-@on(*GL)
+@on("cpu")
+@pytest.mark.parametrize("mode", MODES[1:])
+@pytest.mark.parametrize("behind", [Gradient(top=(0.2, 0.4, 1.0), bottom=(0.3, 0.2, 0.1)), (0.0, 0.0, 1.0)])
+def test_modes_of_the_cpu_in_parallel_rays_over_any_background(
+    backend, make_backend, random_gaussians: Make, mode, behind
+):
+    scene, camera = (
+        random_gaussians(500),
+        with_parallel_rays(camera_at(0.4, -0.3, -2.2, width=97, height=61), 3),
+    )
+    settings = replace(EXACT, background=behind)
+    edits = edits_of("adjusted" if mode == "depth" else "all", 500)
+    truth, image = (
+        one.draw(scene, camera, settings, mode, edits=edits) for one in (make_backend("quads"), backend)
+    )
+    assert (np.abs(image - truth).max(axis=2) > 2e-3).mean() <= 5e-3
+    assert image[..., :3].std() > 0.02
+
+
+@on(*FAST)
 def test_every_mode_is_drawn_anew_and_back(backend, random_gaussians: Make):
     scene, camera = random_gaussians(300), camera_at(0.4, -0.3, -2.2, width=97, height=61)
     images = [backend.draw(scene, camera, EXACT, mode) for mode in MODES]
@@ -1145,7 +1171,7 @@ def test_every_mode_is_drawn_anew_and_back(backend, random_gaussians: Make):
     assert np.isfinite([backend.draw(random_gaussians(0), camera, EXACT, mode) for mode in MODES]).all()
 
 
-@on(*GL)
+@on(*FAST)
 @pytest.mark.parametrize("mode", MODES[1:])
 def test_every_mode_shows_edits(backend, random_gaussians: Make, mode):
     # The colours of depths span all splats, shown or not.
@@ -1186,7 +1212,7 @@ def test_normals_are_those_of_the_reference(backend, make_backend, random_gaussi
     assert psnr(image, truth) >= 50
 
 
-@on(*GL)
+@on(*FAST)
 def test_every_mode_shows_flat_splats(backend):
     scene = flat_splats(5)
     shown = [backend.draw(scene, FLAT_CAMERA, FLAT, mode) for mode in MODES]

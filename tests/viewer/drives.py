@@ -379,7 +379,7 @@ def slow_down() -> None:
 
 
 def turn(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
-    """The CPU renderer: coarse while moving, sharp at rest, other modes by GL."""
+    """The CPU renderer: coarse while moving, sharp at rest."""
     app.prefer(smooth=False)
     hand.settle()
     picture = app.picture

@@ -13,6 +13,7 @@ from splatview import shaders
 from splatview.scene import Lens, look_at
 from splatview.scene.camera import with_parallel_rays
 from splatview.scene.formats import save_scene
+from splatview.shaders.colour_maps import MOST_OVERDRAW, colour_map
 from splatview.viewer import ground_grid, view_aids
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import session_of
@@ -72,13 +73,13 @@ def test_lines_are_drawn_from_everywhere(kind):
 
 
 def test_legends_have_the_colours_of_the_shaders():
-    dark, bright = view_aids.colour_map("inferno")[[0, -1]]
+    dark, bright = colour_map("inferno", 32)[[0, -1]]
     assert dark.max() < 0.05 and bright[0] > 0.9 and bright.min() > 0.5
-    purple, yellow = view_aids.colour_map("viridis")[[0, -1]]
+    purple, yellow = colour_map("viridis", 32)[[0, -1]]
     assert purple[2] > purple[1] and yellow[:2].min() > 0.8 and yellow[2] < 0.3
     text = resources.files(shaders).joinpath("quads/resolve.frag.glsl").read_text()
     (most,) = re.findall(r"MOST_OVERDRAW = ([\d.]+)", text)
-    assert float(most) == view_aids.MOST_OVERDRAW
+    assert float(most) == MOST_OVERDRAW
 
 
 @pytest.fixture

@@ -127,13 +127,13 @@ def show(app: AppState) -> None:
 
     position(app)
     widgets.command_button(app, "Copy", "copy_camera")
-    imgui.same_line()
+    widgets.beside("Paste")
     widgets.command_button(app, "Paste", "paste_camera")
-    imgui.same_line()
+    widgets.beside("Save...")
     widgets.button(
         "Save...", "Writes the camera as JSON, for `splatview render --camera`.", lambda: ask_where(app)
     )
-    imgui.same_line()
+    widgets.beside("Load...")
     widgets.command_button(app, "Load...", "open_cameras")
 
 

@@ -28,6 +28,9 @@ ACTIONS_EM = 17.0
 TITLE_SIZE = 1.9
 """Of the program's name, in font heights."""
 
+SMALL = 0.86
+"""Of a card's explanation, in font heights."""
+
 COLUMNS, MOST_RECENT = 3, 6
 
 LOOK_SECONDS = 2.0
@@ -149,14 +152,15 @@ def card(name: str, icon: str, title: str, text: str, keys: str, *, enabled: boo
     draw.add_text(imgui.get_font(), 1.5 * em, ImVec2(low.x + 0.9 * em, low.y + 1.0 * em), accent, icon)
     ink, quiet = imgui.get_color_u32(imgui.Col_.text), imgui.get_color_u32(theme.QUIET)
     left = low.x + 3.5 * em
-    draw.push_clip_rect(low, ImVec2(high.x - 0.5 * em, high.y), True)
-    draw.add_text(ImVec2(left, low.y + 0.6 * em), ink, title)
-    draw.add_text(imgui.get_font(), 0.86 * em, ImVec2(left, low.y + 1.85 * em), quiet, text)
-    draw.pop_clip_rect()
-    if keys:
-        at = high.x - imgui.calc_text_size(keys).x - 0.8 * em
+    room = high.x - 0.5 * em - left
+    draw.add_text(ImVec2(left, low.y + 0.6 * em), ink, widgets.fitting(title, room))
+    shown = widgets.fitting(text, room / SMALL)
+    draw.add_text(imgui.get_font(), SMALL * em, ImVec2(left, low.y + 1.85 * em), quiet, shown)
+    at = high.x - imgui.calc_text_size(keys).x - 0.8 * em
+    if keys and at > left + imgui.calc_text_size(title).x + 0.5 * em:
         draw.add_text(ImVec2(at, low.y + 0.6 * em), quiet, keys)
     imgui.end_disabled()
+    widgets.tooltip(text if shown != text else "")
     return pressed
 
 

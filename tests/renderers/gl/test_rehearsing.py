@@ -18,7 +18,7 @@ from splatview.renderers.cpu import CpuRenderer
 from splatview.renderers.edit_snapshot import edit_snapshot
 from splatview.renderers.gl.programs import Variants
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
-from splatview.renderers.gl.shader_fallback import FallbackShaders, mode_key, title_of
+from splatview.renderers.gl.shader_fallback import FallbackShaders, title_of
 from splatview.renderers.precompile import MOST_REMEMBERED, ShaderPrecompiler, precompile_job
 from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import RenderSettings, look_at
@@ -241,19 +241,25 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     stage.precompiler.release()
 
 
-def test_a_mode_is_shown_once_its_programs_are_compiled(ctx, random_gaussians):
-    stage, ready = Stage(), threading.Event()
+def test_a_mode_is_shown_once_its_kernels_are_compiled(ctx, random_gaussians):
+    scene, stage, ready = random_gaussians(COUNT, seed=5), Stage(), threading.Event()
+    raster.render(scene, CAMERA, SETTINGS)
     picture = Picture(ctx, "cpu", on_ready=ready.set, precompiler=stage.precompiler)
-    for _ in picture.load_steps(random_gaussians(COUNT, seed=5)):
+    for _ in picture.load_steps(scene):
         pass
-    picture.draw(FrameRequest(None, CAMERA, SETTINGS, mode="points"))
+    points = FrameRequest(None, CAMERA, SETTINGS, mode="points")
+    picture.draw(points)
+    picture.wait(0.2)
     assert picture.busy
-    assert ready.wait(PATIENCE), "splats meanwhile"
     assert picture.status == "Compiling for this machine: points"
-    stage.finish(mode_key(ctx, "points"))
-    picture.draw(FrameRequest(None, CAMERA, SETTINGS, mode="points"))
+    stage.finish(f"{specialisation_key(scene, CAMERA, SETTINGS)} points")
+    for _ in range(100):
+        picture.wait(0.1)
+        picture.draw(points)
+        if not picture.busy:
+            break
     assert not picture.busy
-    assert picture.texture.size == (CAMERA.width, CAMERA.height)
-    assert picture.read(FrameRequest(None, CAMERA, SETTINGS, mode="points")).std() > 0.01
+    shown = np.frombuffer(picture.texture.read(), np.float32).reshape(CAMERA.height, CAMERA.width, 4)
+    assert np.array_equal(shown, picture.read(points)) and shown.std() > 0.01
     stage.precompiler.release()
     picture.close()
