@@ -62,12 +62,13 @@ class KernelPrecompiler:
         kind = kind_in(request)
         if self._precompiler.is_done([kind]):
             return None
-        pinhole = not (camera.lens or camera.orthographic or request.settings.model.footprint == "disc")
-        usual = pinhole and request.mode == "splats"
-        if not edited and usual and not raster.will_compile():
+        usual = not (camera.lens or camera.orthographic or request.settings.model.footprint == "disc")
+        usual = usual and request.mode == "splats" and not raster.will_compile()
+        if not edited and usual:
             return None  # compiled with all the others
         self._precompiler.ask([kind], title_of(request), lambda: precompile_job("cpu", request))
-        return kind if not edited or not usual or raster.will_compile() else None
+        by_baking = edited and (usual or self._precompiler.is_done([kind_in(replace(request, edits=None))]))
+        return None if by_baking else kind
 
     def wait(self, kind: str) -> bool:
         """False where nothing is to be drawn any more."""
