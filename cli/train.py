@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import signal
 import threading
 import time
@@ -24,6 +25,7 @@ from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, 
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, LensUse, MaskUse
 from splatview.scene.effects.effect import Effect
+from splatview.scene.formats import named_output
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.counters import PluginError
 from splatview.trainer.distributed import (
@@ -277,9 +279,9 @@ def make_parser() -> Parser:
     parser.add_argument(
         "-o",
         "--output",
-        type=Path,
+        type=output_path,
         metavar="OUT",
-        help="scene to write, in any format (default: CAPTURE's name)",
+        help="scene to write, in any format; NAME/: a folder of .sog (default: CAPTURE's name)",
     )
     parser.add_argument("--headless", action="store_true", help="train without a window")
     group = parser.add_argument_group("length")
@@ -350,6 +352,11 @@ def make_parser() -> Parser:
     group.add_argument("--metrics", type=Path, metavar="M.jsonl", help="one JSON object a line, added to it")
     group.add_argument("--resume", type=Path, metavar="CKPT", help="go on from a checkpoint")
     return parser
+
+
+def output_path(text: str) -> Path:
+    """The scene to write; a slash at the end means a folder of .sog, as for `convert`."""
+    return named_output(text) if text.endswith(("/", os.sep)) else Path(text)
 
 
 def levels(text: str) -> tuple[tuple[float, int], ...] | Literal["auto"]:

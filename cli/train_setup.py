@@ -18,6 +18,7 @@ from rich.console import Console
 from splatview.scene import InputError
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, load_capture
 from splatview.scene.effects.effect import Effect
+from splatview.scene.formats import place_beside
 from splatview.scene.formats.io import require_regular_file, take_lock
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
@@ -246,17 +247,19 @@ def _with_status(console: Console, title: str, work: Callable[[Progress], Any]) 
 
 def _outputs(capture: str, output: Path | None, metrics: Path | None) -> Outputs:
     scene = output or Path(f"{os.path.basename(os.path.realpath(capture)) or 'scene'}.ply")
+    beside = place_beside(scene)
+    stem = beside.stem if beside == scene else beside.name
     return Outputs(
         scene=scene,
-        checkpoint=scene.parent / f"{scene.stem}.checkpoint.safetensors",
+        checkpoint=beside.parent / f"{stem}.checkpoint.safetensors",
         metrics=metrics,
-        pictures=scene.parent / f"{scene.stem}-held-out",
+        pictures=beside.parent / f"{stem}-held-out",
     )
 
 
 def _check_room(outputs: Outputs, splats: int) -> None:
     """Raises InputError where the disk is too full for what the run will write."""
-    folder = outputs.scene.resolve().parent
+    folder = outputs.checkpoint.resolve().parent
     free, needed = shutil.disk_usage(folder).free, splats * BYTES_A_SPLAT
     if not free >= needed:
         raise InputError(

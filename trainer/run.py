@@ -22,7 +22,7 @@ import numpy as np
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
-from splatview.scene.formats import check_saving, format_of, save_scene
+from splatview.scene.formats import check_saving, place_beside, save_scene
 from splatview.scene.formats.io import target_of
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
@@ -64,16 +64,11 @@ class Outputs:
         Raises:
             InputError: one cannot be written to.
         """
-        known = format_of(self.scene)
-        if known is not None and known.folder:
-            raise InputError(
-                f"{self.scene}: a training saves to one file, with its checkpoint beside it; name one, such "
-                "as NAME.sog, and splatview convert makes a folder of it"
-            )
         check_saving(self.scene)
         target_of(self.checkpoint)
-        for path in (self.scene, self.checkpoint):
-            check_writable(path)
+        if place_beside(self.scene) == self.scene:  # else it is a folder, made beside its place and renamed
+            check_writable(self.scene)
+        check_writable(self.checkpoint)
         if self.metrics is not None:
             check_metrics(self.metrics)
         if os.path.lexists(self.pictures) and not os.path.isdir(self.pictures):

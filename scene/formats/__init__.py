@@ -356,6 +356,12 @@ def named_output(text: str) -> Path:
     return path / META if is_folder else path
 
 
+def place_beside(path: Path) -> Path:
+    """What files beside the scene `path` are named after: the folder, of a scene that is one."""
+    known = format_of(path)
+    return path.parent if known is not None and known.folder else path
+
+
 def stored_bytes(path: Path) -> int:
     """Size of a scene that was written as `path`."""
     known = format_of(path)

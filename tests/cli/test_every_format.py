@@ -57,8 +57,13 @@ def test_a_training_is_told_at_once_whether_it_can_be_saved_so(tmp_path, name):
     outputs = Outputs(
         scene=scene, checkpoint=tmp_path / "c.safetensors", metrics=None, pictures=tmp_path / "pictures"
     )
+    outputs.check()
     if FORMATS[name].folder:
-        with pytest.raises(InputError, match="saves to one file"):
+        scene.parent.mkdir()
+        (scene.parent / "diary.txt").write_text("mine")
+        with pytest.raises(InputError, match=r"holds 'diary\.txt"):
             outputs.check()
     else:
-        outputs.check()
+        scene.mkdir()
+        with pytest.raises(InputError, match="is a folder"):
+            outputs.check()

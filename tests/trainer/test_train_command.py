@@ -80,6 +80,21 @@ def test_scenes_are_in_the_layout_that_other_viewers_read(
     assert np.isfinite(rows).all() and not rows[:, 3:6].any()
 
 
+@pytest.mark.parametrize("name", ["scene/", "scene/lod-meta.json"])
+def test_a_folder_is_a_scene_with_its_checkpoint_beside_it(
+    capture_folder: Path, tmp_path: Path, name: str
+) -> None:
+    output = f"{tmp_path}/{name}"
+    assert main(["train", str(capture_folder), "--headless", "-o", output, "--iterations", "4"]) == 0
+    assert len(load_scene(tmp_path / "scene")) > 0
+    names = {path.name for path in tmp_path.iterdir()} - {capture_folder.name}
+    assert names == {"scene", "scene-held-out", "scene.checkpoint.safetensors"}
+    checkpoint = str(tmp_path / "scene.checkpoint.safetensors")
+    resumed = ["--resume", checkpoint, "--iterations", "6", "-o", output]
+    assert main(["train", str(capture_folder), "--headless", *resumed]) == 0
+    assert load_checkpoint(tmp_path / "scene.checkpoint.safetensors").counters.iteration == 6
+
+
 def test_equal_seeds_give_equal_files(capture_folder: Path, tmp_path: Path) -> None:
     scenes = []
     for name, seed in (("a", "4"), ("b", "4"), ("c", "5")):

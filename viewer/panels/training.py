@@ -9,6 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from splatview.scene.formats import place_beside
 from splatview.trainer.background import Status, pace_of
 from splatview.viewer import theme
 from splatview.viewer.commands import keys_of
@@ -219,7 +220,7 @@ def keep(app: AppState, training: LiveTraining, status: Status) -> None:
     outputs = training.thread.outputs
     at = status.saved_at
     when = "is saved when the window closes" if at is None else f"was last saved at step {at:,}"
-    widgets.note(f"{outputs.scene.name} {when}.")
+    widgets.note(f"{place_beside(outputs.scene).name} {when}.")
     widgets.tooltip(os.path.realpath(outputs.scene))
 
 

@@ -14,6 +14,7 @@ from splatview.edit.selectors import IndexRuns
 from splatview.renderers.cpu import CpuRenderer
 from splatview.scene import InputError
 from splatview.scene.edits import DELETED, HIDDEN, LOCKED, SELECTED
+from splatview.scene.formats import place_beside
 from splatview.trainer.background import BackgroundTraining, Snapshot
 from splatview.trainer.run import TrainingRun
 from splatview.viewer.editing.session import Editing, EditSession, session_of
@@ -64,7 +65,7 @@ class TrainingEdits:
             "Export the scene",
             lambda paths: self._thread.export(paths[0]),
             kind="save_scene",
-            name=f"{proposal.stem}-{self._thread.status.iteration}.ply",
+            name=f"{place_beside(proposal).stem}-{self._thread.status.iteration}.ply",
         )
 
     def stays_frozen(self, app: AppState) -> bool:
