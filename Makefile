@@ -61,7 +61,7 @@ $(BIN)/pip:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.run-installed: pyproject.toml constraints.txt | $(BIN)/pip
-	@$(INSTALL) --editable ".[train]"
+	@$(INSTALL) --editable ".[train,film]"
 	@touch $@
 
 $(VENV)/.dev-installed: pyproject.toml constraints.txt | $(BIN)/pip

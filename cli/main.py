@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "render": "a scene to a picture file, without a window",
+    "film": "a camera's way through a scene to a video, a GIF or PNG files",
     "info": "what a scene holds, which effects it calls for, and its health",
     "stability": "hard cases on every renderer of this machine, against the reference",
     "ladder": "what accuracy costs in time: each shortcut's price, measured",

@@ -106,31 +106,16 @@ def make_parser() -> Parser:
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
     add_camera_options(parser)
-    group = parser.add_argument_group("picture")
-    group.add_argument("--background", type=background, metavar="BACK", help=BACKGROUND_HELP)
+    group = add_picture_options(parser)
     group.add_argument(
         "--alpha", action="store_true", help="a .png with transparency instead of a background"
     )
-    group.add_argument("--renderer", choices=("auto", *choices("render")), default="auto")
     group.add_argument(
         "--mode",
         choices=tuple(MODES),
         default="splats",
         help="what of the scene is drawn: every one by quads and cpu",
     )
-    group.add_argument(
-        "--antialiased",
-        action=argparse.BooleanOptionalAction,
-        help="opacity made up for the blur (default: as the file says)",
-    )
-    group.add_argument(
-        "--footprint",
-        choices=("auto", "ellipsoid", "disc"),
-        default="auto",
-        help="solid splats, or flat ones that each pixel's ray meets (default: auto, as the file says)",
-    )
-    group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
-    group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
     group = parser.add_argument_group("depth of field (off where no aperture is given)")
     group.add_argument("--aperture", type=positive, metavar="A", help="diameter of the lens, world units")
     group.add_argument("--focus", type=positive, metavar="D", help="distance that is sharp, world units")
@@ -152,6 +137,27 @@ def make_parser() -> Parser:
         help="turn the eye about the target before each (of a sequence: before each after the first)",
     )
     return parser
+
+
+def add_picture_options(parser: Parser) -> argparse._ArgumentGroup:
+    """What `chosen_settings` reads, the background and the renderer; returns their group."""
+    group = parser.add_argument_group("picture")
+    group.add_argument("--background", type=background, metavar="BACK", help=BACKGROUND_HELP)
+    group.add_argument("--renderer", choices=("auto", *choices("render")), default="auto")
+    group.add_argument(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="opacity made up for the blur (default: as the file says)",
+    )
+    group.add_argument(
+        "--footprint",
+        choices=("auto", "ellipsoid", "disc"),
+        default="auto",
+        help="solid splats, or flat ones that each pixel's ray meets (default: auto, as the file says)",
+    )
+    group.add_argument("--blur", type=not_negative, metavar="PX2", help="variance added to footprints")
+    group.add_argument("--near", type=positive, metavar="Z", help="nearest depth drawn (default: 0.01)")
+    return group
 
 
 def run(arguments: list[str]) -> int:

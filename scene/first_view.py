@@ -16,7 +16,7 @@ better), symmetry (fronts and backs have the same).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -196,6 +196,47 @@ class Front:
         camera = look_at(eye, target, up=self.up, fov_y=fov_y, width=width, height=height)
         return FirstView(camera, target, self.up)
 
+    def turntable(self, width: int, height: int, *, fov_y: float) -> FirstView:
+        """The view from that side to begin a turn about the up axis with: the target is on the axis through
+        the subject's middle, and the picture holds the subject from all around."""
+        sample, R = self.sample, self.rotation
+        middle = np.zeros(3)
+        for direction in (R[0], np.cross(R[0], self.up)):
+            low, high = np.quantile(sample.means[sample.subject] @ direction, (1 - TAIL, TAIL))
+            middle += 0.5 * (low + high) * direction
+        centred = replace(
+            sample, origin=sample.origin + middle, means=(sample.means - middle).astype(np.float32)
+        )
+        slope_y = math.tan(math.radians(fov_y) / 2)
+        slopes = (slope_y * width / height, slope_y)
+        turns = (rotation_about(self.up, 2 * math.pi * k / AZIMUTHS) for k in range(AZIMUTHS))
+        ends = np.max([ends_of(centred, R @ turn, slopes) for turn in turns], axis=0)
+        # In the axes of the camera, before the axis, which stays in the middle of the picture's width.
+        ends[0] = ends[0].max()
+        eye = np.array((0.0, (ends[1, 0] - ends[1, 1]) / 2, -(ends.sum(axis=1) / 2 * MARGIN / slopes).max()))
+        along = R @ self.up
+        depth = eye[1] / along[1] * along[2] - eye[2]
+        least = max(2 * NEAR, 1e-9 * float(np.abs(sample.origin).max()))
+        eye[2], depth = eye[2] - max(least - depth, 0.0), max(depth, least)
+        place = eye @ R + centred.origin
+        target = place + depth * R[2]
+        camera = look_at(place, target, up=self.up, fov_y=fov_y, width=width, height=height)
+        return FirstView(camera, target, self.up)
+
+
+def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """(3, 3) float64: by `angle` radians about the unit `axis` (3,)."""
+    K = np.cross(np.eye(3), axis)
+    return np.eye(3) - math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
+
+
+def turntable_view(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 50.0) -> FirstView:
+    """As `first_view`, to begin a turn about the up axis with."""
+    front = Front.of(gaussians)
+    if front is None:
+        return first_view(gaussians, width, height, fov_y=fov_y)
+    return front.turntable(width, height, fov_y=fov_y)
+
 
 def first_view(gaussians: Gaussians, width: int, height: int, *, fov_y: float = 50.0) -> FirstView:
     """The side of the scene that shows most, filling a picture of width x height px. `fov_y` in degrees, 0 to
@@ -364,22 +405,31 @@ def fitted(sample: Sample, rotation: np.ndarray, slope_x: float, slope_y: float)
     A plane through the eye bounds each side of the picture; each is moved up to the subject on its own, and
     the eye is where they meet, or farther where one pair of planes asks for it.
     """
+    eye, back = np.zeros(3), []
+    slopes = (slope_x, slope_y)
+    for axis, (right, left) in enumerate(ends_of(sample, rotation, slopes).tolist()):
+        eye[axis] = (right - left) / 2
+        back.append((right + left) / (2 * slopes[axis] / MARGIN))
+    middle = float(np.median(sample.means[sample.subject] @ rotation[2].astype(np.float32)))
+    least = max(2 * NEAR, 1e-9 * float(np.abs(sample.origin).max()))
+    eye[2] = min(-max(back), middle - least)
+    return eye @ rotation, middle - eye[2]
+
+
+def ends_of(sample: Sample, rotation: np.ndarray, slopes: tuple[float, float]) -> np.ndarray:
+    """(2, 2) float64, world units from the sample's origin: where the planes that bound the subject right and
+    left, and below and above, cut the camera's own x and y axes; they lean by `slopes`."""
     subject = sample.subject
     R = rotation.astype(np.float32)
     t = sample.means[subject] @ R.T
     radii = SIGMAS * np.linalg.norm(np.einsum("ij,njk->nik", R, sample.axes[subject]), axis=2)
-    eye, back = np.zeros(3), []
-    for axis, slope in ((0, slope_x), (1, slope_y)):
+    found = np.zeros((2, 2))
+    for axis, slope in enumerate(slopes):
         inset = slope / MARGIN
         beyond = np.minimum(radii[:, axis] + inset * radii[:, 2], sample.radius)
         ends = (sign * t[:, axis] - inset * t[:, 2] + beyond for sign in (1, -1))
-        right, left = (float(np.quantile(end, EDGE_TAIL, method="higher")) for end in ends)
-        eye[axis] = (right - left) / 2
-        back.append((right + left) / (2 * inset))
-    middle = float(np.median(t[:, 2]))
-    least = max(2 * NEAR, 1e-9 * float(np.abs(sample.origin).max()))
-    eye[2] = min(-max(back), middle - least)
-    return eye @ rotation, middle - eye[2]
+        found[axis] = [float(np.quantile(end, EDGE_TAIL, method="higher")) for end in ends]
+    return found
 
 
 def weighted_quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]) -> list[float]:

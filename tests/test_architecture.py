@@ -34,7 +34,7 @@ FLOORS = (
 FLOOR_OF = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 MOST_LINES = 600
-MOST_MODULES = 318
+MOST_MODULES = 324
 """Fewer than 250 when the house was renovated; every format, tool and strategy since is one more."""
 
 AT_LOAD, IN_FUNCTION, FOR_TYPES = "when loaded", "in a function", "for type checkers"
@@ -207,7 +207,7 @@ def test_every_dependency_is_imported() -> None:
     extras = project["optional-dependencies"]
     needed = {
         canonicalize_name(Requirement(line).name)
-        for line in (*project["dependencies"], *extras["train"], *extras["plot"])
+        for line in (*project["dependencies"], *extras["train"], *extras["plot"], *extras["film"])
     }
     used = {one.target.split(".")[0] for name in modules() for one in imports_of(name) if not one.ours}
     distributions = packages_distributions()

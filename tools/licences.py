@@ -24,6 +24,7 @@ TITLES = {
     "": "Always installed",
     "train": 'With the extra "train"',
     "plot": 'With the extra "plot"',
+    "film": 'With the extra "film"',
     "dev": 'With the extra "dev": for tests, not for use',
 }
 """Extra of pyproject.toml ("": none) -> title of its packages in the list."""

@@ -29,6 +29,7 @@ from splatview.viewer.editing.exporting import Exporting
 from splatview.viewer.editing.files import Restoring, look_for_abandoned
 from splatview.viewer.editing.saving import Saving
 from splatview.viewer.editing.session import Editing
+from splatview.viewer.film import Film
 from splatview.viewer.first_views import FirstViews
 from splatview.viewer.panels.settings import Appearance
 from splatview.viewer.panels.start_screen import StartScreen
@@ -49,6 +50,7 @@ from splatview.viewer.view_aids import ViewAids
 FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
     FirstViews,
+    Film,
     DepthOfField,
     WindowBackground,
     Editing,
@@ -204,7 +206,7 @@ class Window:
         self.app.gpu_name = info.renderer
         self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
         self.app.feature(TrainingStart).wake = glfw.post_empty_event
-        self.app.feature(Sequences).wake = glfw.post_empty_event
+        self.app.feature(Sequences).wake = self.app.feature(Film).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         install_close_handler(self.app)
@@ -275,7 +277,7 @@ class Window:
         # There the pictures pace the frames, not a clock: see above.
         turning = self._is_software and app.loading is None and app.picture.busy and not unattended
         params.fps_idling.fps_max = SOFTWARE_FPS if self._is_software and not turning else MAX_FPS
-        playing = app.feature(Sequences).playing
+        playing = app.feature(Sequences).playing or app.feature(Film).playing
         params.fps_idling.enable_idling = not (app.transition or flying or turning or playing)
         idle = IDLE_FPS if self.training is None else self.training.idle_fps(app)
         params.fps_idling.fps_idle = WAITING_FPS if app.waiting or self.dialogs.open else idle

@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field, first_views, sequence, view_aids
+from splatview.viewer import background, camera, depth_of_field, film, first_views, sequence, view_aids
 from splatview.viewer import open as opening
 from splatview.viewer import save as pictures
 from splatview.viewer.command import Command, needs
@@ -217,7 +217,7 @@ COMMANDS: dict[str, Command] = {
         _file("open", "Ctrl+O", "Open a scene", opening.choose_scene, "Open...",
             words=("open", "load")),
         _file("open_folder", "", "Open a folder of scenes as a sequence", opening.choose_folder,
-            "Open a folder...", words=("sequence", "frames", "4d", "animation", "directory")),
+            "Open a folder...", words=("sequence", "frames", "4d", "directory")),
         _file("import", "Ctrl+Shift+O Ctrl+M", "Import: add other files to this scene, a row each",
             files.choose_import, "Import...", words=("import", "append", "merge", "combine", "add file"),
             lacks=_a_scene_at_rest),
@@ -444,6 +444,7 @@ COMMANDS: dict[str, Command] = {
         _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
         _training("show_training", "", "Show the scene in training", training.show_training,
             lacks=needs(_shows_something_else, "It is what is shown")),
+        *film.COMMANDS,
         *ENTRIES,
         _window("toggle_panels", "H", "Only the picture, or the panels again", toggle_panels,
             "Only the picture", words=("hide panels", "clean view"),

@@ -98,7 +98,7 @@ HELP_COLUMNS = (
     ("Mouse", "Moving", "Navigation"),
     ("Camera", "File"),
     ("Select", "Edit", "Recipe"),
-    ("Picture", "Sequence", "Window", "Training"),
+    ("Picture", "Sequence", "Film", "Window", "Training"),
 )
 """Groups of commands, held keys and the mouse, column by column."""
 
@@ -183,7 +183,7 @@ def screenshot(app: AppState) -> None:
 
 Kind = Literal[
     "scene", "cameras", "picture", "folder", "save_picture", "save_camera", "save_scene", "recipe",
-    "save_recipe",
+    "save_recipe", "save_film",
 ]  # fmt: skip
 
 FILTERS: dict[Kind, list[str]] = {
@@ -196,6 +196,7 @@ FILTERS: dict[Kind, list[str]] = {
     "save_scene": ["Splat scenes", name_patterns(written=True)],
     "recipe": ["Recipes", "*.json", "All files", "*"],
     "save_recipe": ["Recipes", "*.json"],
+    "save_film": ["Films", "*.mp4 *.webm *.gif", "All files", "*"],
 }
 
 LINUX_PROGRAMS = ("zenity", "kdialog", "qarma", "matedialog")

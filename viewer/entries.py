@@ -168,6 +168,8 @@ ENTRIES = (
     _strip("History", "every step of editing", "steps", "undo history"),
     _strip("Curves", "loss, PSNR and splats of the training", "loss", "plots", "graph", lacks=_in_training),
     _strip("Compare", "photo, scene and their difference", "photo comparison", lacks=_in_training),
+    _strip("Film", "keyframes of a camera path, played and exported", "camera path", "animation",
+        "fly through", "flythrough", "camera animation"),
     _strip("Log", "what the window has said", "messages", "console", "errors"),
 )
 # fmt: on

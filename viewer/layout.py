@@ -27,6 +27,7 @@ from splatview.viewer.panels import (
     accuracy,
     edit,
     export,
+    film,
     history,
     photos,
     rendering,
@@ -63,6 +64,7 @@ PAGES = (
 
 STRIP = (
     Panel(name="History", window="History", icon=icons.ICON_FA_CLOCK_ROTATE_LEFT, show=history.show),
+    Panel(name="Film", window="Film", icon=icons.ICON_FA_FILM, show=film.show),
     Panel(
         name="Curves",
         window="Curves",
@@ -256,6 +258,7 @@ def show_view(app: AppState, place: Rectangle) -> None:
 def view_contents(app: AppState) -> None:
     with timeline.below(app):
         viewport.show(app)
+        film.over_picture(app)
         overlays.over_picture(app)
         toolbar.over_picture(app)
 
@@ -373,6 +376,7 @@ def show_floating(app: AppState, files: FileDialogs) -> None:
     train_form.show(app)
     settings.show(app)
     export.show_dialog(app)
+    film.show_dialog(app)
     save_questions.show(app)
     files.show()
 

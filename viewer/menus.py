@@ -81,6 +81,15 @@ def up_axes(app: AppState) -> None:
     imgui.end_menu()
 
 
+def film(app: AppState) -> None:
+    if not imgui.begin_menu("Film"):
+        return
+    show_entries(app, ("add_keyframe", "update_keyframe", "delete_keyframe", "undo_film", None))
+    show_entries(app, ("previous_keyframe", "next_keyframe", "play_film", "loop_film", "turntable", None))
+    show_entries(app, ("open_camera_path", "save_camera_path", "export_film"))
+    imgui.end_menu()
+
+
 def pause_or_resume(app: AppState) -> None:
     running = app.feature(LiveTraining).status.state == "training"
     item(app, COMMANDS["pause_training"], "Pause" if running else "Resume")
@@ -112,7 +121,8 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         up_axes, "toggle_orthographic", "toggle_lenses", "depth_of_field", "focus_by_click",
         "narrower", "wider", None,
         "add_bookmark", "next_bookmark", "previous_camera", "next_camera", None,
-        "copy_camera", "paste_camera",
+        "copy_camera", "paste_camera", None,
+        film,
     ),
     "Picture": (
         *(f"mode_{mode}" for mode in MODES), None,
@@ -130,7 +140,7 @@ MENUS: dict[str, tuple[Entry, ...]] = {
     ),
     "Window": (
         *(f"page_{page}" for page in ("scene", "edit", "view", "accuracy", "train")), None,
-        *(f"strip_{name}" for name in ("history", "curves", "compare", "log")), None,
+        *(f"strip_{name}" for name in ("history", "film", "curves", "compare", "log")), None,
         "toggle_panels", "reset_panels",
     ),
     "Help": ("toggle_help", "toggle_palette"),

@@ -87,9 +87,13 @@ def write_png(path: Path, image: np.ndarray) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    levels = (np.clip(np.nan_to_num(image[..., :3]), 0, 1) * 255 + 0.5).astype(np.uint8)
     with atomic_write(path) as file:
-        Image.fromarray(levels).save(file, format="PNG")
+        Image.fromarray(levels(image)).save(file, format="PNG")
+
+
+def levels(image: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8: the colours of `image` (H, W, 4) float, clipped to [0, 1] and rounded."""
+    return (np.clip(np.nan_to_num(image[..., :3]), 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def save_current_camera(app: AppState, path: Path) -> None:

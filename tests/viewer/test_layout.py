@@ -73,7 +73,7 @@ def test_pages_are_opened_shut_and_kept(app):
 
 
 def test_panels_of_a_training_are_there_in_one_only(app):
-    assert [panel.name for panel in available(app, STRIP)] == ["History", "Log"]
+    assert [panel.name for panel in available(app, STRIP)] == ["History", "Film", "Log"]
     app.strip = "Curves"
     assert open_panel(app, STRIP, app.strip) is None
 

@@ -30,6 +30,13 @@ MEANT = {
     "screenshot": "screenshot",
     "recent": "recent",
     "theme": "theme",
+    "film": "strip_film",
+    "keyframe": "add_keyframe",
+    "camera path": "strip_film",
+    "animation": "strip_film",
+    "fly through": "strip_film",
+    "video": "export_film",
+    "turntable": "turntable",
     "font": "font",
     "train": "page_train",
     "photos": "page_train",
@@ -66,7 +73,7 @@ MEANT = {
     "select file": "file_select",
     "remove file": "file_remove",
 }
-"""What is typed -> the command that comes first. There are no films and keyframes yet."""
+"""What is typed -> the command that comes first."""
 
 
 @pytest.mark.parametrize(("typed", "id"), MEANT.items())

@@ -152,7 +152,7 @@ def test_menus_and_panels(drive, files, tmp_path):
     assert found["up"] == [0, 0, 1]
     width, height = found["picture_size"]
     assert Image.open(tmp_path / "second.png").size == (2 * width, 2 * height)
-    assert found["panels"] == ["History", "Log", *(page.name for page in PAGES)]
+    assert found["panels"] == ["History", "Film", "Log", *(page.name for page in PAGES)]
     assert found["antialiased"] and not found["antialiased_after"]
     hidden, shown = found["widths"]
     assert hidden > shown + 100
