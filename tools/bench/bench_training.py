@@ -48,6 +48,10 @@ def known_runs(path: Path) -> list[dict[str, Any]]:
     return json.loads(path.read_text(encoding="utf8"))["runs"] if path.exists() else []
 
 
+def label(run: dict[str, Any]) -> str:
+    return f"{run['capture']} --downscale {run['downscale']}, {run['minutes']:g} min"
+
+
 def row(run: dict[str, Any]) -> list[str]:
     """A run's line in the table."""
     stages = run["stages"]
@@ -55,7 +59,7 @@ def row(run: dict[str, Any]) -> list[str]:
     key = run["capture"], run["downscale"]
     peer = PEER[key].get(run["minutes"])
     return [
-        f"{key[0]} --downscale {key[1]}, {run['minutes']:g} min",
+        label(run),
         f"{run['psnr']:.2f}",
         f"{run['ssim']:.3f}",
         "-" if peer is None else f"{peer:.1f}",

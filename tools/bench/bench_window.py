@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import PANELS, make_parser, screen
+from harness import PANELS, make_parser, screen, spread
 
 from splatview.measure.machine import write_results
 
@@ -90,8 +90,7 @@ def one_start(scene: Path | None, renderer: str, environment: dict[str, str]) ->
 def cell(values: list[float], scale: float, digits: int) -> str:
     """The median, and in brackets the least and the most."""
     scaled = scale * np.array(values)
-    median, least, most = (f"{value:.{digits}f}" for value in (np.median(scaled), scaled.min(), scaled.max()))
-    return f"{median} ({least} to {most})"
+    return spread(float(np.median(scaled)), (scaled.min(), scaled.max()), digits)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from bench_training import PEER
+from bench_training import PEER, label
 
 from splatview.measure.machine import FOLDER, write_results
 
@@ -46,7 +46,7 @@ def pair(checkouts: dict[str, Path], capture: Path, downscale: int, minutes: flo
 def row(run: dict[str, Any]) -> list[str]:
     before, after = run["before"], run["after"]
     return [
-        f"{run['capture']} --downscale {run['downscale']}, {run['minutes']:g} min",
+        label(run),
         f"{before['psnr']:.2f}",
         f"{after['psnr']:.2f}",
         f"{after['psnr'] - before['psnr']:+.2f}",

@@ -92,10 +92,10 @@ def in_turn(
     return timings
 
 
-def spread(median: float, low_high: Sequence[float]) -> str:
+def spread(median: float, low_high: Sequence[float], digits: int = 0) -> str:
     """A table's cell: the median, and in brackets the least and the most."""
     low, high = low_high
-    return f"{median:.0f} ({low:.0f} to {high:.0f})"
+    return f"{median:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def peak_bytes(work: Callable[[], object]) -> int:
