@@ -39,6 +39,7 @@ from splatview.viewer.platform import best_gl_version, closing_on_signals, guard
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
+from splatview.viewer.save import FilmExport
 from splatview.viewer.sequence import Sequences
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import SceneThumbnails
@@ -51,6 +52,7 @@ FEATURES: tuple[type[Feature], ...] = (
     CameraLists,
     FirstViews,
     Film,
+    FilmExport,
     DepthOfField,
     WindowBackground,
     Editing,
@@ -206,7 +208,7 @@ class Window:
         self.app.gpu_name = info.renderer
         self.app.feature(Accuracy).wake = self.app.feature(Effects).wake = glfw.post_empty_event
         self.app.feature(TrainingStart).wake = glfw.post_empty_event
-        self.app.feature(Sequences).wake = self.app.feature(Film).wake = glfw.post_empty_event
+        self.app.feature(Sequences).wake = self.app.feature(FilmExport).wake = glfw.post_empty_event
         self._is_software = info.is_software
         install_drop_handler(self.app)
         install_close_handler(self.app)

@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.select import Grow, Shrink
 from splatview.renderers import MODES, VisualMode
-from splatview.viewer import background, camera, depth_of_field, film, first_views, sequence, view_aids
+from splatview.viewer import background, camera, depth_of_field, first_views, sequence, view_aids
 from splatview.viewer import open as opening
 from splatview.viewer import save as pictures
 from splatview.viewer.command import Command, needs
@@ -24,7 +24,7 @@ from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing import cleanup, exporting, files, saving, scene_files
 from splatview.viewer.editing import commands as editing
 from splatview.viewer.editing.session import at_rest, can_edit, session_of
-from splatview.viewer.entries import ENTRIES, reset_panels, toggle_panels
+from splatview.viewer.entries import ENTRIES, FILM, reset_panels, toggle_panels
 from splatview.viewer.key_presets import Preset, use
 from splatview.viewer.navigation import AXIS_NAMES, level
 from splatview.viewer.preferences import NavigationMode, PlayMode
@@ -444,7 +444,7 @@ COMMANDS: dict[str, Command] = {
         _training("evaluate_training", "", "Measure the held-out photos", training.evaluate),
         _training("show_training", "", "Show the scene in training", training.show_training,
             lacks=needs(_shows_something_else, "It is what is shown")),
-        *film.COMMANDS,
+        *FILM,
         *ENTRIES,
         _window("toggle_panels", "H", "Only the picture, or the panels again", toggle_panels,
             "Only the picture", words=("hide panels", "clean view"),

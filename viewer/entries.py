@@ -1,4 +1,5 @@
-"""Entries of the table of commands that open a part of the window: pages, their sections, the strip."""
+"""Entries of the table of commands that open a part of the window, pages, their sections, the strip; and
+those of the film."""
 
 from __future__ import annotations
 
@@ -6,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from splatview.viewer import film, save
 from splatview.viewer.command import Command, needs
 from splatview.viewer.editing.session import session_of
+from splatview.viewer.film import Film
 from splatview.viewer.preferences import Preferences
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
@@ -174,3 +177,62 @@ ENTRIES = (
 )
 # fmt: on
 """In the order of the palette."""
+
+
+_a_scene = needs(lambda app: app.is_open, "Open a scene first")
+_a_path = needs(lambda app: app.feature(Film).path is not None, "Add keyframes first")
+_a_choice = needs(lambda app: app.feature(Film).chosen >= 0, "Choose a keyframe first")
+
+
+def _film(
+    id: str,
+    keys: str,
+    title: str,
+    run: Callable[[AppState], object],
+    menu: str,
+    *words: str,
+    lacks: Callable[[AppState], str] = _a_path,
+    checked: Callable[[AppState], bool] = lambda app: False,
+) -> Command:
+    return Command(
+        id=id,
+        title=title,
+        group="Film",
+        run=run,
+        keys=tuple(keys.split()),
+        menu=menu,
+        words=words,
+        lacks=lacks,
+        checked=checked,
+    )
+
+
+# fmt: off
+FILM = (
+    _film("add_keyframe", "Ctrl+K", "Keyframe: add one with this view to the film", film.add_keyframe,
+        "Add keyframe", "key frame", "add key", "insert keyframe", lacks=_a_scene),
+    _film("update_keyframe", "Ctrl+Shift+K", "Update the chosen keyframe: it gets this view",
+        film.update_keyframe, "Update keyframe", "change keyframe", lacks=_a_choice),
+    _film("delete_keyframe", "", "Delete the chosen keyframe of the film", film.delete_keyframe,
+        "Delete keyframe", "remove keyframe", lacks=_a_choice),
+    _film("next_keyframe", "Ctrl+Right", "Next keyframe of the film", partial(film.step_keyframe, by=1),
+        "Next keyframe"),
+    _film("previous_keyframe", "Ctrl+Left", "Previous keyframe of the film",
+        partial(film.step_keyframe, by=-1), "Previous keyframe"),
+    _film("play_film", "Shift+Space", "Play or pause the film", film.play_or_pause, "Play", "play film",
+        "preview film", checked=lambda app: app.feature(Film).playing),
+    _film("loop_film", "", "Loop: the film ends where it begins", film.toggle_loop, "Loop",
+        checked=lambda app: (path := app.feature(Film).path) is not None and path.loop),
+    _film("undo_film", "", "Undo the last change of the film's keyframes", film.undo, "Undo",
+        lacks=needs(lambda app: app.feature(Film).can_undo, "Nothing to undo")),
+    _film("turntable", "", "Turntable: a film once round what is seen, evenly", film.make_turntable,
+        "Turntable", "orbit animation", "360", "spin", lacks=_a_scene),
+    _film("open_camera_path", "", "Open a camera path of nerfstudio, SuperSplat or this program",
+        film.choose_path_to_open, "Open camera path...", "load camera path", lacks=_a_scene),
+    _film("save_camera_path", "", "Save the camera path, as nerfstudio and Blender read it",
+        save.choose_path_to_save, "Save camera path..."),
+    _film("export_film", "Ctrl+Shift+F12", "Export the film as a video, a GIF or PNG files",
+        save.open_film_dialog, "Export film...", "video", "movie", "render film", "export video", "mp4",
+        "gif"),
+)
+# fmt: on

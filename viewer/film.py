@@ -1,21 +1,16 @@
-"""The film of the window: a camera path of keyframes, played, changed, kept with its scene, and exported by
-the window's own renderer in a thread beside the frame loop. No ImGui in here."""
+"""The film of the window: a camera path of keyframes, played, changed, and kept with its scene. `viewer.save`
+exports it. No ImGui in here."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from splatview.measure.knobs import Plan
-from splatview.scene import Camera, InputError
-from splatview.scene.camera import stepped_back
+from splatview.scene import InputError
 from splatview.scene.camera_path import (
     TURNTABLE_SECONDS,
     CameraPath,
@@ -24,20 +19,14 @@ from splatview.scene.camera_path import (
     Pose,
     turntable,
 )
-from splatview.scene.camera_path_files import load_camera_path, path_of_values, path_values, save_camera_path
-from splatview.scene.errors import one_line
-from splatview.scene.film import FORMATS, Codec, check_film, film_format, film_writer
-from splatview.scene.progress import Cancelled
+from splatview.scene.camera_path_files import load_camera_path, path_of_values, path_values
+from splatview.scene.film import Codec
 from splatview.scene.user_dirs import config_folder
-from splatview.viewer.command import Command, needs
 from splatview.viewer.first_views import FirstViews, key_of
 from splatview.viewer.loading import LoadedScene
 from splatview.viewer.navigation import View, view_from_camera
 from splatview.viewer.preferences import write_json
-from splatview.viewer.quality.measurement import WindowScene
-from splatview.viewer.save import levels, next_free, picture_folder, picture_stem
 from splatview.viewer.state import AppState, Feature
-from splatview.viewer.tasks import Task
 
 FILE_NAME = "films.json"
 
@@ -52,8 +41,6 @@ GAP = 0.05
 
 KEPT_AFTER = 2.0
 """Seconds from a change until it is in the file of films: a crash loses no more."""
-
-DIALOG = "film"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +69,7 @@ class Grip:
 
 
 class Film(Feature):
-    """The camera path of the open scene, its playhead, and the export under way."""
-
-    wake: Callable[[], object] = lambda: None
+    """The camera path of the open scene, and its playhead."""
 
     def __init__(self) -> None:
         self.path: CameraPath | None = None
@@ -95,9 +80,6 @@ class Film(Feature):
         """Number of the keyframe that is chosen; -1: none."""
         self.playing = False
         self.settings = FilmSettings()
-        self.file = ""
-        """Where the film goes, as it is typed."""
-        self.export: Task[str] | None = None
         self.grip = Grip()
         self._key: str | None = None
         self._past: list[CameraPath | None] = []
@@ -109,8 +91,7 @@ class Film(Feature):
     # ---- The frame loop.
 
     def before_frame(self, app: AppState) -> None:
-        """Moves the camera on while the film plays, unless the user has moved it; takes over an export that
-        has ended; keeps what was changed."""
+        """Moves the camera on while the film plays, unless the user has moved it; keeps what was changed."""
         if self.playing and (app.transition is not None or app.view is not self._shown):
             self.playing = False
         if self.playing and self.path is not None:
@@ -119,35 +100,15 @@ class Film(Feature):
                 time %= duration
             self.playing = time < duration
             self.show(app, min(time, duration))
-        task = self.export
-        if task is not None and task.done:
-            self.export = None
-            if isinstance(task.error, InputError):
-                app.complain(str(task.error))
-            elif isinstance(task.error, Cancelled) or task.cancelled:
-                app.tell("The film was stopped; nothing is written")
-            elif task.error is not None:
-                app.fail(task.error if isinstance(task.error, Exception) else RuntimeError(str(task.error)))
-            else:
-                app.tell(f"Film saved: {task.result}")
         if self._changed is not None and app.now() - self._changed > KEPT_AFTER:
             self.keep()
 
-    def busy(self, app: AppState) -> bool:
-        return self.export is not None
-
     def cancel(self, app: AppState) -> bool:
-        if self.export is not None:
-            self.export.cancel()
-            return True
         was_playing, self.playing = self.playing, False
         return was_playing
 
     def close(self, app: AppState) -> None:
         self.keep()
-        if self.export is not None:
-            self.export.cancel()
-            self.export.join(10.0)  # which removes what is half written
 
     # ---- With its scene.
 
@@ -155,7 +116,7 @@ class Film(Feature):
         self.keep()
         self._key = key_of(scene.paths)
         self.path, self._changed, self._past = remembered_path(self._key), None, []
-        self.time, self.chosen, self.playing, self.file = 0.0, -1, False, ""
+        self.time, self.chosen, self.playing = 0.0, -1, False
 
     def on_scene_saved(self, app: AppState) -> None:
         self._key = key_of(app.scene.paths)
@@ -179,6 +140,7 @@ class Film(Feature):
         if not again:
             self._past.append(self.path)
         self.path, self._changed = path, app.now()
+        self.playing = self.playing and path is not None
         self.chosen = min(self.chosen, len(path.keyframes) - 1 if path is not None else -1)
         self.time = min(self.time, path.duration if path is not None else 0.0)
 
@@ -204,32 +166,6 @@ class Film(Feature):
         start = 0.0 if self.time >= self.path.duration else self.time
         self._began, self.playing = app.now() - start, True
         self.show(app, start)
-
-    def problem(self) -> str:
-        """What is in the way of an export, in a line; "" where nothing is."""
-        settings = self.settings
-        if self.path is None:
-            return "Add keyframes first"
-        if not self.file.strip():
-            return "Name the file"
-        file, known = Path(os.path.expanduser(self.file)), FORMATS[settings.format]
-        try:
-            if film_format(file) is not known:
-                return f"The name must end in {known.suffix}" if known.suffix else "Name a new folder"
-            check_film(file, size=settings.size, fps=settings.fps, codec=settings.codec)
-        except InputError as error:
-            return str(error)
-        return ""
-
-    def choose(self, **changes: Any) -> None:
-        """Changes settings of the export; the file's name follows the format."""
-        self.settings = replace(self.settings, **changes)
-        if "format" in changes:
-            known = FORMATS[self.settings.format]
-            if self.settings.codec not in known.codecs:
-                self.settings = replace(self.settings, codec=None)
-            if self.file:
-                self.file = str(next_free(Path(self.file).with_suffix(known.suffix)))
 
 
 def view_of(pose: Pose, like: View) -> View:
@@ -441,149 +377,3 @@ def open_path(app: AppState, file: Path) -> None:
     film.show(app, 0.0)
     count = len(found.path.keyframes)
     app.tell(f"{file.name}: {count:,} keyframe{'s' * (count > 1)}, {found.path.duration:.4g} s")
-
-
-def choose_path_to_save(app: AppState) -> None:
-    if app.feature(Film).path is None:
-        app.tell("There are no keyframes yet")
-        return
-    name = f"{picture_stem(app)}-path.json"
-    app.choose_files(
-        "Save the camera path", lambda paths: app.post(save_path, paths[0]), kind="save_camera", name=name
-    )
-
-
-def save_path(app: AppState, file: Path) -> None:
-    film = app.feature(Film)
-    if film.path is None:
-        return
-    file = file if file.suffix.lower() == ".json" else file.with_name(f"{file.name}.json")
-    try:
-        save_camera_path(film.path, file, fps=film.settings.fps, size=film.settings.size)
-    except InputError as error:
-        app.complain(str(error))
-    else:
-        app.tell(f"Camera path saved: {file}")
-
-
-def open_dialog(app: AppState) -> None:
-    film = app.feature(Film)
-    if film.path is None:
-        app.tell("There are no keyframes yet")
-        return
-    if not film.file:
-        suffix = FORMATS[film.settings.format].suffix
-        film.file = str(next_free(picture_folder(app) / f"{picture_stem(app)}-film{suffix}"))
-    app.dialog = DIALOG
-
-
-def choose_place(app: AppState) -> None:
-    """Asks for the film's file by the system's dialog."""
-    film = app.feature(Film)
-    suffix = FORMATS[film.settings.format].suffix
-
-    def take(paths: list[Path]) -> None:
-        chosen = paths[0]
-        right = chosen.suffix.lower() == suffix
-        film.file = str(chosen if right else chosen.with_name(f"{chosen.name}{suffix}"))
-
-    app.choose_files("Export the film as", take, kind="save_film", name=Path(film.file).name)
-
-
-def film_cameras(app: AppState, path: CameraPath, fps: float, size: tuple[int, int]) -> list[Camera]:
-    """The camera of each frame, through the lens of the window's view."""
-    cameras = []
-    for time in path.frame_times(fps):
-        camera = view_of(path.pose(float(time)), app.view).camera(*size)
-        if camera.orthographic:
-            camera = stepped_back(camera, app.scene.centre, app.scene.radius)
-        cameras.append(camera)
-    return cameras
-
-
-def start_export(app: AppState) -> None:
-    """Renders and writes the film in a thread; the window goes on."""
-    film = app.feature(Film)
-    if film.export is not None or film.problem() or film.path is None or not app.is_open:
-        return
-    settings, plan = film.settings, Plan(settings=app.settings)
-    file = Path(os.path.expanduser(film.file))
-    cameras = film_cameras(app, film.path, settings.fps, settings.size)
-    scene = WindowScene(app, lambda: task_cancelled(film), film.wake)
-    if scene.edits is not None:  # which the user may go on with
-        scene.edits = replace(scene.edits, marks=scene.edits.marks.copy())
-    film.playing = False
-
-    def work(task: Task[str]) -> str:
-        with film_writer(file, size=settings.size, fps=settings.fps, codec=settings.codec) as write:
-            for number, camera in enumerate(cameras):
-                if task.cancelled:
-                    raise Cancelled
-                task.report(number / len(cameras), f"Frame {number + 1:,} of {len(cameras):,}")
-                write(levels(scene.draw(camera, plan)[0]))
-                film.wake()
-        return one_line(f"{file}, {len(cameras):,} frames")
-
-    film.export = Task(work, name="splatview-film", on_done=film.wake)
-
-
-def task_cancelled(film: Film) -> bool:
-    return film.export is not None and film.export.cancelled
-
-
-_a_scene = needs(lambda app: app.is_open, "Open a scene first")
-_a_path = needs(lambda app: app.feature(Film).path is not None, "Add keyframes first")
-_a_choice = needs(lambda app: app.feature(Film).chosen >= 0, "Choose a keyframe first")
-
-
-def _command(
-    id: str,
-    keys: str,
-    title: str,
-    run: Callable[[AppState], object],
-    menu: str,
-    *words: str,
-    lacks: Callable[[AppState], str] = _a_path,
-    checked: Callable[[AppState], bool] = lambda app: False,
-) -> Command:
-    return Command(
-        id=id,
-        title=title,
-        group="Film",
-        run=run,
-        keys=tuple(keys.split()),
-        menu=menu,
-        words=words,
-        lacks=lacks,
-        checked=checked,
-    )
-
-
-# fmt: off
-COMMANDS = (
-    _command("add_keyframe", "Ctrl+K", "Keyframe: add one with this view to the film", add_keyframe,
-        "Add keyframe", "key frame", "add key", "insert keyframe", lacks=_a_scene),
-    _command("update_keyframe", "Ctrl+Shift+K", "Update the chosen keyframe: it gets this view",
-        update_keyframe, "Update keyframe", "change keyframe", lacks=_a_choice),
-    _command("delete_keyframe", "", "Delete the chosen keyframe of the film", delete_keyframe,
-        "Delete keyframe", "remove keyframe", lacks=_a_choice),
-    _command("next_keyframe", "Ctrl+Right", "Next keyframe of the film", partial(step_keyframe, by=1),
-        "Next keyframe"),
-    _command("previous_keyframe", "Ctrl+Left", "Previous keyframe of the film", partial(step_keyframe, by=-1),
-        "Previous keyframe"),
-    _command("play_film", "Shift+Space", "Play or pause the film", play_or_pause, "Play", "play film",
-        "preview film", checked=lambda app: app.feature(Film).playing),
-    _command("loop_film", "", "Loop: the film ends where it begins", toggle_loop, "Loop",
-        checked=lambda app: (path := app.feature(Film).path) is not None and path.loop),
-    _command("undo_film", "", "Undo the last change of the film's keyframes", undo, "Undo",
-        lacks=needs(lambda app: app.feature(Film).can_undo, "Nothing to undo")),
-    _command("turntable", "", "Turntable: a film once round what is seen, evenly", make_turntable,
-        "Turntable", "orbit animation", "360", "spin", lacks=_a_scene),
-    _command("open_camera_path", "", "Open a camera path of nerfstudio, SuperSplat or this program",
-        choose_path_to_open, "Open camera path...", "load camera path", lacks=_a_scene),
-    _command("save_camera_path", "", "Save the camera path, as nerfstudio and Blender read it",
-        choose_path_to_save, "Save camera path..."),
-    _command("export_film", "Ctrl+Shift+F12", "Export the film as a video, a GIF or PNG files", open_dialog,
-        "Export film...", "video", "movie", "render film", "export video", "mp4", "gif"),
-)
-# fmt: on

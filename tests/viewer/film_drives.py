@@ -12,6 +12,7 @@ from hands_drives import shoot
 from imgui_bundle import ImVec2
 
 from splatview.viewer.film import Film
+from splatview.viewer.save import FilmExport
 from splatview.viewer.state import AppState
 
 MENU = "//##MainMenuBar/##MenuBar"
@@ -41,7 +42,7 @@ def place_on_axis(hand: Hand, seconds: float) -> ImVec2:
 
 def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Keyframes by keys and mouse, played, stopped, changed, saved, opened, exported."""
-    ctx, film = hand.ctx, app.feature(Film)
+    ctx, film, made = hand.ctx, app.feature(Film), app.feature(FilmExport)
     app.prefer(smooth=False)
     hand.settle()
     hand.strip("Film")
@@ -118,32 +119,26 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.item_click("//Film/###export_film")
     hand.frames(3)
     shoot(hand, "dialog")
-    film.choose(format="folder", size=(64, 48), fps=4.0)
-    film.file = options["folder"]
+    made.choose(film, format="folder", size=(64, 48), fps=4.0)
+    made.file = options["folder"]
     hand.frames(3)
     ctx.item_click("//Export the film/###begin film")
-    hand.wait(lambda: film.export is None and Path(options["folder"]).is_dir(), "the film")
+    hand.wait(lambda: made.task is None and Path(options["folder"]).is_dir(), "the film")
     hand.frames(3)
     found["frames"] = sorted(entry.name for entry in Path(options["folder"]).iterdir())
-    film.choose(fps=60.0, size=(640, 480))
-    film.file = options["stopped"]
+    made.choose(film, fps=60.0, size=(640, 480))
+    made.file = options["stopped"]
     hand.frames(3)
     ctx.item_click("//Export the film/###begin film")
-    hand.wait(lambda: film.export is not None and film.export.progress > 0, "the second film")
+    hand.wait(lambda: made.task is not None and made.task.progress > 0, "the second film")
     shoot(hand, "progress")
     before = hand.ctx.item_info("//Export the film/###cancel film").id_
     ctx.item_click("//Export the film/###cancel film")
-    hand.wait(lambda: film.export is None, "its end")
+    hand.wait(lambda: made.task is None, "its end")
     hand.frames(3)
     found["ended"] = [before != 0, Path(options["stopped"]).exists(), hand.said[-1]]
     hand.press("Escape")
     found["said"] = hand.said
-
-
-def again(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
-    """What a second window on the scene remembers."""
-    hand.settle()
-    found["remembered"] = seen(app)
 
 
 if __name__ == "__main__":

@@ -25,9 +25,8 @@ def found(drive_once, tmp_path_factory, random_gaussians) -> dict[str, Any]:
         "stopped": str(folder / "stopped"),
     }
     told = drive_once("whole", scene, script="film_drives.py", size=(1000, 650), renderer="cpu", **options)
-    second = drive_once("again", scene, script="film_drives.py", size=(1000, 650), renderer="cpu")
     left = sorted(entry.name for entry in folder.iterdir())
-    return options | told | {"scene": scene, "second": second["remembered"], "left": left}
+    return options | told | {"scene": scene, "left": left}
 
 
 def test_keyframes_are_added_where_the_camera_is(found):
@@ -95,7 +94,3 @@ def test_the_exported_film_is_that_of_the_command_line(found, tmp_path, capsys):
 def test_a_film_that_is_stopped_leaves_nothing(found):
     assert found["ended"][:2] == [True, False] and "nothing is written" in found["ended"][2]
     assert found["left"] == ["frames", "scene.ply", "way.json"]
-
-
-def test_the_next_window_on_the_scene_has_the_path(found):
-    assert found["second"]["times"] == found["opened"]["times"] and found["second"]["loop"]

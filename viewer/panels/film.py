@@ -19,10 +19,10 @@ from splatview.viewer import film as films
 from splatview.viewer import theme
 from splatview.viewer.commands import keys_of
 from splatview.viewer.dialogs import DIALOG_FLAGS, centred
-from splatview.viewer.film import DIALOG, Film
+from splatview.viewer.film import Film
 from splatview.viewer.overlays import pyramids
 from splatview.viewer.panels import widgets
-from splatview.viewer.save import MAX_SIDE
+from splatview.viewer.save import FILM_DIALOG, MAX_SIDE, FilmExport, choose_film_place, start_film
 from splatview.viewer.state import AppState
 
 PANEL = "Film"
@@ -52,8 +52,8 @@ def show(app: AppState) -> None:
     """Two rows: what acts on the film, and the axis of its keyframes."""
     film = app.feature(Film)
     controls(app, film)
-    if film.export is not None and app.dialog != DIALOG:
-        progress(film)
+    if app.dialog != FILM_DIALOG:
+        progress(app)
     if film.path is None:
         key = keys_of("add_keyframe")
         widgets.note(
@@ -242,9 +242,9 @@ def ruler(
             draw.add_text(ImVec2(x + 0.3 * em, corner.y), text, label)
 
 
-def progress(film: Film) -> None:
+def progress(app: AppState) -> None:
     """The export under way, and how to end it."""
-    task = film.export
+    task = app.feature(FilmExport).task
     if task is None:
         return
     widgets.progress(task.progress, task.text, beside_em=5)
@@ -303,27 +303,27 @@ def eyes_of(path: CameraPath) -> np.ndarray:
 
 def show_dialog(app: AppState) -> None:
     """Format, size, rate and place; what it will be, and its progress."""
-    film = app.feature(Film)
-    if app.dialog != DIALOG:
+    film, made = app.feature(Film), app.feature(FilmExport)
+    if app.dialog != FILM_DIALOG:
         return
     centred(30)
     imgui.set_next_window_size((imgui.get_font_size() * 30, 0))
     opened = imgui.begin("Export the film", True, DIALOG_FLAGS | imgui.WindowFlags_.always_auto_resize)[1]
-    imgui.begin_disabled(film.export is not None)
-    choices(app, film)
+    imgui.begin_disabled(made.task is not None)
+    choices(app, film, made)
     imgui.end_disabled()
     imgui.separator()
-    if film.export is not None:
-        progress(film)
+    if made.task is not None:
+        progress(app)
         widgets.note("The window can be used meanwhile; closing this dialog does not stop the film.")
     else:
-        place(app, film)
+        place(app, film, made)
     imgui.end()
     if not opened:
         app.dialog = None
 
 
-def choices(app: AppState, film: Film) -> None:
+def choices(app: AppState, film: Film, made: FilmExport) -> None:
     settings = film.settings
     names = tuple(FORMATS)
     chosen = widgets.combo(
@@ -334,7 +334,7 @@ def choices(app: AppState, film: Film) -> None:
         [FORMATS[name].title for name in names],
     )
     if chosen is not None:
-        film.choose(format=chosen)
+        made.choose(film, format=chosen)
     codecs = FORMATS[settings.format].codecs
     if codecs:
         codec = widgets.combo(
@@ -345,47 +345,47 @@ def choices(app: AppState, film: Film) -> None:
             [CODEC_TITLES[one] for one in codecs],
         )
         if codec is not None:
-            film.choose(codec=codec)
+            made.choose(film, codec=codec)
     widgets.label("Size", "Pixels of a frame; a wider one than the window shows more at the sides.")
     changed, size = imgui.input_int2("##size", list(settings.size))
     if changed:
         width, height = (min(max(int(side), 1), MAX_SIDE) for side in size)
-        film.choose(size=(width, height))
+        made.choose(film, size=(width, height))
     width, height = app.picture_size
     seen = (width - width % 2, height - height % 2)
     for number, (name, size) in enumerate((*SIZES, ("As seen", seen))):
         if number:
             imgui.same_line()
         if imgui.button(name):
-            film.choose(size=size)
+            made.choose(film, size=size)
     fps = widgets.slider(
         "Frames a second", settings.fps, 1.0, 60.0, "24 as films, 30 as videos, 60 as screens.", form="%.0f"
     )
     if fps is not None:
-        film.choose(fps=float(round(fps)))
+        made.choose(film, fps=float(round(fps)))
     if film.path is not None:
         count = len(film.path.frame_times(settings.fps))
         widgets.fact("Length", f"{film.path.duration:.2f} s, {count:,} frames")
 
 
-def place(app: AppState, film: Film) -> None:
+def place(app: AppState, film: Film, made: FilmExport) -> None:
     """Where the film goes, what is in the way, and the button that begins."""
     imgui.set_next_item_width(-imgui.get_font_size() * 7)
-    changed, text = imgui.input_text("##path", film.file)
+    changed, text = imgui.input_text("##path", made.file)
     if changed:
-        film.file = text
+        made.file = text
     widgets.tooltip("The file, or the new folder, to write.")
     imgui.same_line()
-    widgets.button("Browse...", "Chooses folder and name.", lambda: app.post(films.choose_place))
-    problem = film.problem()
+    widgets.button("Browse...", "Chooses folder and name.", lambda: app.post(choose_film_place))
+    problem = made.problem(film)
     if problem:
         widgets.note(problem, theme.WARNING)
-    elif Path(os.path.expanduser(film.file)).is_file():
+    elif Path(os.path.expanduser(made.file)).is_file():
         widgets.note("A file of this name is there; it will be replaced.", theme.WARNING)
     widgets.button(
         "Export###begin film",
         "Renders every frame in full, beside the window's work.",
-        lambda: app.post(films.start_export),
+        lambda: app.post(start_film),
         lacks=problem,
     )
     imgui.same_line()
