@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from splatview.cli.arguments import (
 )
 from splatview.cli.main import make_console
 from splatview.cli.render import add_picture_options, chosen_settings, eight_bit
-from splatview.cli.sequence import source_of
+from splatview.cli.sequence import over_frames, refuse_if, source_of
 from splatview.renderers import FrameRequest
 from splatview.renderers.headless import make_headless
 from splatview.renderers.quality import reduced
@@ -37,7 +38,7 @@ from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.camera import orbited
 from splatview.scene.camera_path import TURNTABLE_SECONDS, CameraPath, frame_times
 from splatview.scene.camera_path_files import load_camera_path
-from splatview.scene.film import CODECS, check_film, film_writer
+from splatview.scene.film import CODECS, Write, check_film, film_writer
 from splatview.scene.first_view import turntable_view
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.sequence import SceneSequence
@@ -55,7 +56,8 @@ def make_parser() -> Parser:
         "camera_path.json, or an animation of SuperSplat's experience settings. Without one the camera goes\n"
         "round the scene once, evenly (--turntable), from the camera of the options below.\n\n"
         "OUT is a .mp4, a .webm or a .gif, which need PyAV (pip install av), or a name without suffix: a\n"
-        "new folder, for frame_00001.png and so on, whose pictures are the same to the bit each time.",
+        "new folder, for frame_00001.png and so on, whose pictures are the same to the bit each time.\n\n"
+        "Of a sequence (a folder of scenes, or a glob in quotes) each scene is a frame of the film.",
     )
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", required=True, help="the film to write")
@@ -92,45 +94,87 @@ def run(arguments: list[str]) -> int:
     check_camera_options(args)
     check_knob_options(args)
     source = source_of(args.scene)
-    if isinstance(source, SceneSequence):
-        raise InputError(f"{args.scene}: is a sequence; film one of its files, or use splatview render")
+    sequence = source if isinstance(source, SceneSequence) else None
+    if sequence is not None and args.seconds is not None:
+        raise InputError("--seconds is for one scene: a sequence lasts its frames; choose --fps")
     path, fps = path_of_file(args) if args.path is not None else (None, args.fps or DEFAULT_FPS)
     size = args.size or DEFAULT_SIZE
     check_film(args.output, size=size, fps=fps, codec=args.codec)
     behind = chosen_background(args.background, args.up)
-    gaussians = load_scene(source)
+    gaussians = load_scene(source.paths[0] if isinstance(source, SceneSequence) else source)
+    count = None if sequence is None else len(sequence)
     if path is not None:
-        cameras = [
-            path.pose(time).camera(*size) for time in checked_times(path.duration, fps, loop=path.loop)
-        ]
+        cameras = path_cameras(path, fps, size, count)
     else:
-        cameras = turntable_cameras(turntable_orbit(args, gaussians), args.seconds or TURNTABLE_SECONDS, fps)
+        seconds = (args.seconds or TURNTABLE_SECONDS) if count is None else count / fps
+        cameras = turntable_cameras(turntable_orbit(args, gaussians), seconds, fps)
         size = cameras[0].width, cameras[0].height  # a camera file may have its own
     renderer = make_headless(args.renderer)
-    settings = replace(chosen_settings(args, gaussians), background=behind)
-    plan = chosen_plan(args, settings, renderer.name)
 
-    def picture(camera: Camera) -> np.ndarray:
-        return eight_bit(renderer.render(reduced(FrameRequest.by_plan(gaussians, camera, plan))))
+    def picture(scene: Gaussians, camera: Camera) -> np.ndarray:
+        settings = replace(chosen_settings(args, scene), background=behind)
+        plan = chosen_plan(args, settings, renderer.name)
+        return eight_bit(renderer.render(reduced(FrameRequest.by_plan(scene, camera, plan))))
 
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    console = make_console()
+    problems: dict[int, InputError] = {}
     try:
-        with (
-            film_writer(args.output, size=size, fps=fps, codec=args.codec) as write,
-            Bar(
-                *columns, TimeRemainingColumn(), console=console, transient=True,
-                disable=not console.is_terminal,
-            ) as bar,
-        ):  # fmt: skip
-            for camera in bar.track(cameras, description="Filming"):
-                write(picture(camera))
+        with film_writer(args.output, size=size, fps=fps, codec=args.codec) as write:
+            if sequence is not None:
+                problems = film_sequence(sequence, cameras, picture, write)
+            else:
+                film_scene(gaussians, cameras, picture, write)
     except KeyboardInterrupt:
         print(f"splatview: stopped; {args.output} is not written", file=sys.stderr)
         raise
+    refuse_if(problems, len(cameras), "in their place the frame before is shown")
     length = f"{len(cameras):,} frames, {len(cameras) / fps:.4g} s"
     print(f"{args.output}: {length} of {size[0]}x{size[1]}, by {renderer.name}", file=sys.stderr)
     return 0
+
+
+Draw = Callable[[Gaussians, Camera], np.ndarray]
+"""(H, W, 3) uint8 picture of a scene."""
+
+
+def film_scene(gaussians: Gaussians, cameras: list[Camera], picture: Draw, write: Write) -> None:
+    """A frame by each of the cameras, behind a bar on standard error."""
+    console = make_console()
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    left = TimeRemainingColumn()
+    with Bar(*columns, left, console=console, transient=True, disable=not console.is_terminal) as bar:
+        for camera in bar.track(cameras, description="Filming"):
+            write(picture(gaussians, camera))
+
+
+def film_sequence(
+    sequence: SceneSequence, cameras: list[Camera], picture: Draw, write: Write
+) -> dict[int, InputError]:
+    """Each scene of the sequence by the camera of its number. In place of one that cannot be read the picture
+    before is shown, so that time goes on; these are returned with their reasons."""
+    shown: np.ndarray | None = None
+    written = 0
+
+    def draw(i: int, found: Gaussians, _: object) -> None:
+        nonlocal shown, written
+        latest = picture(found, cameras[i])
+        for _ in range(written, i):
+            write(latest if shown is None else shown)
+        write(latest)
+        shown, written = latest, i + 1
+
+    problems = over_frames(sequence, "Filming", draw)
+    for _ in range(written, len(cameras)):
+        if shown is not None:
+            write(shown)
+    return problems
+
+
+def path_cameras(path: CameraPath, fps: float, size: tuple[int, int], count: int | None) -> list[Camera]:
+    """A camera for each frame, or `count` of them, for whose time the path is stretched."""
+    if count is not None:
+        path = path.lasting(max(count - (not path.loop), 1) / fps)
+    times = checked_times(path.duration, fps, loop=path.loop)
+    return [path.pose(time).camera(*size) for time in times[:count]]
 
 
 def path_of_file(args: argparse.Namespace) -> tuple[CameraPath, float]:

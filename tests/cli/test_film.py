@@ -93,6 +93,29 @@ def test_a_path_of_a_file_is_followed_in_the_time_that_is_asked_for(run, scene, 
     np.testing.assert_array_equal(longer[-1], np.asarray(Image.open(tmp_path / "last.png")))
 
 
+def test_each_scene_of_a_sequence_is_a_frame(run, tmp_path, random_gaussians):
+    frames, scene = tmp_path / "frames", random_gaussians(80, seed=3)
+    frames.mkdir()
+    for i in range(5):
+        save_scene(replace(scene, means=scene.means + np.float32(0.2 * i)), frames / f"f_{i}.ply")
+    argv = ("film", frames, "--size", "64x48", "--renderer", "cpu", "--eye", "0,-1,-5", "--target", "0,0,0")
+    code, _, err = run(*argv, "-o", tmp_path / "film", "--fps", 5)
+    assert code == 0 and "5 frames, 1 s" in err
+    whole = pictures(tmp_path / "film")
+    still = ("render", frames / "f_1.ply", "--turn", 72, *argv[2:], "-o", tmp_path / "still.png")
+    assert run(*still)[0] == 0
+    assert abs(whole[1].astype(int) - np.asarray(Image.open(tmp_path / "still.png"))).max() <= 1
+    (frames / "f_2.ply").write_bytes((frames / "f_2.ply").read_bytes()[:1500])
+    code, _, err = run(*argv, "-o", tmp_path / "damaged", "--fps", 5)
+    assert code == 2 and "1 of 5 frames failed, in their place the frame before is shown" in err
+    damaged = pictures(tmp_path / "damaged")
+    assert len(damaged) == 5
+    for i, frame in enumerate(damaged):
+        np.testing.assert_array_equal(frame, whole[1 if i == 2 else i])
+    code, _, err = run(*argv, "-o", tmp_path / "no", "--seconds", 2)
+    assert code == 2 and "choose --fps" in err
+
+
 @needs_av
 @pytest.mark.parametrize(
     ("name", "codec"),

@@ -40,6 +40,8 @@ def everything_fits(app: AppState, hand: Hand, options: dict[str, Any], found: d
         hand.press("Shift+4")
         hand.press("Shift+5")
     hand.press("Escape")
+    for _ in range(2):
+        hand.press("Ctrl+K")
     settle(hand)
     app.messages.clear()
     app.tell("A message that is so long that it has to be cut short in a window of any size " * 3)
@@ -113,6 +115,7 @@ FOLDS = {
 DIALOGS = {
     "settings": ("settings", "Settings"),
     "export": ("export", "Export the scene"),
+    "film": ("export_film", "Export the film"),
     "start": ("start_screen", "Start"),
     "recent": ("recent", "Recent scenes"),
     "screenshot": ("screenshot_as", "Save a picture"),

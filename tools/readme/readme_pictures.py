@@ -2,7 +2,7 @@
 
 python tools/readme/readme_pictures.py [NAME ...]
 
-Names: landscape, modes, window, timeline, editing, crop, accuracy, effects, training. None: all.
+Names: landscape, modes, window, timeline, editing, crop, film, accuracy, effects, training. None: all.
 """
 
 from __future__ import annotations
@@ -147,6 +147,12 @@ def crop(folder: Path) -> None:
     grab([sys.executable, drive, "crop"], folder / "crop.png", SECONDS_TO_EDIT, until="readme-ready")
 
 
+def film(folder: Path) -> None:
+    """The window on the demo with keyframes of a film, and their way over the picture."""
+    drive = Path(__file__).with_name("readme_windows.py")
+    grab([sys.executable, drive, "film"], folder / "film.png", SECONDS_TO_EDIT, until="readme-ready")
+
+
 def accuracy(folder: Path) -> None:
     """The window on the demo with prices of shortcuts, and exact beside one."""
     drive = Path(__file__).with_name("readme_windows.py")
@@ -172,6 +178,7 @@ MAKERS = {
     "timeline": timeline,
     "editing": editing,
     "crop": crop,
+    "film": film,
     "accuracy": accuracy,
     "effects": effects,
     "training": training,

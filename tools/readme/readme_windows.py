@@ -22,7 +22,8 @@ from splatview.viewer.editing.face_handles import place_of
 from splatview.viewer.editing.session import EditSession, post_edit, session_of
 from splatview.viewer.editing.tool_state import Face
 from splatview.viewer.entries import open_page, toggle_strip
-from splatview.viewer.navigation import orbit
+from splatview.viewer.film import add_keyframe
+from splatview.viewer.navigation import dolly, orbit
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy, choose
 from splatview.viewer.state import AppState
@@ -112,6 +113,36 @@ def crop(app: AppState, ctx: Any) -> None:
         time.sleep(0.05)
 
 
+def film(app: AppState, ctx: Any) -> None:
+    """Four keyframes round the demo, and their way seen from farther off."""
+
+    def settle() -> None:
+        ctx.yield_(5)
+        while app.waiting or app.picture.status or not app.is_open or app.transition is not None:
+            ctx.yield_(1)
+        ctx.yield_(5)
+
+    settle()
+    first = app.view
+    app.post(toggle_strip, "Film")
+    for azimuth, elevation, factor in (
+        (-0.9, 0.05, 0.62),
+        (-0.25, 0.02, 0.45),
+        (0.45, 0.15, 0.55),
+        (1.1, 0.3, 0.8),
+    ):
+        app.post(lambda app, a=azimuth, e=elevation, f=factor: app.steer(dolly(orbit(first, a, e), f)))
+        settle()
+        app.post(add_keyframe)
+        settle()
+    app.post(lambda app: app.steer(dolly(orbit(first, 0.15, 0.45), 1.2)))
+    settle()
+    Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()
+    while not app.quitting:
+        ctx.yield_(1)
+        time.sleep(0.05)
+
+
 def accuracy(app: AppState, ctx: Any) -> None:
     """Prices of shortcuts, one taken, and where an eye would notice it."""
     while app.waiting or not app.is_open or app.transition is not None:
@@ -155,7 +186,7 @@ def effects(app: AppState, ctx: Any) -> None:
         time.sleep(0.05)
 
 
-DRIVES = {"editing": editing, "crop": crop, "accuracy": accuracy, "effects": effects}
+DRIVES = {"editing": editing, "crop": crop, "film": film, "accuracy": accuracy, "effects": effects}
 
 
 if __name__ == "__main__":

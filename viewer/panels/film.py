@@ -42,8 +42,8 @@ SAMPLES = 24
 MOST_SAMPLES = 600
 """... of all at most."""
 
-MARK = 0.09
-"""Depth of a keyframe's pyramid in scene radii."""
+MARK = 0.08
+"""Depth of a keyframe's pyramid in distances of keyframes from what they look at."""
 
 SIZES = (("720p", (1280, 720)), ("1080p", (1920, 1080)), ("4K", (3840, 2160)))
 
@@ -276,10 +276,10 @@ def over_picture(app: AppState) -> None:
         draw.add_line(a, b, dark, 4)
     for a, b in ends:
         draw.add_line(a, b, ink, 2)
-    radius = app.scene.radius if app.is_open else app.view.distance
+    size = MARK * float(np.median([key.pose.distance for key in path.keyframes]))
     # As wide as a film mostly is.
     cameras = [key.pose.camera(160, 90) for key in path.keyframes[: SAMPLES * 4]]
-    for index, lines in pyramids(cameras, camera, MARK * radius):
+    for index, lines in pyramids(cameras, camera, size):
         chosen = index == film.chosen
         colour = imgui.get_color_u32(ImVec4(*theme.ACCENT, 1) if chosen else ImVec4(1, 1, 1, 0.75))
         for a, b in (lines / (scale.x, scale.y) + (corner.x, corner.y)).tolist():
