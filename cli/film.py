@@ -22,18 +22,22 @@ from splatview.cli.arguments import (
     add_camera_options,
     add_knob_options,
     check_camera_options,
-    check_knob_options,
     chosen_background,
     chosen_orbit,
     chosen_plan,
     positive,
 )
 from splatview.cli.main import make_console
-from splatview.cli.render import add_picture_options, chosen_settings, eight_bit
+from splatview.cli.render import (
+    add_picture_options,
+    check_drawing_options,
+    chosen_aperture,
+    chosen_settings,
+    draw_picture,
+    eight_bit,
+)
 from splatview.cli.sequence import over_frames, refuse_if, source_of
-from splatview.renderers import FrameRequest
 from splatview.renderers.headless import make_headless
-from splatview.renderers.quality import reduced
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.camera import orbited
 from splatview.scene.camera_path import TURNTABLE_SECONDS, CameraPath, frame_times
@@ -92,7 +96,7 @@ def run(arguments: list[str]) -> int:
     if args is None:
         return 0
     check_camera_options(args)
-    check_knob_options(args)
+    check_drawing_options(args)
     source = source_of(args.scene)
     sequence = source if isinstance(source, SceneSequence) else None
     if sequence is not None and args.seconds is not None:
@@ -109,12 +113,13 @@ def run(arguments: list[str]) -> int:
         seconds = (args.seconds or TURNTABLE_SECONDS) if count is None else count / fps
         cameras = turntable_cameras(turntable_orbit(args, gaussians), seconds, fps)
         size = cameras[0].width, cameras[0].height  # a camera file may have its own
-    renderer = make_headless(args.renderer)
+    renderer = make_headless(args.renderer, mode=args.mode)
+    chosen_aperture(args, cameras[0])
 
     def picture(scene: Gaussians, camera: Camera) -> np.ndarray:
         settings = replace(chosen_settings(args, scene), background=behind)
         plan = chosen_plan(args, settings, renderer.name)
-        return eight_bit(renderer.render(reduced(FrameRequest.by_plan(scene, camera, plan))))
+        return eight_bit(draw_picture(args, renderer, scene, camera, plan, chosen_aperture(args, camera)))
 
     problems: dict[int, InputError] = {}
     try:

@@ -106,24 +106,8 @@ def make_parser() -> Parser:
     parser.add_argument("scene", metavar="SCENE")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="picture to write, .png or .npy")
     add_camera_options(parser)
-    group = add_picture_options(parser)
-    group.add_argument(
+    add_picture_options(parser).add_argument(
         "--alpha", action="store_true", help="a .png with transparency instead of a background"
-    )
-    group.add_argument(
-        "--mode",
-        choices=tuple(MODES),
-        default="splats",
-        help="what of the scene is drawn: every one by quads and cpu",
-    )
-    group = parser.add_argument_group("depth of field (off where no aperture is given)")
-    group.add_argument("--aperture", type=positive, metavar="A", help="diameter of the lens, world units")
-    group.add_argument("--focus", type=positive, metavar="D", help="distance that is sharp, world units")
-    group.add_argument(
-        "--lens-samples",
-        type=count,
-        metavar="N",
-        help=f"pictures averaged, each from a point of the lens (default: {LENS_SAMPLES})",
     )
     add_knob_options(parser)
     group = parser.add_argument_group("measuring")
@@ -140,10 +124,26 @@ def make_parser() -> Parser:
 
 
 def add_picture_options(parser: Parser) -> argparse._ArgumentGroup:
-    """What `chosen_settings` reads, the background and the renderer; returns their group."""
+    """What `chosen_settings` and `chosen_aperture` read, background, renderer and mode; returns the group of
+    what a picture is."""
+    lens = parser.add_argument_group("depth of field (off where no aperture is given)")
+    lens.add_argument("--aperture", type=positive, metavar="A", help="diameter of the lens, world units")
+    lens.add_argument("--focus", type=positive, metavar="D", help="distance that is sharp, world units")
+    lens.add_argument(
+        "--lens-samples",
+        type=count,
+        metavar="N",
+        help=f"pictures averaged, each from a point of the lens (default: {LENS_SAMPLES})",
+    )
     group = parser.add_argument_group("picture")
     group.add_argument("--background", type=background, metavar="BACK", help=BACKGROUND_HELP)
     group.add_argument("--renderer", choices=("auto", *choices("render")), default="auto")
+    group.add_argument(
+        "--mode",
+        choices=tuple(MODES),
+        default="splats",
+        help="what of the scene is drawn: every one by quads and cpu",
+    )
     group.add_argument(
         "--antialiased",
         action=argparse.BooleanOptionalAction,
@@ -229,6 +229,11 @@ def check_picture_options(args: argparse.Namespace, *, is_sequence: bool = False
             raise InputError("--alpha is for .png files; a .npy always has alpha")
         if args.background is not None:
             raise InputError("--alpha leaves the background out; drop --background or --alpha")
+    check_drawing_options(args)
+
+
+def check_drawing_options(args: argparse.Namespace) -> None:
+    """Raises InputError for what of `add_picture_options` and the shortcuts cannot work."""
     if args.aperture is not None and args.focus is None:
         raise InputError("--aperture needs --focus, the distance that is sharp")
     if args.aperture is None and (args.focus is not None or args.lens_samples is not None):
@@ -281,12 +286,8 @@ def render_frames(
     With --stats one frame is drawn first and not counted: it compiles and allocates.
     """
 
-    def draw(camera: Camera) -> np.ndarray:
-        request = FrameRequest.by_plan(gaussians, camera, plan, mode=args.mode)
-        return renderer.render(reduced(request)).astype(np.float32, copy=False)
-
     if args.stats:
-        draw(orbit.turned(WARM_UP_TURN))
+        draw_picture(args, renderer, gaussians, orbit.turned(WARM_UP_TURN), plan)
     image = np.empty(0, np.float32)
     totals: list[float] = []
     stages: dict[str, list[float]] = {}
@@ -298,10 +299,7 @@ def render_frames(
     for degrees in path:
         camera = orbit.turned(degrees) if degrees else orbit.camera
         start = time.perf_counter()
-        if aperture is None:
-            image = draw(camera)
-        else:
-            image = mean_picture(draw, camera, aperture, args.lens_samples or LENS_SAMPLES)
+        image = draw_picture(args, renderer, gaussians, camera, plan, aperture)
         totals.append(1e3 * (time.perf_counter() - start))
         if args.stats:
             latest = renderer.stats(wait=True)
@@ -322,3 +320,22 @@ def render_frames(
         "frames": len(path),
         "ms": ms,
     }
+
+
+def draw_picture(
+    args: argparse.Namespace,
+    renderer: Renderer,
+    gaussians: Gaussians,
+    camera: Camera,
+    plan: Plan,
+    aperture: Aperture | None = None,
+) -> np.ndarray:
+    """(H, W, 4) float32: one picture, of a pinhole or the mean of many from all over a lens."""
+
+    def draw(camera: Camera) -> np.ndarray:
+        request = FrameRequest.by_plan(gaussians, camera, plan, mode=args.mode)
+        return renderer.render(reduced(request)).astype(np.float32, copy=False)
+
+    if aperture is None:
+        return draw(camera)
+    return mean_picture(draw, camera, aperture, args.lens_samples or LENS_SAMPLES)

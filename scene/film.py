@@ -167,7 +167,7 @@ def _video(
     file: Any, known: FilmFormat, size: tuple[int, int], fps: float, codec: Codec | None
 ) -> Iterator[Write]:
     """Frames into an open file, by PyAV."""
-    os.environ.setdefault("SVT_LOG", "1")  # errors alone: it tells of its settings otherwise
+    os.environ.setdefault("SVT_LOG", "0")  # it tells of its settings otherwise, and of films that are stopped
     import av
     from av.error import FFmpegError
     from av.video.reformatter import ColorPrimaries, Colorspace, ColorTrc

@@ -14,7 +14,7 @@ from splatview.renderers.edit_snapshot import EditSnapshot, edit_snapshot
 from splatview.renderers.gl.resolve import PictureMean
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.depth_of_field import Aperture, camera_at, check_camera
-from splatview.viewer.navigation import pick
+from splatview.viewer.navigation import View, pick
 from splatview.viewer.state import Feature
 
 if TYPE_CHECKING:
@@ -56,11 +56,12 @@ class DepthOfField(Feature):
         self._since = 0.0
         self._open = False
 
-    def aperture(self, app: AppState) -> Aperture | None:
-        """The lens in force; None: a pinhole."""
+    def aperture(self, app: AppState, view: View | None = None) -> Aperture | None:
+        """The lens in force, in this view or the one that is seen; None: a pinhole."""
         if not self.on or app.mode != "splats" or not app.is_open:
             return None
-        return Aperture(diameter=self.share * app.view.distance, focus=self.focus or app.view.distance)
+        distance = (view or app.view).distance
+        return Aperture(diameter=self.share * distance, focus=self.focus or distance)
 
     def next_camera(self, app: AppState, camera: Camera, settings: RenderSettings) -> Camera:
         """Camera of the next frame, in the place of `camera`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -82,6 +83,7 @@ class Film(Feature):
         self.settings = FilmSettings()
         self.grip = Grip()
         self._key: str | None = None
+        self._paths: Sequence[Path] = ()
         self._past: list[CameraPath | None] = []
         self._changed: float | None = None
         """When the path was changed last, as long as that is not in the file."""
@@ -114,8 +116,13 @@ class Film(Feature):
 
     def on_scene_opened(self, app: AppState, scene: LoadedScene) -> None:
         self.keep()
+        again, self._paths = bool(scene.paths) and scene.paths == self._paths, scene.paths
         self._key = key_of(scene.paths)
-        self.path, self._changed, self._past = remembered_path(self._key), None, []
+        found = remembered_path(self._key)
+        if again and found is None:  # its files were written anew: the way through them stays
+            self._changed = app.now()
+            return
+        self.path, self._changed, self._past = found, None, []
         self.time, self.chosen, self.playing = 0.0, -1, False
 
     def on_scene_saved(self, app: AppState) -> None:

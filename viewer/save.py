@@ -17,19 +17,20 @@ from splatview.scene import Camera, InputError
 from splatview.scene.camera import stepped_back
 from splatview.scene.camera_path import CameraPath
 from splatview.scene.camera_path_files import save_camera_path
-from splatview.scene.depth_of_field import mean_picture
+from splatview.scene.depth_of_field import Aperture, mean_picture
 from splatview.scene.errors import one_line
 from splatview.scene.film import FORMATS, check_film, film_format, film_writer
 from splatview.scene.formats import save_camera
 from splatview.scene.formats.io import atomic_write
 from splatview.scene.progress import Cancelled
 from splatview.viewer.depth_of_field import SAVED_SAMPLES, DepthOfField, is_pinhole
-from splatview.viewer.editing.session import session_of
+from splatview.viewer.editing.session import at_rest, session_of
 from splatview.viewer.film import Film, view_of
 from splatview.viewer.loading import LoadedScene
 from splatview.viewer.quality.measurement import WindowScene
 from splatview.viewer.state import AppState, Feature
 from splatview.viewer.tasks import Task
+from splatview.viewer.training.live import LiveTraining
 
 MAX_SIDE = 8192
 """Px: larger than this and common GL implementations refuse the target."""
@@ -171,8 +172,10 @@ class FilmExport(Feature):
         self.task = None
         if isinstance(task.error, InputError):
             app.complain(str(task.error))
-        elif isinstance(task.error, Cancelled) or task.cancelled:
+        elif task.cancelled:
             app.tell("The film was stopped; nothing is written")
+        elif isinstance(task.error, Cancelled):
+            app.complain("The film was stopped, as another scene is shown now; nothing is written")
         elif isinstance(task.error, Exception):
             app.fail(task.error)
         else:
@@ -201,11 +204,13 @@ class FilmExport(Feature):
             if self.file:
                 self.file = str(next_free(Path(self.file).with_suffix(known.suffix)))
 
-    def problem(self, film: Film) -> str:
+    def problem(self, app: AppState, film: Film) -> str:
         """What is in the way of an export, in a line; "" where nothing is."""
         settings = film.settings
         if film.path is None:
             return "Add keyframes first"
+        if app.find(LiveTraining) is not None and not at_rest(app):
+            return "Stop the training first, as its scene changes"
         if not self.file.strip():
             return "Name the file"
         file, known = Path(os.path.expanduser(self.file)), FORMATS[settings.format]
@@ -242,37 +247,48 @@ def choose_film_place(app: AppState) -> None:
     app.choose_files("Export the film as", take, kind="save_film", name=Path(made.file).name)
 
 
-def film_cameras(app: AppState, path: CameraPath, fps: float, size: tuple[int, int]) -> list[Camera]:
-    """The camera of each frame, through the lens of the window's view."""
-    cameras = []
+def film_cameras(
+    app: AppState, path: CameraPath, fps: float, size: tuple[int, int]
+) -> list[tuple[Camera, Aperture | None]]:
+    """The camera of each frame, through the lens of the window's view; and its aperture, where the window
+    has one."""
+    cameras, lens = [], app.feature(DepthOfField)
     for time in path.frame_times(fps):
-        camera = view_of(path.pose(float(time)), app.view).camera(*size)
+        view = view_of(path.pose(float(time)), app.view)
+        camera = view.camera(*size)
         if camera.orthographic:
             camera = stepped_back(camera, app.scene.centre, app.scene.radius)
-        cameras.append(camera)
+        cameras.append((camera, lens.aperture(app, view) if is_pinhole(camera) else None))
     return cameras
 
 
 def start_film(app: AppState) -> None:
     """Renders and writes the film in a thread; the window goes on."""
     film, made = app.feature(Film), app.feature(FilmExport)
-    if made.task is not None or made.problem(film) or film.path is None or not app.is_open:
+    if made.task is not None or made.problem(app, film) or film.path is None or not app.is_open:
         return
     settings, plan = film.settings, Plan(settings=app.settings)
     file = Path(os.path.expanduser(made.file))
     cameras = film_cameras(app, film.path, settings.fps, settings.size)
-    scene = WindowScene(app, lambda: made.task is not None and made.task.cancelled, made.wake)
+    scene = WindowScene(app, lambda: made.task is not None and made.task.cancelled, made.wake, mode=app.mode)
     if scene.edits is not None:  # which the user may go on with
         scene.edits = replace(scene.edits, marks=scene.edits.marks.copy())
     film.playing = False
 
+    def draw(camera: Camera) -> np.ndarray:
+        return scene.draw(camera, plan)[0]
+
     def work(task: Task[str]) -> str:
         with film_writer(file, size=settings.size, fps=settings.fps, codec=settings.codec) as write:
-            for number, camera in enumerate(cameras):
+            for number, (camera, aperture) in enumerate(cameras):
                 if task.cancelled:
                     raise Cancelled
                 task.report(number / len(cameras), f"Frame {number + 1:,} of {len(cameras):,}")
-                write(levels(scene.draw(camera, plan)[0]))
+                if aperture is None:
+                    image = draw(camera)
+                else:
+                    image = mean_picture(draw, camera, aperture, SAVED_SAMPLES)
+                write(levels(image))
                 made.wake()
         return one_line(f"{file}, {len(cameras):,} frames")
 

@@ -213,3 +213,17 @@ def test_the_turntable_has_the_scene_in_view_from_all_sides(random_gaussians, of
         assert inside.mean() > 0.995
         sizes.append(np.ptp(pixels, axis=0) / (320, 180))
     assert np.max(sizes) > 0.75, "and fills the picture from some"
+
+
+def test_modes_and_depth_of_field_are_those_of_render(run, scene, tmp_path):
+    draw = ("--size", "64x48", "--renderer", "cpu", "--eye", "0,-1,-4", "--target", "0,0,0")
+    for name, options in {
+        "depth": ("--mode", "depth"),
+        "soft": ("--aperture", 0.4, "--focus", 3, "--lens-samples", 4),
+    }.items():
+        assert run("film", scene, "-o", tmp_path / name, "--seconds", 1, "--fps", 1, *draw, *options)[0] == 0
+        assert run("render", scene, "-o", tmp_path / f"{name}.png", *draw, *options)[0] == 0
+        (frame,) = pictures(tmp_path / name)
+        np.testing.assert_array_equal(frame, np.asarray(Image.open(tmp_path / f"{name}.png")))
+    code, _, err = run("film", scene, "-o", tmp_path / "no", "--focus", 3)
+    assert code == 2 and "go with --aperture" in err

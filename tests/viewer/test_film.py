@@ -11,10 +11,11 @@ import pytest
 from splatview.scene.camera_path_files import load_camera_path
 from splatview.scene.formats import save_scene
 from splatview.viewer import film as commands
+from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.film import FILE_NAME, KEPT_AFTER, Film
 from splatview.viewer.navigation import dolly, orbit
 from splatview.viewer.open import open_paths
-from splatview.viewer.save import FilmExport, open_film_dialog, save_path
+from splatview.viewer.save import FilmExport, film_cameras, open_film_dialog, save_path
 from splatview.viewer.state import AppState
 
 
@@ -182,6 +183,24 @@ def test_the_path_is_kept_with_its_scene(opened, scene, wait_for_loading, tmp_pa
     np.testing.assert_array_equal(film.path.pose(1.3).eye, kept.pose(1.3).eye)
 
 
+def test_files_that_were_written_anew_keep_their_path(opened, scene, wait_for_loading, random_gaussians):
+    film = keyframes(opened)
+    save_scene(random_gaussians(70, seed=9), scene)
+    open_paths(opened, [scene])
+    wait_for_loading(opened)
+    assert len(opened.scene.gaussians) == 70 and times(film) == [0, 2, 4]
+
+
+def test_an_aperture_of_the_window_is_that_of_its_film(opened):
+    film, lens = keyframes(opened), opened.feature(DepthOfField)
+    assert film.path is not None
+    assert film_cameras(opened, film.path, 1.0, (64, 48))[0][1] is None
+    lens.on = True
+    for camera, aperture in film_cameras(opened, film.path, 1.0, (64, 48)):
+        assert (camera.width, camera.height) == (64, 48) and aperture is not None
+        assert aperture.focus == pytest.approx(opened.view.distance)
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"films": [{"scene": 1}]}', '{"films": 3}'])
 def test_a_damaged_file_of_films_costs_nothing(app, scene, wait_for_loading, tmp_path, text):
     (tmp_path / "config").mkdir()
@@ -210,18 +229,18 @@ def test_paths_are_saved_and_opened(opened, tmp_path):
 def test_the_export_says_what_is_in_the_way(opened, tmp_path):
     film, made = opened.feature(Film), opened.feature(FilmExport)
     open_film_dialog(opened)
-    assert opened.dialog is None and made.problem(film) == "Add keyframes first"
+    assert opened.dialog is None and made.problem(opened, film) == "Add keyframes first"
     keyframes(opened)
     open_film_dialog(opened)
     assert opened.dialog == "film" and Path(made.file).parent == tmp_path
     made.choose(film, format="folder")
-    assert Path(made.file).suffix == "" and made.problem(film) == ""
+    assert Path(made.file).suffix == "" and made.problem(opened, film) == ""
     made.file = str(tmp_path)
-    assert "is there already" in made.problem(film)
+    assert "is there already" in made.problem(opened, film)
     made.file = str(tmp_path / "film.gif")
-    assert made.problem(film) == "Name a new folder"
+    assert made.problem(opened, film) == "Name a new folder"
     made.file = " "
-    assert made.problem(film) == "Name the file"
+    assert made.problem(opened, film) == "Name the file"
 
 
 def test_without_a_scene_or_keyframes_commands_say_so(app):

@@ -377,7 +377,7 @@ def place(app: AppState, film: Film, made: FilmExport) -> None:
     widgets.tooltip("The file, or the new folder, to write.")
     imgui.same_line()
     widgets.button("Browse...", "Chooses folder and name.", lambda: app.post(choose_film_place))
-    problem = made.problem(film)
+    problem = made.problem(app, film)
     if problem:
         widgets.note(problem, theme.WARNING)
     elif Path(os.path.expanduser(made.file)).is_file():

@@ -22,6 +22,7 @@ from splatview.measure.ladder import Ladder, draw_by_path, run_ladder, rungs_for
 from splatview.measure.metrics import enlarged, psnr
 from splatview.measure.work import Bill, bill_of
 from splatview.raster.contributions import count_work
+from splatview.renderers import VisualMode
 from splatview.renderers.headless import ANY_CAMERA
 from splatview.renderers.quality import with_rest_hidden
 from splatview.renderers.request import FrameRequest
@@ -48,10 +49,18 @@ class WindowScene:
     """The open scene in the window's renderer, with the edits that were in force when it was made: a
     `measure.ladder.SceneRenderer` for a thread that measures."""
 
-    def __init__(self, app: AppState, cancelled: Callable[[], bool], wake: Callable[[], object]):
+    def __init__(
+        self,
+        app: AppState,
+        cancelled: Callable[[], bool],
+        wake: Callable[[], object],
+        *,
+        mode: VisualMode = "splats",
+    ):
         if not app.is_open:
             raise ValueError("nothing is open")
         self.name = app.picture.backend
+        self.mode: VisualMode = mode
         self.gaussians: Gaussians = app.scene.gaussians
         self.edits: SceneEdits | None = app.edits
         self._kept: dict[float, SceneEdits | None] = {}
@@ -74,7 +83,12 @@ class WindowScene:
     def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         """Waiting for the turn of the OpenGL thread is no part of the milliseconds."""
         request = FrameRequest(
-            None, camera, plan.settings, edits=self._edits_by(plan), resolution=plan.resolution
+            None,
+            camera,
+            plan.settings,
+            mode=self.mode,
+            edits=self._edits_by(plan),
+            resolution=plan.resolution,
         )
 
         def work() -> tuple[np.ndarray, float]:
