@@ -35,6 +35,16 @@ def test_yellow_unless_the_scene_is_yellow(random_gaussians, colours, yellow):
     assert (selection_tint(coloured(random_gaussians(300), *colours)) == YELLOW) == yellow
 
 
+def test_grass_below_a_sky_of_large_splats_is_not_marked_green(random_gaussians):
+    meadow = coloured(
+        random_gaussians(400), *[(0.2, 0.3, 0.08), (0.3, 0.42, 0.12), (0.42, 0.5, 0.2)] * 6, (0.8, 0.8, 0.82)
+    )
+    red, green, blue, _ = selection_tint(meadow)
+    meadow.log_scales[18::19] = 3.0
+    assert selection_tint(meadow)[:3] == (red, green, blue), "however large the few"
+    assert not green > max(red, blue)
+
+
 def test_any_scene_has_a_tint(random_gaussians):
     scene = random_gaussians(50)
     for broken in (
