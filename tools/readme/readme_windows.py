@@ -15,8 +15,10 @@ from typing import Any
 
 from imgui_bundle import ImVec2, imgui
 
+from splatview.edit.detectors import DETECTORS
 from splatview.edit.operations.crop import ChangeCrop
 from splatview.viewer.app import run_window
+from splatview.viewer.editing.cleanup import is_priced
 from splatview.viewer.editing.commands import take_tool
 from splatview.viewer.editing.face_handles import place_of
 from splatview.viewer.editing.session import EditSession, post_edit, session_of
@@ -60,8 +62,9 @@ def editing(app: AppState, ctx: Any) -> None:
     ctx.mouse_drag_with_delta(ImVec2(90, 25), 0)
     settle()
     ctx.key_press(imgui.Key.escape)
-    ctx.item_click("Clean up/Measure all")
-    settle()
+    session = session_of(app)
+    while session is not None and not all(is_priced(session, name) for name in DETECTORS):
+        frames(5)
     ctx.item_click("Clean up/detectors/###clusters")
     settle()
     if (session := session_of(app)) is not None and session.forms.clean.count:

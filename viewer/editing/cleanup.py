@@ -56,9 +56,51 @@ def views(app: AppState, session: EditSession) -> tuple[Camera, ...]:
     return tuple(sample_cameras(session.document.gaussians, session.document.edits, VIEWS))
 
 
-def count_all(app: AppState, session: EditSession, *, price: bool = False) -> None:
-    """Counts in a thread what each detector finds at its usual threshold: those that need no pictures, and
-    gives way to anything else; or, with their `price`, all of them and what deleting it costs in dB."""
+CALM_SECONDS = 0.7
+"""Prices are measured by themselves once nothing has moved for so long."""
+
+
+def is_counted(session: EditSession, name: str) -> bool:
+    return session.forms.clean.counts.get(name, (None, 0))[0] == session.document.versions
+
+
+def is_priced(session: EditSession, name: str) -> bool:
+    """Whether it is known what deleting all that one of DETECTORS finds costs."""
+    form, now = session.forms.clean, session.document.versions
+    nothing = is_counted(session, name) and form.counts[name][1] == 0
+    return nothing or form.prices.get(name, (None, None))[0] == now
+
+
+def keep_measured(app: AppState, session: EditSession, *, touched: bool) -> None:
+    """To be called each frame while the section is open: counts what detectors find, and once all is calm
+    measures what deleting that costs. It gives way to the user, goes on afterwards, and is not taken up again
+    where the user has cancelled it. `touched`: a mouse button is down."""
+    form, now = session.forms.clean, app.now()
+    if form.measuring is not None and form.measuring is not session.job:
+        job, form.measuring = form.measuring, None
+        if job.ended and (job.title == PRICING or job.cancelled or job.error is not None):
+            form.measured = session.document.versions
+    moving = touched or app.transition is not None or app.picture.busy or app.view is not form.calm_view
+    if moving:
+        form.calm_since, form.calm_view = now, app.view
+    if form.measuring is not None:
+        if moving and form.measuring.title == PRICING:
+            session.give_way()
+        return
+    if session.job is not None or form.measured == session.document.versions:
+        return
+    calm = now - form.calm_since >= CALM_SECONDS
+    counting = not all(is_counted(session, name) for name, each in DETECTORS.items() if not each.renders)
+    if counting or (calm and not all(is_priced(session, name) for name in DETECTORS)):
+        measure(app, session, price=not counting)
+
+
+COUNTING, PRICING = "Looking for what could be cleaned up", "Measuring what clean-up costs"
+
+
+def measure(app: AppState, session: EditSession, *, price: bool) -> None:
+    """Counts in a thread what each detector finds at its usual threshold: those that need no pictures; or,
+    with their `price`, all of them and what deleting it costs in dB."""
     form, document = session.forms.clean, session.document
     of, before, gaussians, tools = (
         document.versions,
@@ -67,7 +109,9 @@ def count_all(app: AppState, session: EditSession, *, price: bool = False) -> No
         document.tools,
     )
     editable, cameras = document.editable.copy(), views(app, session) if price else ()
-    names = [name for name, detector in DETECTORS.items() if price or not detector.renders]
+    known = is_priced if price else is_counted
+    names = [name for name, each in DETECTORS.items() if (price or not each.renders)]
+    names = [name for name in names if not known(session, name)]
 
     def work(progress: Progress) -> None:
         pictures = []
@@ -78,9 +122,11 @@ def count_all(app: AppState, session: EditSession, *, price: bool = False) -> No
             detector = DETECTORS[name]()
             begin = 0.2 * price
             part = progress.part(*(begin + (1 - begin) * n / len(names) for n in (number, number + 1)))
-            scores = detector.scores(gaussians, before, tools, cameras, progress=part.part(0.0, 0.5))
-            mask = detector.mask(scores, detector.threshold) & editable
-            form.counts[name] = of, int(np.count_nonzero(mask))
+            known_of, mask = form.masks.get(name, (None, editable))
+            if known_of != of:
+                scores = detector.scores(gaussians, before, tools, cameras, progress=part.part(0.0, 0.5))
+                mask = detector.mask(scores, detector.threshold) & editable
+                form.masks[name], form.counts[name] = (of, mask), (of, int(np.count_nonzero(mask)))
             if price and mask.any():
                 after = with_deleted(before, mask)
                 impacts = []
@@ -89,8 +135,8 @@ def count_all(app: AppState, session: EditSession, *, price: bool = False) -> No
                     impacts.append(compare(camera, picture, tools.picture(gaussians, camera, after)))
                 form.prices[name] = of, Impact.of((gaussians, before), (gaussians, after), impacts)
 
-    title = "Measuring what clean-up costs" if price else "Looking for what could be cleaned up"
-    session.start(title, work, lambda _: None, yields="with a word" if price else "silently")
+    if session.start(PRICING if price else COUNTING, work, lambda _: None, yields="silently"):
+        form.measuring = session.job
 
 
 @with_session

@@ -219,8 +219,7 @@ class EditSession:
         if self.job is not None and self.job.yields != "no":
             if self.job.yields == "with a word":
                 self.given_up = f"{self.job.title} was given up for what followed"
-            self.job.cancel()
-            self.job = None
+            self.give_way()
         if self.job is not None:
             self.problem = f"{self.job.title} is still under way; wait for it or cancel it"
         return self.job is not None
@@ -284,15 +283,22 @@ class EditSession:
         *,
         edits: bool = False,
         yields: Yields = "no",
-    ) -> None:
+    ) -> bool:
         """Runs `work(progress)` in a thread and `done(result)` between frames; one job at a time. Where it
         `edits` the document, the picture stays as it was until it has ended. One that `yields` is dropped
-        where the user edits or starts another."""
+        where the user edits or starts another. Whether it has begun."""
         if self._busy():
-            return
+            return False
         if edits:
             self._held = frozen(self.edits)
         self.job = Job(title, work, done, yields=yields)
+        return True
+
+    def give_way(self) -> None:
+        """Drops work that yields."""
+        if self.job is not None and self.job.yields != "no":
+            self.job.cancel()
+            self.job = None
 
     def advance(self) -> None:
         """Called every frame: ends a job that is done, forgets a preview that undo or a step has ended, and
@@ -307,7 +313,7 @@ class EditSession:
         job = self.job
         if job is None or not job.done:
             return
-        self.job, self._held = None, None
+        self.job, self._held, job.ended = None, None, True
         if isinstance(job.error, Cancelled) or job.cancelled:
             self.news = f"{job.title}: cancelled, nothing was changed"
         elif isinstance(job.error, InputError):

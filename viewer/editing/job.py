@@ -16,6 +16,9 @@ Yields = Literal["no", "silently", "with a word"]
 class Job(Task[Any]):
     """Slow work for a session: `work(progress)` in a thread, then `finish(result)` on the GL thread."""
 
+    ended = False
+    """Whether it is over for its session: it has succeeded, failed, or the user has cancelled it."""
+
     def __init__(
         self,
         title: str,

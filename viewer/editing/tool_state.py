@@ -16,6 +16,8 @@ from splatview.edit.selectors import Brush, Lasso, Polygon, Rectangle
 from splatview.edit.selectors.attributes import Histogram
 from splatview.scene import Camera
 from splatview.scene.edits import Crop
+from splatview.viewer.editing.job import Job
+from splatview.viewer.navigation import View
 
 # fmt: off
 ToolName = Literal[
@@ -198,8 +200,18 @@ class CleanForm:
     """Impact of deleting `mask`; None: not measured."""
     counts: dict[str, tuple[object, int]] = field(default_factory=dict)
     """Number of splats that each detector finds at its usual threshold, after the versions that it is of."""
+    masks: dict[str, tuple[object, np.ndarray]] = field(default_factory=dict)
+    """(N,) bool each: those splats, likewise."""
     prices: dict[str, tuple[object, Impact]] = field(default_factory=dict)
     """Impact of deleting those, likewise."""
+    measuring: Job | None = None
+    """Work that counts and measures these."""
+    measured: object = None
+    """Versions of the document for which that has ended, whatever it came to."""
+    calm_since: float = 0.0
+    """Time at which something moved last, as `AppState.now`."""
+    calm_view: View | None = None
+    """View since then."""
     keep: int = 0
     """Number of splats that decimation leaves; 0: not filled in yet."""
     kept_price: tuple[object, Impact] | None = None

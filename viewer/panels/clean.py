@@ -13,7 +13,7 @@ from splatview.edit.operations.cleanup import Decimate
 from splatview.viewer import theme
 from splatview.viewer.editing import cleanup
 from splatview.viewer.editing.cleanup import VIEWS
-from splatview.viewer.editing.session import EditSession, session_of
+from splatview.viewer.editing.session import EditSession
 from splatview.viewer.editing.tool_state import mode_of
 from splatview.viewer.panels import widgets
 
@@ -40,12 +40,10 @@ def show(app: AppState, session: EditSession) -> None:
 
 
 def detectors(app: AppState, session: EditSession) -> None:
-    """All of them, with how many splats each finds and what deleting those costs; a click looks closer."""
+    """All of them, with how many splats each finds and what deleting those costs in the worst of VIEWS views;
+    a click looks closer."""
     form, now = session.forms.clean, session.document.versions
-    counted = [name for name in DETECTORS if form.counts.get(name, (None, 0))[0] == now]
-    uncounted = [name for name in DETECTORS if not DETECTORS[name].renders and name not in counted]
-    if uncounted and session.job is None:
-        app.post(count_once)
+    cleanup.keep_measured(app, session, touched=any(imgui.get_io().mouse_down))
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
     if imgui.begin_table("detectors", 3, flags):
         for title, width in (("Find", 3.0), ("Splats", 1.6), ("Worst view", 1.9)):
@@ -60,7 +58,7 @@ def detectors(app: AppState, session: EditSession) -> None:
                 app.post(cleanup.forget if chosen else partial(cleanup.find, detector=name))
             widgets.tooltip(f"{detector.what} Click to see them on the picture.")
             imgui.table_next_column()
-            if name in counted:
+            if cleanup.is_counted(session, name):
                 count = form.counts[name][1]
                 ink = imgui.get_style_color_vec4(imgui.Col_.text) if count else theme.QUIET
                 imgui.text_colored(ink, f"{count:,}")
@@ -74,25 +72,6 @@ def detectors(app: AppState, session: EditSession) -> None:
             else:
                 imgui.text_colored(theme.QUIET, "-")
         imgui.end_table()
-    widgets.button(
-        "Measure all",
-        f"Counts for every detector, and draws {VIEWS} views with and without what it finds: the worst view "
-        "is told in dB.",
-        partial(app.post, count_and_price),
-        width=-1,
-    )
-
-
-def count_once(app: AppState) -> None:
-    session = session_of(app)
-    if session is not None and session.job is None:
-        cleanup.count_all(app, session)
-
-
-def count_and_price(app: AppState) -> None:
-    session = session_of(app)
-    if session is not None:
-        cleanup.count_all(app, session, price=True)
 
 
 def threshold(app: AppState, session: EditSession) -> None:
