@@ -64,6 +64,8 @@ class KernelPrecompiler:
             return None
         usual = not (camera.lens or camera.orthographic or request.settings.model.footprint == "disc")
         usual = usual and request.mode == "splats" and not raster.will_compile()
+        assert request.gaussians is not None
+        usual = usual and raster.nonzero_bands(request.gaussians).own_degrees is None
         if not edited and usual:
             return None  # compiled with all the others
         self._precompiler.ask([kind], title_of(request), lambda: precompile_job("cpu", request))

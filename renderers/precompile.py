@@ -27,6 +27,7 @@ from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Gaussians
 from splatview.scene.background import Panorama
 from splatview.scene.edits import IDENTITY, Crop, SceneEdits
+from splatview.scene.effects.sh_bands import own_degrees
 from splatview.scene.framing import frame_camera
 
 # A small picture with the effects of one that is wanted: drawn in a process of its own, it leaves the
@@ -97,6 +98,11 @@ def precompile_job(
         log_scales=np.full((count, 3), -2.0, np.float32),
         opacity_logits=np.zeros(count, np.float32),
     )
+    if backend == "cpu" and own_degrees(gaussians.sh) is not None:
+        sh = few.sh.copy()
+        sh[1:, 1:] = 0  # so few must differ in their degrees, too
+        sh[0] = 1
+        few = replace(few, sh=sh)
     placed = frame_camera(few, *SIZE)
     behind = settings.background
     if isinstance(behind, Panorama):

@@ -163,7 +163,9 @@ def set_threshold(session: EditSession, value: float) -> None:
     form = session.forms.clean
     if form.scores is None:
         return
-    form.threshold, form.price = value, None
+    usual, of = value == DETECTORS[form.detector].threshold, session.document.versions
+    known_of, known = form.prices.get(form.detector, (None, None))
+    form.threshold, form.price = value, known if usual and known_of == of else None
     form.mask = DETECTORS[form.detector]().mask(form.scores, value) & session.document.editable
     form.count = int(np.count_nonzero(form.mask))
     session.preview_mask, session.preview_of = form.mask, SECTION

@@ -25,6 +25,10 @@ GOOD, FAIR = 45.0, 35.0
 """dB: above the one nobody sees the difference; below the other anybody does."""
 
 
+CANCEL_EM = 5.0
+"""Width of the button beside the progress, in font heights."""
+
+
 def show(app: AppState, session: EditSession) -> None:
     form = session.forms.clean
     detectors(app, session)
@@ -72,6 +76,11 @@ def detectors(app: AppState, session: EditSession) -> None:
             else:
                 imgui.text_colored(theme.QUIET, "-")
         imgui.end_table()
+    job = form.measuring
+    if job is not None and job is session.job:
+        widgets.progress(job.progress, job.title, beside_em=CANCEL_EM)
+        imgui.same_line()
+        widgets.button("Cancel", "Not measured again before the next edit (Esc).", job.cancel, width=-1)
 
 
 def threshold(app: AppState, session: EditSession) -> None:
