@@ -12,7 +12,7 @@ from splatview.viewer import theme
 from splatview.viewer.commands import COMMANDS, keys_of
 from splatview.viewer.depth_of_field import DepthOfField
 from splatview.viewer.editing.session import session_of
-from splatview.viewer.editing.tool_state import CROPPING, SELECTING, ToolName
+from splatview.viewer.editing.tool_state import SELECTING, ToolName
 from splatview.viewer.entries import Panel
 from splatview.viewer.panels import widgets
 from splatview.viewer.preferences import NavigationMode
@@ -48,8 +48,6 @@ def hint(app: AppState) -> tuple[str, ...]:
     session = session_of(app)
     if app.feature(DepthOfField).picking:
         return ("Click: what shall be sharp", "Esc: done")
-    if session is not None and session.tool in CROPPING and not session.document.crops:
-        return ("Add: one that fits the scene", "Esc: done")
     if session is None or session.tool == "none":
         return (*HINTS[app.preferences.navigation], f"{keys_of('toggle_help')}: keys")
     more = MODIFIERS if session.tool in SELECTING else ()

@@ -99,8 +99,9 @@ def clean_up(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str
     settle(hand)
     found["floaters"] = session.forms.clean.count
     found["lit_up"] = session.preview_mask is not None
-    hand.ctx.item_click("Clean up/What would it cost?")
-    settle(hand)
+    if session.forms.clean.price is None:  # else measured already
+        hand.ctx.item_click("Clean up/What would it cost?")
+        settle(hand)
     cost = session.forms.clean.price
     found["price"] = None if cost is None else [cost.mean, cost.worst, cost.count]
     hand.shoot(options.get("panel"))

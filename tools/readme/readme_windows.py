@@ -67,9 +67,6 @@ def editing(app: AppState, ctx: Any) -> None:
         frames(5)
     ctx.item_click("Clean up/detectors/###clusters")
     settle()
-    if (session := session_of(app)) is not None and session.forms.clean.count:
-        ctx.item_click("Clean up/What would it cost?")
-        settle()
     ctx.mouse_teleport_to_pos(ImVec2(view.max.x - 60, view.max.y - 40))
     settle()
     Path(os.environ["SPLATVIEW_CONFIG_DIR"], READY).touch()

@@ -81,6 +81,11 @@ def detectors(app: AppState, session: EditSession) -> None:
         widgets.progress(job.progress, job.title, beside_em=CANCEL_EM)
         imgui.same_line()
         widgets.button("Cancel", "Not measured again before the next edit (Esc).", job.cancel, width=-1)
+    else:  # as high: nothing below moves
+        imgui.align_text_to_frame_padding()
+        room = imgui.get_content_region_avail().x
+        note = f"Above {GOOD:.0f} dB nobody sees a difference."
+        imgui.text_colored(theme.QUIET, widgets.fitting(note, room))
 
 
 def threshold(app: AppState, session: EditSession) -> None:
