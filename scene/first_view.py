@@ -90,8 +90,8 @@ SPARSE = 0.1
 one say: train-1000 has 0.02, banana and miku 1 and more."""
 
 MARGIN = 1.1
-"""How much larger than its subject the picture is: 1.06 cut off the tip of spot's horn, whose splats lie beyond
-TAIL. (A greater quantile let six floaters shrink a scene of 900.)"""
+"""How much larger than its subject the picture is: 1.06 cut off the tip of spot's horn, whose splats lie
+beyond TAIL. (A greater quantile let six floaters shrink a scene of 900.)"""
 
 SIGMAS = 2.0
 """A splat is so many standard deviations large."""
