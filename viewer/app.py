@@ -35,7 +35,14 @@ from splatview.viewer.panels.settings import Appearance
 from splatview.viewer.panels.start_screen import StartScreen
 from splatview.viewer.panels.train_form import TrainForm
 from splatview.viewer.picture import NullPicture, Picture, choose_picture
-from splatview.viewer.platform import best_gl_version, closing_on_signals, guarded, rescued_from_display
+from splatview.viewer.platform import (
+    best_gl_version,
+    closing_on_signals,
+    display_held,
+    guarded,
+    no_display_reason,
+    rescued_from_display,
+)
 from splatview.viewer.preferences import Preferences, load_preferences, save_preferences
 from splatview.viewer.quality.effects import Effects
 from splatview.viewer.quality.state import Accuracy
@@ -168,6 +175,7 @@ class Window:
             self.app.page, self.app.strip = "Train", "Curves"
         self.app.choose_files = self.dialogs.ask
         self.failure: Exception | None = None
+        self.opened = False
         self._appearance = Appearance()
         self._title = ""
         self._is_software = False
@@ -191,6 +199,7 @@ class Window:
 
     def start(self) -> None:
         """The GL context is there: make the picture and begin to load."""
+        self.opened = True
         try:
             self._ctx = moderngl.create_context()
             version = self._ctx.version_code
@@ -356,6 +365,7 @@ class Window:
         return None
 
 
+@display_held()
 def run_window(
     paths: Sequence[Path],
     *,
@@ -414,6 +424,11 @@ def run_window(
     try:
         with closing_on_signals(window.app), rescued_from_display(rescue_all):
             hello_imgui.run(params)
+    except RuntimeError as error:
+        if window.opened:
+            raise
+        # It was there a moment ago, when its OpenGL versions were tried.
+        raise InputError(f"no window can be opened: {no_display_reason()}") from error
     finally:
         implot.destroy_context()
         window.app.feature(TrainingStart).finish()

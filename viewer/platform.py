@@ -123,6 +123,26 @@ def rescued_from_display(rescue: Callable[[], None]) -> Iterator[None]:
         xlib.XSetIOErrorHandler(before)
 
 
+@contextmanager
+def display_held() -> Iterator[None]:
+    """Within, this process has a connection to the X server, whatever GLFW opens and closes: a server that
+    starts anew when its last client leaves (Xvfb does) refuses the next one meanwhile, which was the window
+    after the look at its OpenGL versions. Nothing elsewhere, or where there is no server."""
+    xlib = None if os.environ.get("WAYLAND_DISPLAY") else _xlib()
+    if xlib is None:
+        yield
+        return
+    xlib.XOpenDisplay.restype = ctypes.c_void_p
+    xlib.XOpenDisplay.argtypes = [ctypes.c_char_p]
+    xlib.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    connection = xlib.XOpenDisplay(None)
+    try:
+        yield
+    finally:
+        if connection:
+            xlib.XCloseDisplay(connection)
+
+
 def _xlib() -> Any:
     """libX11, which GLFW has loaded; None where windows are made otherwise."""
     if not sys.platform.startswith("linux") or not os.environ.get("DISPLAY"):

@@ -48,7 +48,17 @@ def own_display() -> Iterator[tuple[str, int]]:
         pytest.skip("Xvfb is not installed (Debian: apt-get install xvfb)")
     ready, write_end = os.pipe()
     server = subprocess.Popen(
-        [program, "-displayfd", str(write_end), "-screen", "0", "1000x700x24", "-nolisten", "tcp"],
+        [
+            program,
+            "-displayfd",
+            str(write_end),
+            "-screen",
+            "0",
+            "1000x700x24",
+            "-nolisten",
+            "tcp",
+            "-noreset",
+        ],
         pass_fds=[write_end],
         stderr=subprocess.DEVNULL,
     )
@@ -104,6 +114,31 @@ def test_a_display_that_ends_costs_no_training(own_display, capture, tmp_path):
     reached = load_checkpoint(tmp_path / "toy.checkpoint.safetensors").counters.iteration
     assert f"stopped at step {reached:,}: toy.ply is as far as it came; go on with --resume" in said
     assert reached > 10 and len(load_scene(tmp_path / "toy.ply")) > 0
+
+
+REFUSED = """
+import os, sys
+from splatview.cli.main import main
+from splatview.viewer import app
+tried = app.best_gl_version
+def refused_from_now_on():
+    version = tried()
+    os.environ["DISPLAY"] = ":54321"
+    return version
+app.best_gl_version = refused_from_now_on
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@x11
+def test_a_display_that_refuses_the_window_after_all_is_told_of_in_a_line(display, launcher, scene, tmp_path):
+    script = tmp_path / "refused.py"
+    script.write_text(REFUSED)
+    environment = dict(os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=str(tmp_path / "config"))
+    environment.pop("WAYLAND_DISPLAY", None)
+    code, said = launcher.run([str(script), str(scene)], env=environment, cwd=tmp_path, seconds=100)
+    assert code == 2 and "Traceback" not in said, said
+    assert "splatview: no window can be opened: the display cannot be reached" in said.splitlines()
 
 
 @x11
