@@ -111,7 +111,17 @@ def display() -> Iterator[str]:
         pytest.skip("Xvfb is not installed (Debian: apt-get install xvfb)")
     ready, write_end = os.pipe()
     server = subprocess.Popen(
-        [program, "-displayfd", str(write_end), "-screen", "0", "1000x700x24", "-nolisten", "tcp"],
+        [
+            program,
+            "-displayfd",
+            str(write_end),
+            "-screen",
+            "0",
+            "1000x700x24",
+            "-nolisten",
+            "tcp",
+            "-noreset",
+        ],
         pass_fds=[write_end],
         stderr=subprocess.DEVNULL,
     )

@@ -16,6 +16,7 @@ from splatview.viewer.editing import files, saving
 from splatview.viewer.editing.files import Restoring
 from splatview.viewer.editing.gizmos import angles_of, guizmo
 from splatview.viewer.editing.session import Editing, session_of
+from splatview.viewer.editing.transform import pivot
 from splatview.viewer.state import AppState
 
 
@@ -238,24 +239,35 @@ def health(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["selected"] = counts(app)["selected"]
 
 
-def find_handle(hand: Hand, kind: str) -> None:
-    """Points at the handle that ImGuizmo calls `kind`, which lies somewhere about the picture's middle."""
-    view = hand.ctx.window_info("//View").rect_full
-    middle = (view.min + view.max) / 2
+def find_handle(hand: Hand, kind: str) -> tuple[float, float]:
+    """Points at the handle that ImGuizmo calls `kind`, which lies somewhere about what is to be moved: in
+    which direction on the screen (a unit vector)."""
+    view, camera, session = hand.ctx.window_info("//View").rect_full, hand.app.camera, session_of(hand.app)
+    assert session is not None
+    in_hand = (
+        session.document.crops[session.forms.crop].centre if session.handles == "Crop" else pivot(session)
+    )
+    x, y, z = camera.world_to_camera[:3] @ (*in_hand, 1.0)
+    middle = view.min + (view.max - view.min) * ImVec2(
+        float(camera.fx * x / z + camera.cx) / camera.width,
+        float(camera.fy * y / z + camera.cy) / camera.height,
+    )
     for direction in np.linspace(0, 2 * np.pi, 16, endpoint=False):
         for radius in range(32, 120, 8):
-            offset = ImVec2(radius * float(np.cos(direction)), radius * float(np.sin(direction)))
-            hand.ctx.mouse_teleport_to_pos(middle + offset)
+            right, down = float(np.cos(direction)), float(np.sin(direction))
+            hand.ctx.mouse_teleport_to_pos(middle + ImVec2(radius * right, radius * down))
             hand.frames(2)
             if guizmo.is_over() and guizmo.get_hovered_handle_type().name == kind:
-                return
-    raise AssertionError(f"no handle {kind} about the middle")
+                return right, down
+    raise AssertionError(f"no handle {kind} about {middle}")
 
 
 def drag_handle(hand: Hand, kind: str) -> None:
-    find_handle(hand, kind)
+    """Those that scale outwards."""
+    right, down = find_handle(hand, kind)
     hand.frames(3)
-    hand.ctx.mouse_drag_with_delta(ImVec2(35, -25), 0)
+    to = ImVec2(20 * right, 20 * down) if "scale" in kind else ImVec2(35, -25)
+    hand.ctx.mouse_drag_with_delta(to, 0)
     settle(hand)
 
 

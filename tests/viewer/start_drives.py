@@ -13,7 +13,6 @@ import drives
 from drives import Hand
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
-from PIL import ImageGrab
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
@@ -37,9 +36,7 @@ SHOTS = os.environ.get("SPLATVIEW_SHOTS")
 
 
 def shoot(hand: Hand, name: str) -> None:
-    if SHOTS:
-        hand.frames(3)
-        ImageGrab.grab(xdisplay=os.environ["DISPLAY"]).save(f"{SHOTS}/{name}.png")
+    hand.shoot(f"{SHOTS}/{name}.png" if SHOTS else None)
 
 
 def click_cross(hand: Hand) -> None:

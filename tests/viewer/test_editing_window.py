@@ -73,7 +73,7 @@ def test_a_scene_is_cleaned_up(drive, scene, tmp_path, where):
         path,
         script="editing_drives.py",
         half_extents=(3.0, 0.8, 1.2),
-        threshold=300.0,
+        threshold=100.0,
         **where,
     )
     check(found, path, where)

@@ -37,7 +37,7 @@ def files(tmp_path, scene, random_gaussians) -> tuple[Path, Path]:
 
 def test_a_tour_of_the_window(drive, files, scene, tmp_path):
     first, second = files
-    found = drive("tour", first, drop=str(second))
+    found = drive("tour", first, drop=str(second), drawn=True)
     assert found["first"] == "first.ply"
     assert found["title"] == "second.ply", "opened by drop"
 

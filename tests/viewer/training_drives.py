@@ -355,6 +355,7 @@ def main() -> int:
 
     def act(app: AppState, ctx: Any) -> None:
         hand = Hand(app, ctx)
+        hand.draw_little()
         try:
             functions[name](app, hand, options, found)
         finally:
