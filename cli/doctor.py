@@ -27,6 +27,7 @@ LIBRARIES = (
     ("safetensors", ""),
     ("torch", "only for training: pip install 'splatview[train]'"),
     ("matplotlib", "for plots: pip install 'splatview[plot]'"),
+    ("av", "for films as videos and GIFs: pip install 'splatview[film]'"),
 )
 """Name, and what an optional one is for."""
 

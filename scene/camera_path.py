@@ -371,8 +371,17 @@ def matrix_of(quat: Quaternion) -> np.ndarray:
 
 def roll_of(R: np.ndarray, up: np.ndarray) -> float:
     """Radians about its viewing axis by which a camera is off the level; `up` is no viewing axis."""
-    right = np.cross(R[2], up)
-    return math.atan2(float(R[0] @ np.cross(R[2], right)), float(R[0] @ right))
+    x, _, z = R.tolist()
+    right = cross(z, up.tolist())
+    return math.atan2(dot(x, cross(z, right)), dot(x, right))
+
+
+def cross(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def rolled(R: np.ndarray, angle: float) -> np.ndarray:

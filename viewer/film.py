@@ -290,7 +290,7 @@ def step_keyframe(app: AppState, by: int) -> None:
 def move_keyframe(app: AppState, index: int, time: float, *, again: bool) -> None:
     """Moves a keyframe in time, as far as its neighbours let it; an open path ends with its last one."""
     film, path = app.feature(Film), app.feature(Film).path
-    if path is None:
+    if path is None or not index < len(path.keyframes):  # it was taken back meanwhile
         return
     keys = list(path.keyframes)
     low = keys[index - 1].time + GAP if index else 0.0

@@ -61,6 +61,7 @@ KEYS: dict[Preset, dict[str, str]] = {
         "toggle_orthographic": "Keypad5",
         "toggle_panels": "N",
         "toggle_palette": "F3 Ctrl+P",
+        "add_keyframe": "I Ctrl+K",
     },
     "unreal": {
         "tool_move": "Shift+W",

@@ -12,6 +12,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from splatview.scene import Camera
 from splatview.scene.camera_path import MOTIONS, CameraPath
 from splatview.scene.film import CODEC_TITLES, FORMATS
 from splatview.scene.image_model import NEAR
@@ -30,6 +31,9 @@ PANEL = "Film"
 REACH_EM = 0.55
 """Half the width of a keyframe's mark, in font heights; as near the mouse takes hold of it."""
 
+LEAST_APART = 3.0
+"""px between two marks that are drawn."""
+
 LEAST_AXIS_EM = 2.6
 """Height of the time axis at least, in font heights."""
 
@@ -44,6 +48,9 @@ MOST_SAMPLES = 600
 
 MARK = 0.08
 """Depth of a keyframe's pyramid in distances of keyframes from what they look at."""
+
+MOST_PYRAMIDS = 60
+"""Keyframes that have one: files of other programs have one for each frame."""
 
 SIZES = (("720p", (1280, 720)), ("1080p", (1920, 1080)), ("4K", (3840, 2160)))
 
@@ -186,7 +193,11 @@ def axis(app: AppState, film: Film, path: CameraPath) -> None:
         ImVec2(head - tip, corner.y), ImVec2(head + tip, corner.y), ImVec2(head, corner.y + tip), accent
     )
     dense = len(places) > 1 and span / len(places) < 2 * REACH_EM * em
+    drawn = -math.inf
     for i, x in enumerate(places):
+        if x - drawn < LEAST_APART and i not in (under, film.chosen):
+            continue
+        drawn = x
         chosen, hot = i == film.chosen, i in (under, film.grip.keyframe)
         half = (REACH_EM if chosen or hot else 0.4) * em * (0.5 if dense and not (chosen or hot) else 1)
         ink = accent if chosen else bright if hot else quiet
@@ -277,18 +288,26 @@ def over_picture(app: AppState) -> None:
     for a, b in ends:
         draw.add_line(a, b, ink, 2)
     size = MARK * float(np.median([key.pose.distance for key in path.keyframes]))
-    # As wide as a film mostly is.
-    cameras = [key.pose.camera(160, 90) for key in path.keyframes[: SAMPLES * 4]]
-    for index, lines in pyramids(cameras, camera, size):
-        chosen = index == film.chosen
+    step = -(-len(path.keyframes) // MOST_PYRAMIDS)
+    for index, lines in pyramids(cameras_of(path, step), camera, size):
+        chosen = index * step == film.chosen
         colour = imgui.get_color_u32(ImVec4(*theme.ACCENT, 1) if chosen else ImVec4(1, 1, 1, 0.75))
         for a, b in (lines / (scale.x, scale.y) + (corner.x, corner.y)).tolist():
             draw.add_line(ImVec2(*a), ImVec2(*b), colour, 2 if chosen else 1)
 
 
 @lru_cache(maxsize=4)
+def cameras_of(path: CameraPath, step: int) -> list[Camera]:
+    """Of each `step`th keyframe, as wide as a film mostly is."""
+    return [key.pose.camera(160, 90) for key in path.keyframes[::step]]
+
+
+@lru_cache(maxsize=4)
 def eyes_of(path: CameraPath) -> np.ndarray:
     """(n, 3) float64, world: where the camera is on its way."""
+    if len(path.keyframes) > MOST_SAMPLES:
+        step = -(-len(path.keyframes) // MOST_SAMPLES)
+        return np.array([key.pose.eye for key in path.keyframes[::step]])
     knots = [key.time for key in path.keyframes]
     if path.loop:
         knots.append(knots[0] + path.duration)
