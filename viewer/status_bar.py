@@ -109,13 +109,9 @@ def show(app: AppState, strip: Sequence[Panel]) -> None:
     imgui.set_cursor_pos(ImVec2(style.window_padding.x * 0.6, (imgui.get_window_height() - em * 1.5) / 2))
     switches(app, strip, em * 1.5)
     width = imgui.get_window_width()
-    gap, left = em * 0.9, imgui.get_cursor_pos_x()
+    gap, left = em * GAP_EM, imgui.get_cursor_pos_x()
     top = (imgui.get_window_height() - em) / 2
-    places = placed(figures(app), width - style.window_padding.x, gap)
-    if places[-1][0] < left + LEAST_MESSAGE_EM * em:  # too narrow for all in full
-        places = placed(figures(app, short=True), width - style.window_padding.x, gap)
-    while places and places[-1][0] < left + em:
-        places.pop()
+    places = shown_figures(app, left, width - style.window_padding.x)
     for x, text, tip in places:
         imgui.set_cursor_pos(ImVec2(x, top))
         imgui.text_colored(theme.QUIET, text)
@@ -127,6 +123,22 @@ def show(app: AppState, strip: Sequence[Panel]) -> None:
         return
     right = show_hint(app, left, right, top)
     message(app, left, right - gap, top)
+
+
+def shown_figures(app: AppState, left: float, right: float) -> list[tuple[float, str, str]]:
+    """Places of the figures beside each other up to `right`: all of them, but in a window so narrow that even
+    short ones reach beyond `left`, px."""
+    em = imgui.get_font_size()
+    places = placed(figures(app), right, GAP_EM * em)
+    if places[-1][0] < left + LEAST_MESSAGE_EM * em:  # too narrow for all in full
+        places = placed(figures(app, short=True), right, SHORT_GAP_EM * em)
+    while places and places[-1][0] < left + 0.5 * em:
+        places.pop()
+    return places
+
+
+GAP_EM, SHORT_GAP_EM = 0.9, 0.6
+"""Between figures, in font heights: in full, and where there is little room."""
 
 
 def placed(figures: Sequence[tuple[str, str, str]], right: float, gap: float) -> list[tuple[float, str, str]]:

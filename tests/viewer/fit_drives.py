@@ -17,7 +17,7 @@ from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
-from splatview.viewer import layout, toolbar
+from splatview.viewer import layout, status_bar, toolbar
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels import edit, widgets
@@ -45,7 +45,7 @@ def everything_fits(app: AppState, hand: Hand, options: dict[str, Any], found: d
     settle(hand)
     app.messages.clear()
     app.tell("A message that is so long that it has to be cut short in a window of any size " * 3)
-    narrow = watch_labels()
+    narrow, fewest = watch_labels(), watch_figures()
     looked = 0
     for width, height in options["sizes"]:
         resize(hand, width, height)
@@ -59,6 +59,8 @@ def everything_fits(app: AppState, hand: Hand, options: dict[str, Any], found: d
                 )
             found["wrong"] += [f"{size} {state}: {text}" for text in narrow]
             narrow.clear()
+            found["wrong"] += [f"{size} {state}: {5 - count} figures are left out" for count in fewest]
+            fewest.clear()
             found["wrong"] += [f"{size} {state}: {text}" for text in windows_apart(hand, app)]
             found["wrong"] += [f"{size} {state}: {text}" for text in beyond(hand, shown(app))]
             hand.shoot(f"{SHOTS}/{size} {state}.png".replace(" ", "_") if SHOTS else None)
@@ -153,7 +155,9 @@ def problems(hand: Hand, name: str) -> list[str]:
     found = []
     if window.content_size.x > window.work_rect.max.x - window.work_rect.min.x + SLACK:
         room = window.work_rect.max.x - window.work_rect.min.x
-        found.append(f"contents {window.content_size.x:.0f} px wide in {room:.0f} px")
+        end = window.work_rect.max.x + SLACK
+        widest = [label(item) for item in gathered(hand, name) if item.rect_full.max.x > end]
+        found.append(f"contents {window.content_size.x:.0f} px wide in {room:.0f} px: {'; '.join(widest)}")
     items = gathered(hand, name)
     items = [item for item in items if item.id_ != window.get_id("picture")]
     plots = [item for item in items if item.rect_full.get_height() > PLOT_EM * imgui.get_font_size()]
@@ -214,6 +218,21 @@ def watch_labels() -> list[str]:
         as_it_was(text, tip, share=share)
 
     widgets.label = watched
+    return found
+
+
+def watch_figures() -> list[int]:
+    """Counts from now on the status bar's figures wherever there are fewer than all five."""
+    found: list[int] = []
+    as_it_was = status_bar.shown_figures
+
+    def watched(app: AppState, left: float, right: float) -> list[tuple[float, str, str]]:
+        places = as_it_was(app, left, right)
+        if len(places) < 5:
+            found.append(len(places))
+        return places
+
+    status_bar.shown_figures = watched
     return found
 
 

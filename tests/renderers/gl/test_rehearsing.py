@@ -245,6 +245,21 @@ def test_a_picture_that_needs_other_kernels_waits_for_them(random_gaussians):
     stage.precompiler.release()
 
 
+def test_splats_with_degrees_of_their_own_wait_for_their_kernels(random_gaussians):
+    scene, stage = random_gaussians(COUNT), Stage()
+    scene.sh[: COUNT // 2, 1:] = 0
+    kernels = KernelPrecompiler(CpuRenderer(), stage.precompiler)
+    request = FrameRequest(scene, CAMERA, SETTINGS)
+    raster.render(random_gaussians(COUNT), CAMERA, SETTINGS)
+    kind = kernels.must_wait(request)
+    assert kind is not None
+    stage.finish(kind)
+    (job,) = stage.performed
+    same = specialisation_key(job.request.gaussians, job.request.camera, job.request.settings)
+    assert same == kind, "few splats stand for the scene"
+    stage.precompiler.release()
+
+
 def test_a_mode_is_shown_once_its_kernels_are_compiled(ctx, random_gaussians):
     scene, stage, ready = random_gaussians(COUNT, seed=5), Stage(), threading.Event()
     raster.render(scene, CAMERA, SETTINGS)
