@@ -61,7 +61,8 @@ def show_background(app: AppState) -> None:
 def one_colour(app: AppState) -> None:
     colour(app, "Colour", "background", "Scenes are mostly trained on black or white.")
     widgets.label("Presets", "Backgrounds for one click.")
-    side = imgui.get_frame_height()
+    gaps = (len(COLOURS) - 1) * imgui.get_style().item_spacing.x
+    side = min(imgui.get_frame_height(), (imgui.get_content_region_avail().x - gaps) / len(COLOURS))
     for i, (name, preset) in enumerate(COLOURS):
         if i:
             imgui.same_line()
