@@ -84,7 +84,7 @@ def controls(app: AppState, film: Film) -> None:
         if number:
             imgui.same_line(0, 2)
         widgets.command_button(app, f"{icon}###{id}", id, width=imgui.get_frame_height() * 1.4)
-    imgui.same_line()
+    beside(TIME_EM * imgui.get_font_size())
     times(app, film)
     for name, id in (
         ("Add keyframe", "add_keyframe"),
@@ -123,22 +123,26 @@ def controls(app: AppState, film: Film) -> None:
         widgets.command_button(app, f"{name}###{id}", id)
 
 
+TIME_EM = 4.4
+"""Width of the playhead's time and of the length, in font heights."""
+
+
 def times(app: AppState, film: Film) -> None:
     """The playhead and the length, to drag or to type."""
     em, path = imgui.get_font_size(), film.path
     duration = path.duration if path is not None else 0.0
     imgui.begin_disabled(not duration > 0)
-    imgui.set_next_item_width(4.4 * em)
+    imgui.set_next_item_width(TIME_EM * em)
     clamp = imgui.SliderFlags_.always_clamp
     changed, time = imgui.drag_float("##time", film.time, 0.01, 0.0, max(duration, 1e-3), "%.2f s", clamp)
     widgets.tooltip("Time of the film that is shown, to drag or (double click) to type.")
     if changed:
         app.post(scrub, time)
-    imgui.same_line(0, 4)
+    beside(imgui.calc_text_size("of").x + 4 + TIME_EM * em)
     imgui.align_text_to_frame_padding()
     imgui.text_colored(theme.QUIET, "of")
     imgui.same_line(0, 4)
-    imgui.set_next_item_width(4.4 * em)
+    imgui.set_next_item_width(TIME_EM * em)
     changed, seconds = imgui.drag_float("##length", duration, 0.02, 0.1, 3600.0, "%.2f s", clamp)
     begun = imgui.is_item_activated()
     widgets.tooltip("Length of the film: all keyframes move along, and the camera is quicker or slower.")
