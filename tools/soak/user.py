@@ -13,6 +13,7 @@ from drives import Hand
 
 from splatview.renderers.request import FrameRequest
 from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
+from splatview.viewer.editing.saving import Saving, leave_unsaved
 from splatview.viewer.editing.session import Editing, at_rest, session_of
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
@@ -58,6 +59,19 @@ class User(Hand):
         self.app.post(lambda app: done.append(True))
         self.wait(lambda: bool(done), "the frame loop")
         self.frames(1)
+        self.give_edits_up()
+
+    def drop(self, *paths: str) -> None:
+        super().drop(*paths)
+        self.frames(2)
+        self.give_edits_up()
+
+    def give_edits_up(self) -> None:
+        """Answers the question that unsaved edits ask where another scene is to be opened."""
+        if self.app.feature(Saving).question == "leave":
+            self.app.post(leave_unsaved)
+            self.wait(lambda: self.app.feature(Saving).question == "", "the answer")
+            self.frames(1)
 
     def calm(self) -> None:
         """Until nothing is under way any more."""
