@@ -125,11 +125,11 @@ MOST_THREADS = {
     "splatview-train": 1,
     "splatview-cpu": 1,
     "splatview-cpu-plan": 1,
-    "splatview-sort": 2,  # the window's, and that of modes that the CPU does not draw
+    "splatview-sort": 1,
     "splatview-compare": 1,
     "splatview-beside-photo": 1,
     "splatview-warm-up": 1,
-    "splatview-rehearsals": 1,
+    "splatview-precompile": 2,  # one for programs, one for kernels
 }
 """Those that may live while nothing is under way; any other of ours must have ended."""
 
