@@ -15,7 +15,7 @@ from splatview.scene.formats import save_scene
 def found(drive_once, tmp_path_factory, random_gaussians) -> dict[str, Any]:
     path: Path = tmp_path_factory.mktemp("scene") / "scene.ply"
     save_scene(random_gaussians(600, seed=4), path)
-    return drive_once("all_views", path, script="view_drives.py")
+    return drive_once("all_views", path, script="view_drives.py", drawn=True)
 
 
 @pytest.mark.parametrize(
