@@ -145,6 +145,7 @@ class User(Hand):
             app.feature(Accuracy).cancel_measuring()
         self.calm()
         self.look_for_harm()
+        session = session_of(app)  # another one, where a scene was being opened
         if app.is_open and session is not None and session.gaussians is not app.scene.gaussians:
             raise Mishap("the panels look at other splats than the edits")
         self.look_at_the_picture()
