@@ -321,6 +321,12 @@ def make_parser() -> Parser:
         " (default: 0.3:2)",
     )
     group.add_argument(
+        "--start",
+        choices=("auto", "points", "stereo"),
+        help="where splats begin: at the capture's points, or also where stereo finds surfaces"
+        " (default: auto: by stereo where the capture has no points)",
+    )
+    group.add_argument(
         "--exposure",
         choices=("auto", "on", "off"),
         help="learn each photo's exposure (default: auto, where photos differ)",

@@ -50,6 +50,7 @@ OF_THE_CHECKPOINT = [
     "max_splats",
     "batch",
     "coarse",
+    "start",
     "exposure",
     "antialiased",
     "abs_grad",
@@ -162,7 +163,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     torch_import.wait()
     loss = _loss(options, checkpoint, console)
     if checkpoint is None:
-        trainer = _new_trainer(capture, views, centre, seed, batch, options, group, loss)
+        trainer = _new_trainer(capture, views, centre, seed, batch, options, group, loss, console)
         if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
                 console,
@@ -277,6 +278,7 @@ def _new_trainer(
     options: argparse.Namespace,
     group: Group,
     loss: LossPlugin | None,
+    console: Console,
 ) -> Trainer:
     from splatview.trainer.setup import settings_for, trainer_for
 
@@ -296,9 +298,18 @@ def _new_trainer(
         exposure=options.exposure or "auto",
         absolute_gradient=bool(options.abs_grad),
         resolution=_resolution(options.coarse),
+        start=options.start or "auto",
     )
     threads = _threads(options, group)
-    return trainer_for(capture, views, settings, centre=centre, threads=threads, group=group, loss=loss)
+
+    def made(progress: Progress) -> Trainer:
+        given = {"threads": threads, "group": group, "loss": loss, "progress": progress}
+        return trainer_for(capture, views, settings, centre=centre, **given)
+
+    trainer = _with_status(console, "Finding where splats begin", made)
+    if settings.start != "points" and (capture.guessed or settings.start == "stereo"):
+        say(console, f"{len(trainer.splats):,} splats begin at points that photos agree about, by stereo")
+    return trainer
 
 
 def _resolution(coarse: tuple[tuple[float, int], ...] | str | None) -> tuple[tuple[float, int], ...] | None:

@@ -139,6 +139,9 @@ class TrainSettings(StrategySettings):
     """Weight of the opacity of transparent photos in the loss: of the mean |difference| to the scene's."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
+    start: Literal["auto", "points", "stereo"] = "auto"
+    """Where splats begin: at the capture's points, or also where stereo finds surfaces; auto: by stereo alone
+    where the capture has no points. See `stereo`."""
     resolution: tuple[tuple[float, int], ...] | None = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order; None: by evidence, see
     `progressive`."""
@@ -184,6 +187,8 @@ class TrainSettings(StrategySettings):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be above 0, got {value}")
+        if self.start not in ("auto", "points", "stereo"):
+            raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if not self.max_aspect >= 1:
             raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
         if not 0 <= self.dropout < 1:

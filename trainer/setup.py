@@ -12,6 +12,7 @@ import torch
 
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -28,8 +29,12 @@ from splatview.trainer.settings import (
     automatic_regularisation,
     automatic_steps,
 )
+from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
+
+LEAST_FOUND = 500
+"""Points by stereo that show a scene; fewer are chance matches."""
 
 
 def settings_for(
@@ -72,15 +77,38 @@ def trainer_for(
     threads: int | None = None,
     group: Group | None = None,
     loss: LossPlugin | None = None,
+    progress: Progress = NO_PROGRESS,
 ) -> Trainer:
-    """A trainer at its start: splats at the capture's points. `capture` and `views` are about `centre`."""
+    """A trainer at its start: splats at the capture's points, or where stereo finds surfaces. `capture` and
+    `views` are about `centre`. Raises Cancelled."""
     extent = capture.scene_radius
-    parameters = initial_parameters(
-        capture.points, capture.point_colours, extent, limit=settings.max_splats, seed=settings.seed
-    )
+    points, colours = start_points(capture, views, settings, threads=threads, progress=progress)
+    parameters = initial_parameters(points, colours, extent, limit=settings.max_splats, seed=settings.seed)
     return Trainer(
         views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
     )
+
+
+def start_points(
+    capture: Capture,
+    views: TrainViews,
+    settings: TrainSettings,
+    *,
+    threads: int | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) float64 and colours (P, 3) uint8 that splats begin at, by `TrainSettings.start`; the
+    capture's own where stereo finds fewer than LEAST_FOUND. Raises Cancelled."""
+    known = capture.points, capture.point_colours
+    if settings.start == "points" or (settings.start == "auto" and not capture.guessed):
+        return known
+    found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
+    found = thinned(*found, settings.max_splats, seed=settings.seed)
+    if len(found[0]) < LEAST_FOUND:
+        return known
+    if capture.guessed:
+        return found
+    return np.concatenate([known[0], found[0]]), np.concatenate([known[1], found[1]])
 
 
 class TrainedScene(NamedTuple):

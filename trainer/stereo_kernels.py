@@ -12,6 +12,12 @@ RADIUS = 3
 LEAST_VARIANCE = 2.0
 """Of grey levels 0..255 in a window: below is no texture that could be matched."""
 
+LONELY = np.float32(0.2)
+"""Taken off a score that only one photo gives: two that agree are no chance."""
+
+CLEAR, AWAY = np.float32(0.02), 2
+"""By how much a depth must match better than any that is more than so many planes away."""
+
 
 @inline
 def _bilinear(image, u, v):
@@ -29,8 +35,10 @@ def _bilinear(image, u, v):
 
 @kernel
 def window_means(image, columns, out):
-    """The mean of each pixel's window of `image` (H, W) float32, NaN where the window is not whole; `columns`:
-    (W,) float64 to work in, zeros."""
+    """The mean of each pixel's window of `image` (H, W) float32, NaN where the window is not whole.
+
+    `columns`: (W,) float64 to work in, zeros.
+    """
     height, width = image.shape
     share = 1.0 / (2 * RADIUS + 1) ** 2
     for y in range(height):
@@ -52,17 +60,19 @@ def window_means(image, columns, out):
 
 
 @kernel
-def plane_scores(grey, mean, deviation, sources, rotations, offsets, inverse_depth, warped, scratch, second, scores):
-    """Normalised cross-correlation of each window with the same piece of a plane in the source photos: the
-    mean of the two best of `sources`.
+def plane_scores(
+    grey, mean, deviation, sources, rotations, offsets, inverse_depth, warped, second, rows, scores
+):
+    """Normalised cross-correlation of each window with the same piece of a plane in other photos: the mean of
+    the two best, and of one alone LONELY less.
 
-    grey, mean, deviation: (H, W) float32, of the photo. sources: (S, h, w) float32. rotations (S, 3, 3),
-    offsets (S, 3): a pixel (u, v) at inverse depth d is seen at rotation @ (u, v, 1) + d * offset.
-    warped, second: (H, W) float32, and scratch: (3, W) float64, to work in. scores: (H, W) float32, -1 to 1; -1 where
-    fewer than one source sees it.
+    grey, mean, deviation: (H, W) float32, of the photo and its windows. sources: (S, h, w) float32. rotations
+    (S, 3, 3), offsets (S, 3): a pixel (u, v) at inverse depth d is seen at rotation @ (u, v, 1) + d * offset.
+    warped, second (H, W) float32, rows (3, W) float64: to work in. scores: (H, W) float32, out; -1 where no
+    source sees the window, or it has no texture.
     """
     height, width = grey.shape
-    window, side = (2 * RADIUS + 1) ** 2, 2 * RADIUS + 1
+    window = (2 * RADIUS + 1) ** 2
     for y in range(height):
         for x in range(width):
             scores[y, x] = second[y, x] = np.float32(-1)
@@ -82,8 +92,8 @@ def plane_scores(grey, mean, deviation, sources, rotations, offsets, inverse_dep
                     )
                 else:
                     warped[y, x] = np.float32(np.nan)
-        # Sums over windows, of the warped picture, its square and its product with the photo; a NaN would
-        # stay in a running sum, so columns with one count as none.
+        # Sums over windows, of the warped picture, its square and its product with the photo; not running
+        # ones, in which a NaN would stay.
         for y in range(RADIUS, height - RADIUS):
             for x in range(width):
                 a = c = p = 0.0
@@ -92,13 +102,13 @@ def plane_scores(grey, mean, deviation, sources, rotations, offsets, inverse_dep
                     a += value
                     c += value * value
                     p += value * grey[y + dy, x]
-                scratch[0, x], scratch[1, x], scratch[2, x] = a, c, p
+                rows[0, x], rows[1, x], rows[2, x] = a, c, p
             for x in range(RADIUS, width - RADIUS):
                 a = c = p = 0.0
                 for dx in range(-RADIUS, RADIUS + 1):
-                    a += scratch[0, x + dx]
-                    c += scratch[1, x + dx]
-                    p += scratch[2, x + dx]
+                    a += rows[0, x + dx]
+                    c += rows[1, x + dx]
+                    p += rows[2, x + dx]
                 a /= window
                 variance = c / window - a * a
                 if variance > LEAST_VARIANCE and deviation[y, x] > 0:
@@ -114,15 +124,15 @@ def plane_scores(grey, mean, deviation, sources, rotations, offsets, inverse_dep
                 if second[y, x] > -1:
                     scores[y, x] = np.float32(0.5) * (scores[y, x] + second[y, x])
                 else:
-                    scores[y, x] -= np.float32(0.2)  # one witness alone
+                    scores[y, x] -= LONELY
 
 
 @kernel
 def best_planes(scores, inverse_depths, out, confidence):
-    """The inverse depth of the best of the planes, between them by a parabola, and its score less the best
-    one that is further than two planes away, 0 where there is none.
+    """The inverse depth of the best of the planes, between them by a parabola, and its score; -1 where it is
+    the first or the last, or not clearly the best.
 
-    scores: (D, H, W) float32. inverse_depths: (D,), rising evenly. out, confidence: (H, W) float32.
+    scores: (D, H, W) float32. inverse_depths: (D,) float64, rising evenly. out, confidence: (H, W) float32.
     """
     planes, height, width = scores.shape
     step = inverse_depths[1] - inverse_depths[0]
@@ -134,7 +144,7 @@ def best_planes(scores, inverse_depths, out, confidence):
                     best, score = d, scores[d, y, x]
             rival = np.float32(-1)
             for d in range(planes):
-                if abs(d - best) > 2 and scores[d, y, x] > rival:
+                if abs(d - best) > AWAY and scores[d, y, x] > rival:
                     rival = scores[d, y, x]
             place = 0.0
             if 0 < best < planes - 1:
@@ -144,11 +154,15 @@ def best_planes(scores, inverse_depths, out, confidence):
                     place = 0.5 * (low - high) / bend
                     place = min(max(place, -0.5), 0.5)
             out[y, x] = np.float32(inverse_depths[best] + place * step)
-            confidence[y, x] = score if 0 < best < planes - 1 and score - rival > np.float32(0.02) else np.float32(-1)
+            confidence[y, x] = (
+                score if 0 < best < planes - 1 and score - rival > np.float32(0.02) else np.float32(-1)
+            )
 
 
 @kernel
-def agreeing(inverse_depth, confidence, least, others, other_confidences, rotations, offsets, tolerance, counts):
+def agreeing(
+    inverse_depth, confidence, least, others, other_confidences, rotations, offsets, tolerance, counts
+):
     """For each pixel the number of other photos whose own depth there is the same within `tolerance`.
 
     inverse_depth, confidence: (H, W). others, other_confidences: (S, h, w). rotations, offsets as of

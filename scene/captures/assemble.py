@@ -111,16 +111,18 @@ def capture_of(
     lost = len(usable) - np.count_nonzero(usable)
     if lost:
         warnings.append(f"{lost} of {len(usable)} points are not finite, or out of all bounds, and left out")
-    if len(points) < MIN_POINTS:
+    guessed = len(points) < MIN_POINTS
+    if guessed:
         points, colours = random_points([photo.camera for photo in photos if not photo.held_out])
         warnings.append(
-            f"the capture has no points on the surfaces; training starts from {len(points)} random ones"
+            "the capture has no points on the surfaces; training looks for some in the photos, by stereo"
         )
     capture = Capture(
         name=name,
         photos=tuple(photos),
         points=np.ascontiguousarray(points, dtype=np.float64),
         point_colours=np.ascontiguousarray(colours),
+        guessed=guessed,
         background=background if transparent else None,
         statistics=replace(
             statistics,

@@ -121,6 +121,8 @@ class Capture:
     """(P, 3) float64, finite, P >= 4: where surfaces are, or random where the capture does not say."""
     point_colours: np.ndarray
     """(P, 3) uint8 RGB."""
+    guessed: bool = False
+    """Whether the points are random."""
     background: tuple[float, float, float] | None = None
     """What photos with transparency were laid over, RGB in 0..1; None where none has any."""
     statistics: PhotoStatistics = field(default_factory=PhotoStatistics)

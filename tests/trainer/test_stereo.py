@@ -1,0 +1,188 @@
+"""Points by stereo, of photos whose surfaces are known; kernels beside slow numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatview.scene import Camera
+from splatview.scene.camera import look_at
+from splatview.scene.progress import Cancelled, Progress
+from splatview.trainer import stereo_kernels as kernels
+from splatview.trainer.stereo import _through, stereo_points, thinned
+from splatview.trainer.views import TrainView
+
+SIZE = (72, 60)
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(..., 3) uint8 of places on a plane: many waves, so that no piece is like another."""
+    rng = np.random.default_rng(2)
+    value = np.zeros((*np.shape(x), 3))
+    for _ in range(60):
+        way, phase = rng.normal(0, 5, 2), rng.uniform(0, 6, 3)
+        value += np.sin((way[0] * x + way[1] * y)[..., None] + phase)
+    return np.clip(127 + 18 * value, 0, 255).astype(np.uint8)
+
+
+def photo_of_plane(eye: tuple[float, float, float]) -> TrainView:
+    """What is seen of the plane z = 0 from `eye`, each pixel at its centre."""
+    camera = look_at(eye, (0, 0, 0), width=SIZE[0], height=SIZE[1])
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+    ways = rays @ camera.world_to_camera[:3, :3]
+    places = camera.eye - ways * (camera.eye[2] / ways[..., 2:])
+    return TrainView(camera, texture(places[..., 0], places[..., 1]))
+
+
+@pytest.fixture(scope="module")
+def photos() -> list[TrainView]:
+    return [photo_of_plane((0.5 * i - 1, 0.2 * (i % 2), -3)) for i in range(5)]
+
+
+@pytest.fixture
+def around(rng) -> np.ndarray:
+    """Points in a ball about what is seen, as captures without points have them."""
+    return rng.uniform(-1, 1, (500, 3))
+
+
+def test_points_lie_on_the_surface_and_have_its_colours(photos, around):
+    points, colours = stereo_points(photos, around)
+    assert len(points) > 0.12 * len(photos) * SIZE[0] * SIZE[1], (
+        "away from the rim, and where two others look"
+    )
+    # A hundredth of the distance: planes are 0.02 apart there, and parabolas find places between them.
+    off = np.abs(points[:, 2])
+    assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.03
+    expected = texture(points[:, 0], points[:, 1]).astype(int)
+    assert np.median(np.abs(colours.astype(int) - expected)) < 12
+    again = stereo_points(photos, around, threads=1)
+    np.testing.assert_array_equal(again[0], points)
+    np.testing.assert_array_equal(again[1], colours)
+
+
+def test_what_is_masked_or_transparent_gives_no_points(photos, around):
+    left = np.arange(SIZE[0]) < SIZE[0] // 2
+    mask = np.broadcast_to(~left, SIZE[::-1]).copy()
+    masked = [TrainView(view.camera, view.pixels, mask=mask) for view in photos]
+    clear = [
+        TrainView(view.camera, view.pixels, alpha=np.where(mask, 255, 40).astype(np.uint8)) for view in photos
+    ]
+    whole = len(stereo_points(photos, around)[0])
+    for views in (masked, clear):
+        points, _ = stereo_points(views, around)
+        assert 0.1 * whole < len(points) < 0.8 * whole
+        for view in views:  # none comes from the left half of the photo that it was found in
+            assert view.camera.width == SIZE[0]
+    nothing = [TrainView(view.camera, view.pixels, mask=np.zeros(SIZE[::-1], bool)) for view in photos]
+    assert len(stereo_points(nothing, around)[0]) == 0
+
+
+def test_photos_that_show_nothing_alike_give_next_to_none(photos, around, rng):
+    noise = [
+        TrainView(view.camera, rng.integers(0, 256, view.pixels.shape).astype(np.uint8)) for view in photos
+    ]
+    flat = [TrainView(view.camera, np.full_like(view.pixels, 90)) for view in photos]
+    assert len(stereo_points(noise, around)[0]) < 0.002 * len(photos) * SIZE[0] * SIZE[1]
+    assert len(stereo_points(flat, around)[0]) == 0
+
+
+def test_too_few_photos_or_none_that_fit_give_none(photos, around):
+    for views in ([], photos[:1], photos[:2]):
+        points, colours = stereo_points(views, around)
+        assert points.shape == colours.shape == (0, 3)
+    behind = around - (0, 0, 50)
+    assert len(stereo_points(photos, behind)[0]) == 0
+
+
+def test_it_can_be_cancelled(photos, around):
+    shares: list[float] = []
+    progress = Progress(report=shares.append, cancelled=lambda: len(shares) >= 2)
+    with pytest.raises(Cancelled):
+        stereo_points(photos, around, threads=1, progress=progress)
+    assert len(shares) < len(photos) and shares == sorted(shares)
+
+
+def test_scores_are_correlations_of_windows(photos, rng):
+    """Beside float64, at places drawn by chance; one source, so that nothing is averaged."""
+    first, second = photos[1], photos[2]
+    grey, other = (view.pixels.mean(axis=2).astype(np.float32) for view in (first, second))
+    mean, square = np.empty_like(grey), np.empty_like(grey)
+    kernels.window_means(grey, np.zeros(grey.shape[1]), mean)
+    kernels.window_means(grey * grey, np.zeros(grey.shape[1]), square)
+    deviation = np.sqrt(np.nan_to_num(square - mean * mean)).astype(np.float32)
+    rotations, offsets = _through(first.camera, [second.camera])
+    scores = np.empty_like(grey)
+    empty = (np.empty_like(grey), np.empty_like(grey), np.empty((3, grey.shape[1])))
+    kernels.plane_scores(grey, mean, deviation, other[None], rotations, offsets, 1 / 3.1, *empty, scores)
+    compared = 0
+    for y, x in zip(rng.integers(3, SIZE[1] - 3, 60), rng.integers(3, SIZE[0] - 3, 60), strict=True):
+        rows, columns = np.mgrid[y - 3 : y + 4, x - 3 : x + 4]
+        at = (
+            np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)], axis=-1) @ rotations[0].T
+            + offsets[0] / 3.1
+        )
+        u, v = at[..., 0] / at[..., 2] - 0.5, at[..., 1] / at[..., 2] - 0.5
+        if not (u.min() >= 0 and v.min() >= 0 and u.max() < SIZE[0] - 1 and v.max() < SIZE[1] - 1):
+            assert scores[y, x] == -1
+            continue
+        left, top = np.floor(u).astype(int), np.floor(v).astype(int)
+        s, t = u - left, v - top
+        above = (1 - s) * other[top, left] + s * other[top, left + 1]
+        below = (1 - s) * other[top + 1, left] + s * other[top + 1, left + 1]
+        seen = (1 - t) * above + t * below
+        expected = np.corrcoef(seen.ravel(), grey[rows, columns].ravel())[0, 1]
+        # Places in float32 are known to 4e-6 px, grey levels to 1e-5 of their range.
+        assert scores[y, x] == pytest.approx(expected, abs=2e-4)
+        compared += 1
+    assert compared > 20
+
+
+def test_a_pixel_is_where_the_other_camera_sees_its_place(rng):
+    first = look_at((1, 0.2, -3), (0, 0, 0), width=80, height=60)
+    second = look_at((-0.5, 0.4, -2.5), (0, 0.1, 0), width=70, height=50)
+    (rotation,), (offset,) = _through(first, [second])
+    for _ in range(20):
+        u, v, depth = rng.uniform(0, 80), rng.uniform(0, 60), rng.uniform(1, 6)
+        local = depth * np.array([(u - first.cx) / first.fx, (v - first.cy) / first.fy, 1, 1 / depth])
+        there = second.world_to_camera @ np.linalg.inv(first.world_to_camera) @ local
+        expected = (second.fx * there[0] / there[2] + second.cx, second.fy * there[1] / there[2] + second.cy)
+        found = rotation @ (u, v, 1) + offset / depth
+        np.testing.assert_allclose(found[:2] / found[2], expected, rtol=1e-9)
+        np.testing.assert_allclose(found[2] * depth, there[2], rtol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(count=st.integers(1, 3000), limit=st.integers(1, 500), seed=st.integers(0, 99))
+def test_thinned_points_are_some_of_the_points_and_no_more_than_asked_for(count, limit, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3))
+    colours = rng.integers(0, 256, (count, 3)).astype(np.uint8)
+    kept, theirs = thinned(points, colours, limit, seed)
+    assert len(kept) <= limit and len(np.unique(kept, axis=0)) == len(kept)
+    known = {point.tobytes(): colour.tobytes() for point, colour in zip(points, colours, strict=True)}
+    assert all(known[p.tobytes()] == c.tobytes() for p, c in zip(kept, theirs, strict=True))
+
+
+def test_lone_points_are_left_out(rng):
+    surface = rng.uniform(-1, 1, (4000, 3)) * (1, 1, 0)
+    stray = rng.uniform(-1, 1, (60, 3))
+    points = np.concatenate([surface, stray])
+    kept, _ = thinned(points, np.zeros((len(points), 3), np.uint8), 600)
+    assert len(kept) > 300 and np.mean(np.abs(kept[:, 2]) > 1e-9) < 0.01
+
+
+def test_a_lens_is_left_out(photos, around):
+    from splatview.scene import Lens
+
+    lens = Lens(model="OPENCV", parameters=(-0.1, 0.01, 0.0, 0.0))
+    bent = [TrainView(_with_lens(view.camera, lens), view.pixels) for view in photos]
+    assert len(stereo_points(bent, around)[0]) == 0
+
+
+def _with_lens(camera: Camera, lens) -> Camera:
+    from dataclasses import replace
+
+    return replace(camera, lens=lens)
