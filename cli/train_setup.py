@@ -302,13 +302,15 @@ def _new_trainer(
     )
     threads = _threads(options, group)
 
+    notes: list[str] = []
+
     def made(progress: Progress) -> Trainer:
         given = {"threads": threads, "group": group, "loss": loss, "progress": progress}
-        return trainer_for(capture, views, settings, centre=centre, **given)
+        return trainer_for(capture, views, settings, centre=centre, on_note=notes.append, **given)
 
     trainer = _with_status(console, "Finding where splats begin", made)
-    if settings.start != "points" and (capture.guessed or settings.start == "stereo"):
-        say(console, f"{len(trainer.splats):,} splats begin at points that photos agree about, by stereo")
+    for note in notes:
+        say(console, note)
     return trainer
 
 

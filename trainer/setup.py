@@ -77,12 +77,15 @@ def trainer_for(
     threads: int | None = None,
     group: Group | None = None,
     loss: LossPlugin | None = None,
+    on_note: Callable[[str], object] = lambda note: None,
     progress: Progress = NO_PROGRESS,
 ) -> Trainer:
     """A trainer at its start: splats at the capture's points, or where stereo finds surfaces. `capture` and
-    `views` are about `centre`. Raises Cancelled."""
+    `views` are about `centre`; `on_note` is told what stereo has found. Raises Cancelled."""
     extent = capture.scene_radius
-    points, colours = start_points(capture, views, settings, threads=threads, progress=progress)
+    points, colours = start_points(
+        capture, views, settings, threads=threads, on_note=on_note, progress=progress
+    )
     parameters = initial_parameters(points, colours, extent, limit=settings.max_splats, seed=settings.seed)
     return Trainer(
         views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
@@ -95,17 +98,24 @@ def start_points(
     settings: TrainSettings,
     *,
     threads: int | None = None,
+    on_note: Callable[[str], object] = lambda note: None,
     progress: Progress = NO_PROGRESS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (P, 3) float64 and colours (P, 3) uint8 that splats begin at, by `TrainSettings.start`; the
-    capture's own where stereo finds fewer than LEAST_FOUND. Raises Cancelled."""
+    capture's own where stereo finds fewer than LEAST_FOUND, which `on_note` is told. Raises Cancelled."""
     known = capture.points, capture.point_colours
     if settings.start == "points" or (settings.start == "auto" and not capture.guessed):
         return known
     found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
     found = thinned(*found, settings.max_splats, seed=settings.seed)
-    if len(found[0]) < LEAST_FOUND:
+    count = len(found[0])
+    if count < LEAST_FOUND:
+        those = f"{len(known[0]):,} {'random points' if capture.guessed else 'points of the capture'}"
+        on_note(
+            f"photos agree about {count} points by stereo, which is too few: training starts from {those}"
+        )
         return known
+    on_note(f"training starts from {count:,} points that photos agree about, by stereo")
     if capture.guessed:
         return found
     return np.concatenate([known[0], found[0]]), np.concatenate([known[1], found[1]])

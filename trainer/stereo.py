@@ -5,22 +5,23 @@ the neighbours are seen through the plane (normalised cross-correlation of windo
 others find at the same place is kept. Sources: Collins 1996 (plane sweep), Goesele et al. 2006 (windows, the
 best of several views, confirmation by others); the idea of a dense start: EDGS (Kotovenko et al. 2026).
 
-Chosen on `playbot RGBA 100` of the bench, which has no points (66 photos to train on, a minute, split 0): random
-points score 33.35 dB on photos held out; those that one other photo confirms, beside the random ones, 34.76; by
-two others and alone 36.14. Judged on `skull RGBA 100`: 28.95 and 30.48 dB. Where a capture has points of its
-own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on `miku 20 near` at half
-the size.
+Chosen on `playbot RGBA 100` of the bench, which has no points (66 photos to train on, a minute, split 0):
+random points score 33.35 dB on photos held out; those that one other photo confirms, beside the random ones,
+34.76; by two others and alone 36.14. Judged on `skull RGBA 100`: 28.95 and 30.48 dB. Where a capture has
+points of its own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on `miku 20
+near` at half the size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from splatview.scene import Camera
+from splatview.scene.captures.photos import undistorted
 from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.trainer import stereo_kernels as kernels
 from splatview.trainer.views import TrainView
@@ -86,10 +87,10 @@ def stereo_points(
     """Points (P, 3) float64 and their colours (P, 3) uint8, on surfaces that photos agree about; there may be
     none. For equal arguments they are equal, whatever the threads.
 
-    `known`: (K, 3) points, random ones perhaps, between whose depths surfaces are looked for. Photos through
-    a lens are left out; each is matched with those of its own size. Raises Cancelled.
+    `known`: (K, 3) points, random ones perhaps, between whose depths surfaces are looked for. Photos are
+    taken out of their lenses, and matched with those of their own size. Raises Cancelled.
     """
-    usable = [view for view in views if view.camera.lens is None and not view.camera.orthographic]
+    usable = [view for view in views if not view.camera.orthographic]
     if len(usable) > MOST_PHOTOS:
         usable = [usable[i] for i in np.linspace(0, len(usable) - 1, MOST_PHOTOS).round().astype(int)]
     with ThreadPoolExecutor(max(threads, 1)) as pool:
@@ -113,17 +114,23 @@ def stereo_points(
 
 def _matched(view: TrainView) -> _Matched:
     view = view.smaller(max(1, round(np.sqrt(view.camera.width * view.camera.height / PIXELS))))
-    grey = view.pixels.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    usable = np.ones(grey.shape, bool) if view.mask is None else view.mask.copy()
+    camera, colours = view.camera, view.pixels
+    usable = np.ones(colours.shape[:2], bool) if view.mask is None else view.mask.copy()
     if view.alpha is not None:
         usable &= view.alpha > OPAQUE
+    if camera.lens is not None:
+        marked = np.concatenate([colours, np.where(usable, 255, 0)[..., None].astype(np.uint8)], axis=2)
+        marked, valid = undistorted(marked, camera)
+        colours, usable = marked[..., :3], valid & (marked[..., 3] == 255)
+        camera = replace(camera, lens=None)
+    grey = colours.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     mean, square = np.empty_like(grey), np.empty_like(grey)
     kernels.window_means(grey, np.zeros(grey.shape[1]), mean)
     kernels.window_means(grey * grey, np.zeros(grey.shape[1]), square)
     variance = square - mean * mean  # NaN at the rim
     textured = usable & (variance > kernels.LEAST_VARIANCE)
     deviation = np.sqrt(np.where(textured, variance, 0)).astype(np.float32)
-    return _Matched(view.camera, view.pixels, grey, mean, deviation)
+    return _Matched(camera, colours, grey, mean, deviation)
 
 
 def _swept(at: int, photos: Sequence[_Matched], known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -222,8 +229,10 @@ def _confirmed(
 def thinned(
     points: np.ndarray, colours: np.ndarray, count: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At most `count` of points (P, 3) and their colours, evenly over space: one of each cube of a grid. Points
-    that lie alone are left out, see LEAST_SUPPORT."""
+    """At most `count` of points (P, 3) and their colours, evenly over space: one of each cube of a grid.
+
+    Points that lie alone are left out, see LEAST_SUPPORT.
+    """
     order = np.random.default_rng(seed).permutation(len(points))
     _, inverse, sizes = np.unique(
         _cells(points, len(points) // POINTS_A_CUBE), return_inverse=True, return_counts=True
