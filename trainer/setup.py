@@ -33,8 +33,9 @@ from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 
-LEAST_FOUND = 500
-"""Points by stereo that show a scene; fewer are chance matches."""
+LEAST_FOUND, MOST_FOUND = 500, 20_000
+"""Points by stereo that show a scene, fewer being chance matches; and those that are used: density control
+adds where more are needed, and each costs time from the first step on."""
 
 
 def settings_for(
@@ -107,7 +108,7 @@ def start_points(
     if settings.start == "points" or (settings.start == "auto" and not capture.guessed):
         return known
     found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
-    found = thinned(*found, settings.max_splats, seed=settings.seed)
+    found = thinned(*found, min(settings.max_splats, MOST_FOUND), seed=settings.seed)
     count = len(found[0])
     if count < LEAST_FOUND:
         those = f"{len(known[0]):,} {'random points' if capture.guessed else 'points of the capture'}"

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from splatview.scene import Lens
 from splatview.scene.camera import look_at
+from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.scene.lens import undistort
 from splatview.scene.progress import Cancelled, Progress
 from splatview.trainer import stereo_kernels as kernels
+from splatview.trainer.setup import settings_for, start_points
 from splatview.trainer.stereo import _through, stereo_points, thinned
-from splatview.trainer.views import TrainView
+from splatview.trainer.views import TrainView, TrainViews
 
 SIZE = (72, 60)
 
@@ -185,3 +187,38 @@ def test_photos_through_a_lens_give_points_on_the_surface(around):
     assert len(points) > 1500
     off = np.abs(points[:, 2])
     assert np.median(off) < 0.012 and np.quantile(off, 0.99) < 0.04
+
+
+def test_where_splats_begin_is_what_the_setting_says(photos, rng):
+    own = rng.uniform(-1, 1, (300, 3)), rng.integers(0, 256, (300, 3)).astype(np.uint8)
+    views = TrainViews(photos, 0)
+
+    def begun(start: str, *, guessed: bool, used: TrainViews = views) -> tuple[np.ndarray, list[str]]:
+        shots = tuple(
+            Photo(
+                name=f"{i}.png",
+                camera=view.camera,
+                held_out=False,
+                pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
+            )
+            for i, view in enumerate(photos)
+        )
+        capture = Capture(name="plane", photos=shots, points=own[0], point_colours=own[1], guessed=guessed)
+        notes: list[str] = []
+        recipe = settings_for(capture, views, iterations=10, start=start)
+        points, colours = start_points(capture, used, recipe, on_note=notes.append)
+        assert len(points) == len(colours) <= recipe.max_splats + len(own[0])
+        return points, notes
+
+    for start, guessed in (("points", True), ("points", False), ("auto", False)):
+        points, notes = begun(start, guessed=guessed)
+        assert points is own[0] and not notes
+    points, notes = begun("auto", guessed=True)
+    assert np.median(np.abs(points[:, 2])) < 0.01 and "by stereo" in notes[0]
+    both, notes = begun("stereo", guessed=False)
+    assert len(both) == len(points) + len(own[0]) and np.array_equal(both[: len(own[0])], own[0])
+    flat = TrainViews([TrainView(view.camera, np.full_like(view.pixels, 90)) for view in photos], 0)
+    points, notes = begun("auto", guessed=True, used=flat)
+    assert points is own[0] and "too few" in notes[0] and "300 random points" in notes[0]
+    with pytest.raises(ValueError, match="start must be"):
+        begun("sfm", guessed=True)
