@@ -131,6 +131,14 @@ def niceness() -> int:
     return os.getpriority(os.PRIO_PROCESS, 0) if sys.platform == "linux" else 0
 
 
+def be_nicer(by: int) -> None:
+    """Lowers the priority of the calling thread, and of threads that it starts from now on, on Linux; it
+    cannot be taken back."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, min(niceness() + by, 19))
+
+
 @cache
 def _executor(niceness: int) -> ThreadPoolExecutor:
     """Helpers for the threads of one priority: a thread is as nice as the one that started it."""

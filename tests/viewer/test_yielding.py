@@ -1,4 +1,4 @@
-"""A window beside a training gives way to it, and the training does not."""
+"""A window beside a training gives way to it, and slow work gives way to the window."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from splatview.raster.compiling import niceness
+from splatview.viewer.editing.job import NICER, Job
 from splatview.viewer.platform import NICENESS, give_way
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of threads")
@@ -35,3 +36,10 @@ def test_the_thread_and_those_it_starts_are_nicer_and_nobody_else():
     lowered = max(own, NICENESS)
     assert found == {"older": own, "younger": lowered, "window": lowered}
     assert niceness() == own
+
+
+def test_slow_work_gives_way_to_the_window_which_keeps_its_priority():
+    own = niceness()
+    job = Job("Counting", lambda progress: niceness(), lambda result: None)
+    job.join(30)
+    assert job.result == min(own + NICER, 19) and niceness() == own
