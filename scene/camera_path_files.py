@@ -2,7 +2,7 @@
 and written; the camera animations of SuperSplat's experience settings are read.
 
 Formats: nerfstudio documentation, "Render"; PlayCanvas developer site, "Experience settings". nerfstudio's
-file has one camera a frame, ``camera_to_world`` in rows with OpenGL's axes; SuperSplat's has keyframes at
+file has one camera per frame, ``camera_to_world`` in rows with OpenGL's axes; SuperSplat's has keyframes at
 numbers of frames.
 """
 
