@@ -7,7 +7,7 @@ best of several views, confirmation by others); the idea of a dense start: EDGS 
 
 Chosen on `playbot RGBA 100` of the bench, which has no points (66 photos to train on, a minute, split 0):
 random points score 33.35 dB on photos held out; those that one other photo confirms, beside the random ones,
-34.76; by two others and alone 36.10. Judged on `skull RGBA 100`: 28.95 and 30.48 dB. Where a capture has
+34.76; by two others and alone 36.10. Judged on `skull RGBA 100`: 28.95 and 30.52 dB. Where a capture has
 points of its own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on `miku 20
 near` at half the size.
 """
