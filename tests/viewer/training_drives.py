@@ -277,8 +277,9 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
     first = training.thread.post(lambda session: session.trainer.splats.next_id).result(60)
     ctx.item_click("//Edit/###let go")
-    steps(hand, 150)
-    seen(hand, training.status.iteration)
+    hand.wait(
+        lambda: training.shown is not None and bool((training.shown.ids >= first).any()), "splats born since"
+    )
     region = training.status.settings.no_growth[0]
     found["born"] = int((training.shown.ids >= first).sum())
     inner = replace(region, half_extents=tuple(0.8 * half for half in region.half_extents))
