@@ -44,8 +44,9 @@ def test_a_request_to_end_saves(capture: Path, tmp_path: Path, name: str) -> Non
         str(metrics),
     ]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
-    while not (metrics.exists() and metrics.read_text()) and time.monotonic() < deadline:
+    deadline = time.monotonic() + 200
+    while not (metrics.exists() and metrics.read_text()):
+        assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(getattr(signal, name))
     _, said = process.communicate(timeout=60)

@@ -66,13 +66,16 @@ def running(capture_folder: Path, tmp_path: Path) -> Iterator[Pair]:
     metrics = tmp_path / "m.jsonl"
     options = [str(capture_folder), "-o", str(tmp_path / "two.ply"), "--metrics", str(metrics)]
     pair = Pair(options, options)
-    deadline = time.monotonic() + 120
-    while not (metrics.exists() and metrics.read_text()) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    yield pair
-    for process in pair.processes:
-        process.kill()
-        process.communicate()
+    deadline = time.monotonic() + 200
+    try:
+        while not (metrics.exists() and metrics.read_text()):
+            assert time.monotonic() < deadline and all(process.poll() is None for process in pair.processes)
+            time.sleep(0.05)
+        yield pair
+    finally:
+        for process in pair.processes:
+            process.kill()
+            process.communicate()
 
 
 @pytest.mark.parametrize("strategy", ["classic", pytest.param("mcmc", marks=pytest.mark.slow)])

@@ -40,7 +40,7 @@ def test_a_run_killed_again_and_again_resumes(capture_folder: Path, tmp_path: Pa
         written = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
         resume = ["--resume", str(checkpoint)] if written else []
         with subprocess.Popen([*command, *resume], stderr=subprocess.PIPE, text=True) as process:
-            deadline = time.monotonic() + 100
+            deadline = time.monotonic() + 250
             while not (checkpoint.exists() and checkpoint.stat().st_mtime_ns > written):
                 assert process.poll() is None and time.monotonic() < deadline
                 time.sleep(0.002)

@@ -82,8 +82,20 @@ def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
     begin, make_session, monkeypatch
 ) -> None:
     monkeypatch.setattr(threads, "PUBLISH_SHARE", 1e9)  # as often as they are taken
-    thread = begin(iterations=60, snapshot_seconds=0.0, refine_from=0.0, least_refine_steps=5)
-    seen = []
+    settings = {"iterations": 60, "refine_from": 0.0, "least_refine_steps": 5}
+    run = make_session(**settings)
+    take_step, seen, thread_of = run.step, [], []
+
+    def step() -> Any:
+        """Every seventh waits until what was published has been taken: else a quick trainer is through before
+        anybody has looked."""
+        if run.trainer.counters.iteration % 7 == 0:
+            wait(lambda: thread_of and not thread_of[0]._slot, "somebody who looks")
+        return take_step()
+
+    run.step = step
+    thread = begin(training_run=run, snapshot_seconds=0.0)
+    thread_of.append(thread)
     while thread.status.state != "done":
         snapshot = thread.take_snapshot()
         if snapshot is not None:
@@ -99,7 +111,7 @@ def test_snapshots_are_those_of_their_steps_and_the_last_is_the_trainers_state(
     np.testing.assert_array_equal(seen[-1].ids, trainer.splats.ids)
 
     # The same run without a thread goes through the same scenes.
-    again = make_session(iterations=60, refine_from=0.0, least_refine_steps=5).trainer
+    again = make_session(**settings).trainer
     wanted = {snapshot.iteration: snapshot for snapshot in seen}
     while not again.done:
         again.step()
@@ -131,7 +143,9 @@ def test_snapshots_are_made_as_often_as_asked_for(begin) -> None:
     wait(lambda: thread.take_snapshot() is not None, "a snapshot")
 
 
-def test_a_pause_stands_still_and_costs_no_time(begin) -> None:
+def test_a_pause_stands_still_and_costs_no_time(begin, monkeypatch) -> None:
+    pauses, clock = [0.0], time.perf_counter
+    monkeypatch.setattr(sessions.time, "perf_counter", lambda: clock() + pauses[0])
     thread = begin()
     wait(lambda: thread.status.iteration > 3, "steps")
     thread.pause()
@@ -142,16 +156,17 @@ def test_a_pause_stands_still_and_costs_no_time(begin) -> None:
     settled(thread)
     assert thread.status.iteration == at.iteration
     seconds = thread.post(lambda training_run: training_run.seconds).result()
-    time.sleep(0.05)
+    pauses[0] += 1000.0
     assert thread.post(lambda training_run: training_run.seconds).result() == seconds
 
     thread.step_once()
     thread.step_once()
     wait(lambda: thread.status.iteration == at.iteration + 2, "two steps")
     settled(thread)
-    time.sleep(0.05)
+    pauses[0] += 1000.0
+    settled(thread)
     assert thread.status.iteration == at.iteration + 2 and thread.status.state == "paused"
-    assert thread.status.seconds < seconds + 0.1, "the steps count, the pauses do not"
+    assert seconds < thread.status.seconds < seconds + 1000, "the steps count, the pauses do not"
 
     thread.resume()
     wait(lambda: thread.status.iteration > at.iteration + 5, "more steps")
@@ -175,10 +190,8 @@ def test_a_stopwatch_leaves_pauses_out(monkeypatch) -> None:
 
 def test_commands_run_between_steps_and_their_failures_are_told(begin) -> None:
     thread = begin()
-    assert (
-        thread.post(lambda training_run: len(training_run.trainer.splats)).result(60)
-        == thread.status.gaussians
-    )
+    counted, told = thread.post(lambda run: (len(run.trainer.splats), thread.status.gaussians)).result(60)
+    assert counted == told
 
     def fail(training_run: TrainingRun) -> None:
         raise InputError("no such thing")
@@ -455,6 +468,7 @@ def test_a_small_share_sleeps_between_steps(begin) -> None:
         return time.thread_time(), time.perf_counter()
 
     cpu, wall = thread.post(busy).result(60)
-    time.sleep(0.4)
+    at = thread.status.iteration
+    wait(lambda: thread.status.iteration >= at + 10, "ten steps, and what it slept after them")
     cpu_later, wall_later = thread.post(busy).result(60)
     assert cpu_later - cpu < 0.5 * (wall_later - wall)

@@ -109,11 +109,12 @@ def test_a_run_cut_by_ctrl_c_resumes(capture_folder: Path, tmp_path: Path) -> No
     command = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
     command += ["train", str(capture_folder), "--headless", "-o", str(output)]
     process = subprocess.Popen([*command, "--metrics", str(metrics)], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
-    while not (metrics.exists() and metrics.read_text()) and time.monotonic() < deadline:
+    deadline = time.monotonic() + 200
+    while not (metrics.exists() and metrics.read_text()):
+        assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, printed = process.communicate(timeout=60)
+    _, printed = process.communicate(timeout=90)
     assert process.returncode == 130
     checkpoint = tmp_path / "toy.checkpoint.safetensors"
     assert "--resume" in printed

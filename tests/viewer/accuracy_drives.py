@@ -16,6 +16,7 @@ from splatview.measure.knobs import Plan
 from splatview.renderers import quality
 from splatview.renderers.request import FrameRequest
 from splatview.viewer.navigation import orbit
+from splatview.viewer.quality.measurement import Measurement
 from splatview.viewer.quality.state import Accuracy
 from splatview.viewer.state import AppState
 
@@ -29,18 +30,19 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     exact = hand.picture()
     hand.page("Accuracy")
     hand.frames(3)
-    hand.ctx.item_click("**/###measure")
-    hand.wait(lambda: accuracy.measurement is not None, "the measurement to begin")
     progress: list[float] = []
+    report = Measurement.report
 
-    def over() -> bool:
-        if accuracy.measurement is not None:
-            progress.append(accuracy.measurement.progress)
-        return accuracy.measurement is None
+    def noted(self: Measurement, share: float, text: str = "") -> None:
+        progress.append(share)
+        report(self, share, text)
 
-    hand.wait(over, "the prices", 400)
+    Measurement.report = noted
+    hand.ctx.item_click("**/###measure")
+    hand.wait(lambda: accuracy.ladder is not None, "the prices", 240)
+    Measurement.report = report
     hand.frames(3)
-    assert accuracy.ladder is not None, hand.said
+    assert accuracy.ladder is not None
     found["progress"] = [progress[0], max(progress)]
     found["rungs"] = [
         [one.rung.knob, one.rung.value, one.psnr, one.max_error, one.ratio] for one in accuracy.ladder.rungs
@@ -86,6 +88,7 @@ def prices(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["choices_after"] = dict(accuracy.choices)
 
     reduced(app, hand, found, exact)
+    accuracy.rounds = 1_000_000  # until it is cancelled
     hand.ctx.item_click("**/###measure")
     hand.wait(lambda: accuracy.measurement is not None, "the second measurement")
     hand.frames(2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ from drives import Hand
 from editing_drives import counts, settle
 from imgui_bundle import imgui
 
+from splatview.renderers import conversion
+from splatview.scene.progress import Progress
 from splatview.viewer.camera import shown_sample
+from splatview.viewer.editing import exporting as export_module
 from splatview.viewer.editing.exporting import SCOPES, WRITTEN, Exporting, title_of
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.panels.export import GOAL_NAMES
@@ -28,6 +32,14 @@ DIALOG = "//Export the scene"
 def shoot(hand: Hand, name: str) -> None:
     hand.frames(4)
     hand.shoot(f"{SHOTS}/{name}.png" if SHOTS else None)
+
+
+def until_cancelled(*arguments: Any, progress: Progress, **options: Any) -> conversion.Measured:
+    """A search that begins when it is cancelled: as slow as the user is."""
+    limit = time.monotonic() + 100
+    while progress.cancelled is not None and not progress.cancelled() and time.monotonic() < limit:
+        time.sleep(0.001)
+    return conversion.measure(*arguments, progress=progress, **options)
 
 
 def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
@@ -84,12 +96,15 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     choose("Target", 1)
     hand.frames(2)
     found["stale"] = exporting.is_current(session)
+    search = export_module.measure
+    export_module.measure = until_cancelled
     hand.ctx.item_click(f"{DIALOG}/Measure")
     hand.frames(3)
     shoot(hand, "export-searching")
     found["searching"] = session.job is not None
     hand.ctx.item_click(f"{DIALOG}/Cancel")
     hand.wait(lambda: session.job is None, "the end of the search", 60)
+    export_module.measure = search
     hand.frames(3)
     found["cancelled"] = [exporting.measured is None, hand.said[-1]]
     measure()

@@ -17,7 +17,7 @@ from typing import Any
 import drives
 import training_drives
 from drives import Hand
-from training_drives import seen, steps, training_of
+from training_drives import end_after, seen, steps, training_of
 
 from splatview.edit.operations import Delete, SelectAll
 from splatview.edit.operations.transform import Transform
@@ -117,7 +117,7 @@ def capture_goes(app: AppState, hand: Hand, options: dict[str, Any], found: dict
     found["scores"] = len(training.scores)
     hand.strip("Compare")
     hand.wait(lambda: training.comparer.latest is not None, "the comparison")
-    training.thread.change(iterations=training.status.iteration + 20)
+    end_after(training, 20)
     hand.wait(lambda: training.status.state == "done", "the end", 120)
     hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
     found["failure"] = training.status.failure

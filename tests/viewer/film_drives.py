@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 from typing import Any
 
 import drives
+import numpy as np
 from drives import Hand, pose
 from hands_drives import shoot
-from imgui_bundle import ImVec2
+from imgui_bundle import ImVec2, imgui
 
+from splatview.viewer import save as saving
 from splatview.viewer.film import Film
 from splatview.viewer.save import FilmExport
 from splatview.viewer.state import AppState
@@ -32,6 +35,19 @@ def seen(app: AppState) -> dict[str, Any]:
     }
 
 
+def until_stopped(made: FilmExport) -> None:
+    """From now on a film's second frame takes as long as nobody stops the film."""
+    levels, frames = saving.levels, itertools.count()
+
+    def held(image: np.ndarray) -> np.ndarray:
+        task = made.task
+        if next(frames) == 1 and task is not None:
+            task._cancelled.wait(100)
+        return levels(image)
+
+    saving.levels = held
+
+
 def place_on_axis(hand: Hand, seconds: float) -> ImVec2:
     """Where the axis of the panel has a time; keyframes lie at 0.62 of its height."""
     rect, em = hand.ctx.item_info("//Film/axis").rect_full, 16.0
@@ -44,6 +60,9 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     """Keyframes by keys and mouse, played, stopped, changed, saved, opened, exported."""
     ctx, film, made = hand.ctx, app.feature(Film), app.feature(FilmExport)
     app.prefer(smooth=False)
+    begun = app.now()
+    # By frames, however long they take: else a slow window's film is over before anybody can stop it.
+    app.now = lambda: begun + 0.02 * imgui.get_frame_count()
     hand.settle()
     hand.strip("Film")
     shoot(hand, "empty")
@@ -128,6 +147,7 @@ def whole(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["frames"] = sorted(entry.name for entry in Path(options["folder"]).iterdir())
     made.choose(film, fps=60.0, size=(640, 480))
     made.file = options["stopped"]
+    until_stopped(made)
     hand.frames(3)
     ctx.item_click("//Export the film/###begin film")
     hand.wait(lambda: made.task is not None and made.task.progress > 0, "the second film")

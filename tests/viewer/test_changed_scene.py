@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -155,6 +156,7 @@ def test_of_many_steps_in_a_row_the_last_is_looked_through(
 ) -> None:
     session = open_scene(random_gaussians(40))
     looked_through: list[int] = []
+    all_done = threading.Event()
 
     class Slow(Examination):
         def __init__(self, gaussians: Gaussians):
@@ -165,7 +167,7 @@ def test_of_many_steps_in_a_row_the_last_is_looked_through(
             super().__init__(gaussians)
 
         def _run(self) -> None:
-            time.sleep(0.2)
+            assert all_done.wait(60)
             super()._run()
 
     monkeypatch.setattr(changed_scene, "Examination", Slow)
@@ -175,6 +177,7 @@ def test_of_many_steps_in_a_row_the_last_is_looked_through(
         for _ in range(3):
             app.feature(Editing).before_frame(app)
     assert len(app.scene.gaussians) == 200
+    all_done.set()
     settle(app)
     assert looked_through == [80, 200]
     assert app.examination.gaussians is app.scene.gaussians

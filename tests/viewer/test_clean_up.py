@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
@@ -71,13 +72,16 @@ def test_counts_come_at_once_and_prices_when_all_is_calm(app, opened):
     assert frame(app, opened, after=9.0) in ("", COUNTING)
 
 
-def test_prices_give_way_to_the_mouse_and_go_on(app, opened):
+def test_prices_give_way_to_the_mouse_and_go_on(app, opened, monkeypatch):
     frame(app, opened)
     finish(app, opened)
     frame(app, opened)
+    go_on, compare = threading.Event(), cleanup.compare
+    monkeypatch.setattr(cleanup, "compare", lambda *images: go_on.wait(60) and compare(*images))
     assert frame(app, opened, after=2 * CALM_SECONDS) == PRICING
     job = opened.job
     assert frame(app, opened, touched=True) == "" and job is not None and job.cancelled
+    go_on.set()
     assert frame(app, opened, after=0.5 * CALM_SECONDS) == ""
     assert frame(app, opened, after=CALM_SECONDS) == PRICING
     finish(app, opened)

@@ -32,7 +32,7 @@ from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.trainer import Trainer
+from splatview.trainer.trainer import CUT_STEPS, Trainer
 from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import Editing, EditSession, session_for_edit, session_of
@@ -120,6 +120,17 @@ def alive(training: LiveTraining) -> np.ndarray:
     return training.thread.post(lambda session: session.trainer.splats.ids.copy()).result(60)
 
 
+def pause(app: AppState, training: LiveTraining) -> None:
+    """Until the view shows the scene of the last step before the pause."""
+    training.thread.pause()
+    until(app, lambda: training.status.state == "paused", "the pause")
+    until(
+        app,
+        lambda: training.shown is not None and training.shown.iteration == training.status.iteration,
+        "the last snapshot",
+    )
+
+
 def later_steps(app: AppState, training: LiveTraining, count: int = 15) -> None:
     goal = training.status.iteration + count
     until(app, lambda: training.status.iteration >= goal, "steps")
@@ -165,8 +176,8 @@ def test_deleted_splats_are_deleted_in_the_trainer_by_their_numbers(app, trainin
     choose(session, *range(10, 40))
     later_steps(app, training, 120)  # some are born, and some die, in the meantime
     to_delete = at.ids[10:40]
-    before = alive(training)
     training.thread.pause()
+    before = alive(training)
     COMMANDS["delete"].run(app)
     until(app, lambda: training.shown is not at, "the snapshot without them")
     now = alive(training)
@@ -179,7 +190,7 @@ def test_deleted_splats_are_deleted_in_the_trainer_by_their_numbers(app, trainin
 
 
 def test_tool_and_selection_outlast_a_deletion(app, training):
-    training.thread.pause()
+    pause(app, training)
     session = frozen_session(app)
     at = training.shown
     COMMANDS["tool_brush"].run(app)
@@ -217,15 +228,15 @@ def test_what_is_deleted_cannot_be_undone_but_choosing_can(app, training):
 
 
 def test_the_last_splats_stay(app, training):
+    pause(app, training)
     session = frozen_session(app)
     before = len(alive(training))
-    training.thread.pause()
     session.apply(SelectAll())
     session.apply(Delete())
     target = frozen_target(session)
     assert target is not None
     until(app, lambda: not target.waiting and not session.document.counts.deleted, "the answer")
-    assert len(alive(training)) >= before
+    assert len(alive(training)) == before
     assert any("no splat would be left" in message.text for message in app.messages)
     session.undo()
     assert session.document.counts.selected == 0, "steps can be undone again"
@@ -261,6 +272,11 @@ def test_crops_become_rules_that_keep_it_cut(app, training, origin, capture, tmp
     assert training.status.settings.cut == ((small,),)
     until(app, lambda: session_of(app) is None, "letting go: the crop is a rule, and nothing is in hand")
     later_steps(app, training, 120)
+    pause(app, training)
+    while training.status.iteration % CUT_STEPS:  # in between splats move in, until the next look
+        at = training.status.iteration
+        training.thread.step_once()
+        until(app, lambda at=at: training.status.iteration == at + 1, "a step")
     exported = load_scene(training.thread.export(tmp_path / "export.ply").result(60))
     assert np.abs(np.median(exported.means, axis=0) - origin).max() < 10
     assert not small.contains(exported.means).any()

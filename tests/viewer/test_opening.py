@@ -149,10 +149,10 @@ def slow_reader(monkeypatch):
 def test_cancelling_ends_the_thread_and_says_nothing_is_wrong(app, ply, slow_reader):
     open_paths(app, [ply("a")])
     running = app.loading
-    assert slow_reader.wait(10)
+    assert slow_reader.wait(60)
     assert running.progress == pytest.approx(0.25)
     cancel_loading(app)
-    running.join(10)
+    running.join(60)
     assert running.done
     assert app.loading is None
     assert app.problem is None
@@ -173,7 +173,7 @@ def test_cancelling_an_upload_keeps_the_old_scene(app, ply, wait_for_loading, mo
 
     monkeypatch.setattr(app.picture, "load_steps", endless)
     open_paths(app, [ply("b", 20)])
-    app.loading.join(10)
+    app.loading.join(60)
     opening.continue_loading(app)
     assert app.loading.stage == "Uploading", "the window gets its turn although the upload goes on"
     cancel_loading(app)
@@ -186,13 +186,13 @@ def test_cancelling_an_upload_keeps_the_old_scene(app, ply, wait_for_loading, mo
 def test_a_second_file_cancels_the_first(app, ply, slow_reader, monkeypatch, wait_for_loading):
     open_paths(app, [ply("a")])
     first = app.loading
-    assert slow_reader.wait(10)
+    assert slow_reader.wait(60)
     monkeypatch.undo()
     open_paths(app, [ply("b", 7)])
     assert first.cancelled
     wait_for_loading(app)
     assert app.scene.name == "b.ply"
-    first.join(10)
+    first.join(60)
     assert first.done
 
 
@@ -203,7 +203,7 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
     begun = threading.Event()
 
     def read(path, *, progress):
-        assert begun.wait(10)
+        assert begun.wait(60)
         progress.step(1.0)
         assert app.loading is not None
         seen.append(app.loading.progress)

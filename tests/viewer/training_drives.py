@@ -29,6 +29,7 @@ from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
+from splatview.trainer.trainer import CUT_STEPS
 from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer.app import ATTENDED_SECONDS
@@ -48,6 +49,15 @@ def seen(hand: Hand, beyond: int = 0) -> int:
     hand.wait(lambda: training.shown is not None and training.shown.iteration > beyond, "a snapshot")
     assert training.shown is not None
     return training.shown.iteration
+
+
+def last_seen(hand: Hand) -> None:
+    """Waits until the view shows the scene as the trainer has left it; for one that stands."""
+    training = training_of(hand.app)
+    hand.wait(
+        lambda: training.shown is not None and training.shown.iteration == training.status.iteration,
+        "the last snapshot",
+    )
 
 
 def steps(hand: Hand, count: int) -> None:
@@ -174,6 +184,7 @@ def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     hand.frames(5)
     found["problem"] = app.problem
     found["state"] = training.status.state
+    last_seen(hand)
     found["scene_stays"] = app.is_open and len(app.scene.gaussians) == training.status.gaussians
     found["picture_mean"] = float(hand.picture()[..., :3].mean())
     hand.ctx.item_click("//That did not work/OK")
@@ -193,7 +204,7 @@ def plugin_fails(app: AppState, hand: Hand, options: dict[str, Any], found: dict
     found["problem"], found["state"] = app.problem, training.status.state
     found["iteration"] = training.status.iteration
     hand.ctx.item_click("//That did not work/OK")
-    hand.frames(10)
+    last_seen(hand)
     found["scene_stays"] = app.is_open and len(app.scene.gaussians) == training.status.gaussians
     found["problem_after"] = app.problem
 
@@ -225,17 +236,21 @@ def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
 
     index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
     found["clicked"] = click_frustum(app, hand, index)
-    training.thread.change(iterations=training.status.iteration + 100)
+    end_after(training, 100)
     hand.wait(lambda: training.status.state == "done", "the end", 120)
     hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
     found["progress"] = training.status.progress
-    hand.wait(
-        lambda: training.shown is not None and training.shown.iteration == training.status.iteration,
-        "the last snapshot",
-    )
+    last_seen(hand)
     answer = training.thread.post(lambda session: session.trainer.splats.arrays.means.copy())
     assert training.shown is not None
     found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
+
+
+def end_after(training: LiveTraining, count: int) -> None:
+    """Has the run end so many steps later, counted where nobody steps meanwhile."""
+    training.thread.post(
+        lambda run: run.trainer.change(iterations=run.trainer.counters.iteration + count)
+    ).result(60)
 
 
 def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
@@ -266,7 +281,9 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     found["still_there"] = int(np.isin(held.ids[splats], now.ids).sum())
     found["deleted"] = len(splats)
     edited = SceneEdits(marks=np.zeros(len(now.ids), np.uint32))
-    found["in_rectangle"] = int(rectangle.by.mask(now.gaussians, edited, NoTools()).sum())
+    # Not those born since: a quick trainer fills the gap again before anybody looks.
+    older = np.isin(now.ids, held.ids)
+    found["in_rectangle"] = int((rectangle.by.mask(now.gaussians, edited, NoTools()) & older).sum())
     found["tool"] = session.tool if (session := session_of(app)) else None
     hand.press("Escape")
     seen(hand, now.iteration)
@@ -292,10 +309,17 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.wait(lambda: len(training.status.settings.cut) == 1, "the rule")
     hand.wait(lambda: session_of(app) is None, "the view to go on")
     seen(hand, training.status.iteration + 60)
+    training.thread.pause()
+    hand.wait(lambda: training.status.state == "paused", "the pause")
+    while training.status.iteration % CUT_STEPS:  # in between splats move out, until the next look
+        at = training.status.iteration
+        training.thread.step_once()
+        hand.wait(lambda at=at: training.status.iteration == at + 1, "a step")
+    last_seen(hand)
     (sphere,) = training.status.settings.cut[0]
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
     found["left"] = len(training.shown.ids)
-    found["outside"] = len(outside) / len(training.shown.ids)
+    found["outside"] = len(outside)
     training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
     ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
     hand.frames(3)
@@ -309,6 +333,8 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx.item_click("//Edit/Rules of the training/cut 0/###remove")
     ctx.item_click("//Edit/Rules of the training/no_growth 0/###remove")
     hand.wait(lambda: not (training.status.settings.cut or training.status.settings.no_growth), "no rules")
+    training.thread.resume()
+    steps(hand, 5)
     found["failure"] = training.status.failure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -113,6 +114,15 @@ def test_drawing_never_waits_and_the_latest_wish_wins(texture, random_gaussians,
     assert set(angles) == {0.1, 0.8}, "wishes overtaken meanwhile are never drawn"
 
 
+def never_rests(monkeypatch) -> None:
+    """A camera counts as moving however long it stays where it is; undone by `rests_again`."""
+    monkeypatch.setattr(async_renderer, "REST_SECONDS", math.inf)
+
+
+def rests_again(monkeypatch) -> None:
+    monkeypatch.setattr(async_renderer, "REST_SECONDS", 0.0)
+
+
 def slow_and_not_priced(monkeypatch) -> None:
     """Moving pictures stay at half the size."""
     monkeypatch.setattr(async_renderer, "MOVING_MS", 0.0)
@@ -125,11 +135,13 @@ def test_moving_pictures_are_smaller_where_they_are_slow(texture, random_gaussia
     slow_and_not_priced(monkeypatch)
     rest(texture, camera())
     before = texture.stats().drawn
+    never_rests(monkeypatch)
     texture.draw(FrameRequest(None, camera(0.2), SETTINGS))
     until(lambda: texture.stats().drawn > before)
     texture.draw(FrameRequest(None, camera(0.2), SETTINGS))
     assert texture.size == (48, 32)
     assert texture.busy, "the sharp one is still to come"
+    rests_again(monkeypatch)
     np.testing.assert_array_equal(rest(texture, camera(0.2)), raster.render(scene, camera(0.2), SETTINGS))
 
 
@@ -146,6 +158,7 @@ def test_a_scene_that_changes_before_an_eye_at_rest_is_sharp_at_once(texture, ra
     assert texture.stats().drawn == before + 1, "no coarse picture came first"
     np.testing.assert_array_equal(shown, raster.render(second, camera(0.2), SETTINGS))
     texture.load(first)
+    never_rests(monkeypatch)
     texture.draw(FrameRequest(None, camera(0.3), SETTINGS))
     until(lambda: texture.stats().drawn > before + 1)
     texture.draw(FrameRequest(None, camera(0.3), SETTINGS))
@@ -209,11 +222,13 @@ def test_slow_scenes_are_priced_and_move_by_a_shortcut(texture, random_gaussians
 
     until(planned)
     before = texture.stats().drawn
+    never_rests(monkeypatch)
     texture.draw(FrameRequest(None, camera(0.5), SETTINGS))
     until(lambda: texture.stats().drawn > before)
     texture.draw(FrameRequest(None, camera(0.5), SETTINGS))
     assert "dB" in texture.note
     assert texture.size != (96, 64) or "of the splats" in texture.note
+    rests_again(monkeypatch)
     np.testing.assert_array_equal(rest(texture, camera(0.5)), raster.render(scene, camera(0.5), SETTINGS))
     assert texture.note == "", "a picture at rest leaves nothing out"
     texture.load(random_gaussians(10))

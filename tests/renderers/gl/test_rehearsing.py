@@ -29,7 +29,8 @@ from splatview.viewer.picture import Picture
 COUNT = 200
 CAMERA = look_at((0.4, -0.6, -2.4), (0, 0, 0), width=48, height=40)
 SETTINGS = RenderSettings(blend="float32")
-PATIENCE = 20.0
+PATIENCE = 200.0
+"""Seconds until a test that hangs is given up; no measure of anything."""
 NOTHING: Any = SimpleNamespace(backend="quads")
 
 
