@@ -9,8 +9,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 MINUTES ?= 60
 JOBS ?= 2
-# Tests of a file stay in one process, in order: they share contexts and compiled kernels.
-SHARED := --numprocesses $(JOBS) --dist loadfile
+# Tests of a file stay in one process, in order: they share contexts and compiled kernels. Files in the order of
+# tests/conftest.py.
+SHARED := --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
+# Where nothing may be compiled to files, each of the hundreds of processes that tests start compiles the package.
+unexport PYTHONDONTWRITEBYTECODE
 # Without the build's warning that an editable installation is one.
 INSTALL := PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 

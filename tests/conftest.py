@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,15 @@ from splatview.scene import Gaussians
 # A busy machine is no failure.
 hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take the longest come first, so that two processes end together: windows, then what has the
+    most tests (`--no-loadscope-reorder` keeps this order)."""
+    tests = Counter(item.path for item in items)
+    items.sort(key=lambda item: (not item.path.stem.endswith("_window"), -tests[item.path], str(item.path)))
+
 
 DATA = Path(os.environ.get("SPLATVIEW_DATA", Path(__file__).parents[2] / "shared" / "data"))
 """Trained scenes and photo sets that are not part of the repository."""

@@ -90,19 +90,26 @@ def _read(name: str) -> str:
     return resources.files(shaders).joinpath(name).read_text(encoding="utf8")
 
 
+@cache
+def _lines(name: str) -> tuple[tuple[str, str | None], ...]:
+    """Each line of a file, and the file that it includes; read once, as a window compiles dozens of programs
+    of the same files."""
+    found = ((line, INCLUDE.match(line)) for line in _read(name).splitlines())
+    return tuple((line, match[1] if match else None) for line, match in found)
+
+
 def _append(name: str, includer: str, seen: set[str], lines: list[str], origins: list[Origin]) -> None:
     seen.add(name)
     try:
-        source = _read(name)
+        source = _lines(name)
     except FileNotFoundError as error:
         raise ShaderError(f"{includer}: there is no shader file {name}") from error
-    for number, line in enumerate(source.splitlines(), start=1):
-        match = INCLUDE.match(line)
-        if match is None:
+    for number, (line, included) in enumerate(source, start=1):
+        if included is None:
             lines.append(line)
             origins.append((name, number))
-        elif match[1] not in seen:
-            _append(match[1], f"{name}:{number}", seen, lines, origins)
+        elif included not in seen:
+            _append(included, f"{name}:{number}", seen, lines, origins)
 
 
 def _version(ctx: moderngl.Context) -> str:

@@ -14,7 +14,10 @@ import pytest
 from rich.table import Table
 
 from splatview.cli.main import TolerantStream, main, make_console
+from splatview.raster import render
 from splatview.scene import Gaussians
+from splatview.scene.captures.demo import demo_capture
+from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import save_scene
 
 START = "import sys; from splatview.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -68,8 +71,9 @@ def test_characters_that_the_terminal_lacks_are_escaped(scene):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 @pytest.mark.parametrize("log", ["2>&1 | head -c 1 >/dev/null", "> /dev/full 2>&1", "2> /dev/full"])
 def test_training_goes_on_without_its_terminal(tmp_path, log):
-    line = f"$SPLATVIEW train --demo --headless --iterations 12 --downscale 4 -o {tmp_path / 'out.ply'} {log}"
-    done = shell(line)
+    capture = tmp_path / "capture"
+    save_capture(demo_capture(render, photos=4, width=48, height=36, splats=1000), capture)
+    done = shell(f"$SPLATVIEW train {capture} --headless --iterations 12 -o {tmp_path / 'out.ply'} {log}")
     assert (tmp_path / "out.ply").exists(), done.stderr
     assert (tmp_path / "out.checkpoint.safetensors").exists()
 

@@ -6,7 +6,9 @@ Each check is written once and runs on all renderers that can do what it is abou
 
 from __future__ import annotations
 
+import hashlib
 import math
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -85,6 +87,25 @@ def camera_at(*eye: float, width: int = 70, height: int = 45) -> Camera:
     return look_at(eye, (0.0, 0.0, 0.0), width=width, height=height)
 
 
+_truths: dict[bytes, np.ndarray] = {}
+"""What `truth_of` has drawn lately, the latest last."""
+
+MOST_TRUTHS = 64
+
+
+def truth_of(scene: Gaussians, camera: Camera, settings: RenderSettings | None = None) -> np.ndarray:
+    """The reference's picture, drawn once for all renderers that are compared with it one after the other."""
+    key = hashlib.sha256(pickle.dumps((scene, camera, settings))).digest()
+    image = _truths.pop(key, None)
+    if image is None:
+        image = reference.render(scene, camera, settings)
+        image.flags.writeable = False
+    _truths[key] = image
+    if len(_truths) > MOST_TRUTHS:
+        del _truths[next(iter(_truths))]
+    return image
+
+
 def assert_true(
     backend,
     scene: Gaussians,
@@ -100,7 +121,7 @@ def assert_true(
     float32 decides which side of a cut or of another splat a splat is on (None: the renderer's own)."""
     image = backend.draw(scene, camera, settings, edits=edits)
     drawn = scene if edits is None else bake(scene, edits)
-    truth = reference.render(drawn, camera, settings)
+    truth = truth_of(drawn, camera, settings)
     assert image.shape == (camera.height, camera.width, 4)
     assert image.dtype == np.float32
     assert np.isfinite(image).all()
@@ -161,7 +182,7 @@ def test_bright_colours_do_not_overflow(backend, random_gaussians: Make):
     bright = replace(scene, sh=scene.sh * 40)
     image = backend.draw(bright, camera, replace(EXACT, blend="float16"))
     assert image.max() > 5
-    assert np.allclose(image, reference.render(bright, camera, EXACT), rtol=5e-3, atol=ON_CUT)
+    assert np.allclose(image, truth_of(bright, camera, EXACT), rtol=5e-3, atol=ON_CUT)
 
 
 @on(*FAST)
@@ -337,7 +358,7 @@ def trained_view(path: Path, where: str, turn: int) -> tuple[Gaussians, Camera, 
     target = centre if distance > 1 else centre - radius * direction
     eye = centre + radius * distance * direction
     camera = look_at(eye, target, up=(0, -1, 0), width=120, height=72)
-    return scene, camera, reference.render(scene, camera, EXACT)
+    return scene, camera, truth_of(scene, camera, EXACT)
 
 
 # ---- Values that are no numbers, and the largest and smallest that are
@@ -399,7 +420,7 @@ def test_a_valid_extreme_stays_visible(backend, changes):
     camera = look_at((0, 0, -3), (0, 0, 0), width=40, height=31)
     image = backend.draw(one_splat(**changes), camera, BLACK)
     assert image[..., 3].max() > 0.1
-    expected = reference.render(one_splat(**changes), camera, BLACK)
+    expected = truth_of(one_splat(**changes), camera, BLACK)
     assert largest_error(image, expected) <= backend.bound * max(1.0, float(np.abs(expected).max()))
 
 
@@ -472,7 +493,7 @@ def test_halves_far_apart_are_both_sharp(backend, distance: float, random_gaussi
     scene = concatenate([moved(half, (0, 0, 0)), moved(half, (distance, 0, 0))])
     for shift in ((0, 0, 0), (distance, 0, 0)):
         image = backend.draw(scene, eye_at(shift), EXACT)
-        assert largest_error(image, reference.render(scene, eye_at(shift), EXACT)) <= 2e-3
+        assert largest_error(image, truth_of(scene, eye_at(shift), EXACT)) <= 2e-3
 
 
 # ---- Order
@@ -566,7 +587,7 @@ def test_early_stop_costs_at_most_its_transmittance(backend, random_gaussians: M
     scene = random_gaussians(4000)
     scene = replace(scene, opacity_logits=scene.opacity_logits + 3)
     camera = camera_at(0, 0, 1.5, width=96, height=64)
-    truth = reference.render(scene, camera, EXACT)
+    truth = truth_of(scene, camera, EXACT)
     image = backend.draw(scene, camera, replace(EXACT, early_stop=stop))
     assert largest_error(image, truth) <= stop * max(truth[..., :3].max(), 4.0) + 1e-4
     exact = backend.draw(scene, camera, replace(EXACT, early_stop=0.0))
@@ -598,7 +619,7 @@ def test_a_bright_lamp_behind_what_is_nearly_opaque(backend, random_gaussians: M
     camera = look_at((0, 0, -3), (0, 0, 0), width=24, height=16)
     wanted = replace(settings_for(lit), blend="float32")
     assert wanted.early_stop is not None and wanted.early_stop < LEAST_LIGHT / 6
-    truth = reference.render(lit, camera)
+    truth = truth_of(lit, camera)
     # A tenth for float32.
     assert largest_error(backend.draw(lit, camera, wanted), truth) <= 1.1 * VISIBLE
     coarse = replace(wanted, early_stop=LEAST_LIGHT)
@@ -641,9 +662,9 @@ def test_every_lens_and_parallel_rays(backend, random_gaussians: Make, antialias
     scene = random_gaussians(300, sh_degree=2, seed=2)
     exact = replace(EXACT, model=ImageModel(antialiased=antialiased))
     cameras = {**{model: through(model) for model in LENSES}, "parallel": PARALLEL}
-    straight = reference.render(scene, PINHOLE, exact)
+    straight = truth_of(scene, PINHOLE, exact)
     for name, camera in cameras.items():
-        truth = reference.render(scene, camera, exact)
+        truth = truth_of(scene, camera, exact)
         assert largest_error(backend.draw(scene, camera, exact), truth) < RAYS_BOUND, name
         if backend.name in BLENDING_FLOAT16:
             half = backend.draw(scene, camera, replace(exact, blend="float16"))
@@ -654,7 +675,7 @@ def test_every_lens_and_parallel_rays(backend, random_gaussians: Make, antialias
 def test_moving_along_parallel_rays_changes_nothing(backend, random_gaussians: Make):
     scene = random_gaussians(300, sh_degree=3, seed=3)
     image = backend.draw(scene, PARALLEL, EXACT)
-    assert largest_error(image, reference.render(scene, PARALLEL, EXACT)) < RAYS_BOUND
+    assert largest_error(image, truth_of(scene, PARALLEL, EXACT)) < RAYS_BOUND
     matrix = PARALLEL.world_to_camera.copy()
     matrix[2, 3] += 5
     assert largest_error(image, backend.draw(scene, replace(PARALLEL, world_to_camera=matrix), EXACT)) < 1e-4
@@ -687,7 +708,7 @@ def test_other_orders_through_a_lens(backend, order):
     scene = splats([(0.3, 0.2, 0.4)], [(0.9, 0.9, 0.9)], scales=(0.2,) * 3, logit=4.0)
     for camera in (through("OPENCV_FISHEYE"), PARALLEL):
         image = backend.draw(scene, camera, replace(EXACT, order=order))
-        assert largest_error(image, reference.render(scene, camera, EXACT)) < RAYS_BOUND
+        assert largest_error(image, truth_of(scene, camera, EXACT)) < RAYS_BOUND
 
 
 # ---- Backgrounds
@@ -715,7 +736,7 @@ def test_every_background_and_back(backend, random_gaussians: Make, backgrounds)
     scene = random_gaussians(30)
     for background in (*backgrounds.values(), backgrounds["colour"]):
         settings = replace(EXACT, background=background)
-        truth = reference.render(scene, OUTDOORS, settings)
+        truth = truth_of(scene, OUTDOORS, settings)
         np.testing.assert_allclose(backend.draw(scene, OUTDOORS, settings), truth, atol=BACKGROUND_BOUND)
         assert (1 - truth[..., 3]).mean() > 0.2  # or nothing of it would be seen
 
@@ -728,7 +749,7 @@ def test_a_lens_bends_the_background_too(backend, random_gaussians: Make, backgr
     for name in ("gradient", "panorama"):
         settings = replace(EXACT, background=backgrounds[name])
         image = backend.draw(scene, bent, settings)
-        truth = reference.render(scene, bent, settings)
+        truth = truth_of(scene, bent, settings)
         np.testing.assert_allclose(image, truth, atol=BACKGROUND_BOUND)
         assert largest_error(image, backend.draw(scene, OUTDOORS, settings)) > 0.01
 
@@ -767,7 +788,7 @@ def test_flat_splats(backend, seed):
     scene = flat_splats(seed)
     for view, blur in ((FLAT_CAMERA, 0.5), (FLAT_PARALLEL, 0.5), (FLAT_CAMERA, 0.0)):
         chosen = replace(FLAT, model=replace(FLAT.model, blur=blur))
-        assert_flat_true(backend, backend.draw(scene, view, chosen), reference.render(scene, view, chosen))
+        assert_flat_true(backend, backend.draw(scene, view, chosen), truth_of(scene, view, chosen))
 
 
 @on(*FAST)
@@ -789,7 +810,7 @@ def test_edits_of_flat_splats_are_seen_as_they_are_baked(backend):
     marks[::7] |= HIDDEN
     edits = SceneEdits(marks=marks, palette=palette, flags=HIDDEN)
     drawn = backend.draw(scene, FLAT_CAMERA, FLAT, edits=edits)
-    assert_flat_true(backend, drawn, reference.render(bake(scene, edits), FLAT_CAMERA, FLAT))
+    assert_flat_true(backend, drawn, truth_of(bake(scene, edits), FLAT_CAMERA, FLAT))
     assert largest_error(drawn, backend.draw(scene, FLAT_CAMERA, FLAT)) > 0.1
 
 
@@ -870,7 +891,7 @@ def assert_edited(
 ) -> np.ndarray:
     """Draws and compares, and makes sure that the edits show."""
     image = assert_true(backend, scene, camera, settings, edits=edits, least=least, most=ON_CUT, bound=bound)
-    assert largest_error(image, reference.render(scene, camera, settings)) > 0.1
+    assert largest_error(image, truth_of(scene, camera, settings)) > 0.1
     return image
 
 

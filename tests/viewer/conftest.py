@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from screen import Screen, screen
 
 from splatview.raster import render
 from splatview.renderers.request import FrameRequest
@@ -104,36 +105,28 @@ def wait_for_loading() -> Callable[[AppState], None]:
 
 
 @pytest.fixture(scope="session")
-def display() -> Iterator[str]:
+def make_screen() -> Callable[..., AbstractContextManager[Screen]]:
+    """`with make_screen("1600x1000") as screen`: an X server of its own, without a monitor."""
+
+    @contextmanager
+    def make(size: str = "1000x700") -> Iterator[Screen]:
+        with ExitStack() as stack:
+            try:
+                made = stack.enter_context(screen(size))
+            except FileNotFoundError as error:
+                pytest.skip(str(error))
+            except OSError as error:
+                pytest.skip(f"Xvfb does not start here: {error}")
+            yield made
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def display(make_screen) -> Iterator[str]:
     """A screen without a monitor: the value for DISPLAY."""
-    program = shutil.which("Xvfb")
-    if program is None:
-        pytest.skip("Xvfb is not installed (Debian: apt-get install xvfb)")
-    ready, write_end = os.pipe()
-    server = subprocess.Popen(
-        [
-            program,
-            "-displayfd",
-            str(write_end),
-            "-screen",
-            "0",
-            "1000x700x24",
-            "-nolisten",
-            "tcp",
-            "-noreset",
-        ],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        number = pipe.readline().strip()
-    if not number:
-        server.wait()
-        pytest.skip("Xvfb does not start here")
-    yield f":{number}"
-    server.terminate()
-    server.wait()
+    with make_screen() as made:
+        yield made.display
 
 
 class Launcher:

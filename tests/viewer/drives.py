@@ -56,6 +56,7 @@ class Hand:
             if time.monotonic() > limit:
                 raise AssertionError(f"waited in vain for {what}; messages: {self.said}")
             self.ctx.yield_(1)
+            time.sleep(0.004)  # what is waited for has the cores meanwhile, not the window's next frames
 
     def settle(self) -> None:
         """Until nothing is on its way any more."""

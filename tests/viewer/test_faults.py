@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -41,32 +40,10 @@ def capture(tmp_path) -> Path:
 
 
 @pytest.fixture
-def own_display() -> Iterator[tuple[str, int]]:
+def own_display(make_screen) -> Iterator[tuple[str, int]]:
     """A screen that may be killed: DISPLAY, and the server's process."""
-    program = shutil.which("Xvfb")
-    if program is None:
-        pytest.skip("Xvfb is not installed (Debian: apt-get install xvfb)")
-    ready, write_end = os.pipe()
-    server = subprocess.Popen(
-        [
-            program,
-            "-displayfd",
-            str(write_end),
-            "-screen",
-            "0",
-            "1000x700x24",
-            "-nolisten",
-            "tcp",
-            "-noreset",
-        ],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        yield f":{pipe.readline().strip()}", server.pid
-    server.kill()
-    server.wait()
+    with make_screen() as made:
+        yield made.display, made.pid
 
 
 def begin(folder: Path, display: str, name: str, *paths: Path, **options: Any) -> subprocess.Popen[str]:

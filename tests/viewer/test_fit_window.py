@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 from collections.abc import Iterator
 
 import pytest
@@ -14,29 +12,10 @@ SIZES = [(1600, 1000), (1280, 800), (1024, 640)]
 
 
 @pytest.fixture(scope="module")
-def large_display(display) -> Iterator[str]:
+def large_display(make_screen) -> Iterator[str]:
     """A screen that holds the largest window."""
-    ready, write_end = os.pipe()
-    server = subprocess.Popen(
-        [
-            "Xvfb",
-            "-displayfd",
-            str(write_end),
-            "-screen",
-            "0",
-            "1600x1000x24",
-            "-nolisten",
-            "tcp",
-            "-noreset",
-        ],
-        pass_fds=[write_end],
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write_end)
-    with os.fdopen(ready) as pipe:
-        yield f":{pipe.readline().strip()}"
-    server.terminate()
-    server.wait()
+    with make_screen("1600x1000") as made:
+        yield made.display
 
 
 @pytest.mark.parametrize(

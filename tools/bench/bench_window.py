@@ -104,11 +104,11 @@ def main() -> None:
     options = parser.parse_args()
     results, rows = [], []
     with (
-        screen(f"{SIZE[0] + PANELS[0]}x{SIZE[1] + PANELS[1]}") as display,
+        screen(f"{SIZE[0] + PANELS[0]}x{SIZE[1] + PANELS[1]}") as made,
         tempfile.TemporaryDirectory() as folder,
     ):
         environment = dict(
-            os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
+            os.environ, DISPLAY=made.display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
         )
         for name in ("WAYLAND_DISPLAY", "PYTHONDONTWRITEBYTECODE"):  # a user's Python keeps what it compiles
             environment.pop(name, None)

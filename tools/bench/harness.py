@@ -165,12 +165,12 @@ def in_window(script: str, arguments: Sequence[object], size: tuple[int, int], *
     """The JSON that `script` writes to the file named last on its command line, run with a screen of its own
     on which a window with a picture of `size` fits."""
     with (
-        screen(f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}") as display,
+        screen(f"{size[0] + PANELS[0]}x{size[1] + PANELS[1]}") as made,
         tempfile.TemporaryDirectory() as folder,
     ):
         report = Path(folder) / "report.json"
         environment = dict(
-            os.environ, DISPLAY=display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
+            os.environ, DISPLAY=made.display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
         )
         environment.pop("WAYLAND_DISPLAY", None)
         command = [sys.executable, script, *map(str, arguments), str(report)]

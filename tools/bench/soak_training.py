@@ -251,8 +251,8 @@ def main() -> None:
         soak.watch(self)
 
     LiveTraining.before_frame = watched
-    with tempfile.TemporaryDirectory() as folder, screen() as display:
-        os.environ |= {"SPLATVIEW_CONFIG_DIR": folder, "DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+    with tempfile.TemporaryDirectory() as folder, screen() as made:
+        os.environ |= {"SPLATVIEW_CONFIG_DIR": folder, "DISPLAY": made.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
         os.environ.pop("WAYLAND_DISPLAY", None)
         arguments = ["--demo"] if options.capture is None else [options.capture]
         arguments += ["-o", str(Path(folder) / "soak.ply"), "--minutes", str(options.minutes)]

@@ -151,8 +151,8 @@ def main() -> None:
     names = options.renderers.split(",")
     print(f"seed {options.seed}, logs in {options.logs}")
     parts = []
-    with screen() as display:
-        os.environ["DISPLAY"] = display
+    with screen() as made:
+        os.environ["DISPLAY"] = made.display
         for name in names:
             part = run_part(
                 name,
