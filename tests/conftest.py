@@ -20,11 +20,18 @@ hypothesis.settings.load_profile("untimed")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that take the longest come first, so that two processes end together: windows, then what has the
-    most tests (`--no-loadscope-reorder` keeps this order)."""
+    """Files in the order in which two processes end together (`--no-loadscope-reorder` keeps it): by their
+    number of tests, and windows, whose few tests take long, once the first files have compiled the kernels,
+    which each window would do for itself."""
     tests = Counter(item.path for item in items)
-    items.sort(key=lambda item: (not item.path.stem.endswith("_window"), -tests[item.path], str(item.path)))
+    for path in tests:
+        if path.stem.endswith("_window"):
+            tests[path] += WINDOW_TESTS
+    items.sort(key=lambda item: (-tests[item.path], str(item.path)))
 
+
+WINDOW_TESTS = 30
+"""Quick tests that a file with windows counts for."""
 
 DATA = Path(os.environ.get("SPLATVIEW_DATA", Path(__file__).parents[2] / "shared" / "data"))
 """Trained scenes and photo sets that are not part of the repository."""

@@ -56,7 +56,7 @@ def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Path) -> AppStat
 
 def run(app: AppState, until: Callable[[], bool]) -> None:
     """The part of the frame loop that files need."""
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while not until():
         assert time.monotonic() < limit
         opening.continue_loading(app)

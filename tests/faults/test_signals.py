@@ -114,5 +114,5 @@ def test_what_a_living_process_writes_is_left_alone(scene: Path) -> None:
         assert leftovers(scene.parent) == [left]
         writer.stdin.write("\n\n\n")
         writer.stdin.flush()
-        assert writer.wait(60) == 0
+        assert writer.wait(200) == 0
     assert len(load_scene(out)) == 30 and not leftovers(scene.parent)

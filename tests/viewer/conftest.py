@@ -94,7 +94,7 @@ def wait_for_loading() -> Callable[[AppState], None]:
     """Runs the part of the frame loop that loading needs until it is over."""
 
     def wait(app: AppState) -> None:
-        limit = time.monotonic() + 60
+        limit = time.monotonic() + 200
         while app.loading is not None:
             assert time.monotonic() < limit, "loading does not end"
             app.loading.join(0.01)
@@ -223,7 +223,7 @@ def driving(display: str, launcher: Launcher, tmp_path: Path) -> Callable[..., d
         *paths: Path,
         script: str = "drives.py",
         environ: dict[str, str] | None = None,
-        seconds: float = 240,
+        seconds: float = 280,
         **options: Any,
     ) -> dict[str, Any]:
         result = tmp_path / f"{name}.json"

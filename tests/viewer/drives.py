@@ -36,6 +36,9 @@ from splatview.viewer.app import run_window
 from splatview.viewer.editing.session import session_of
 from splatview.viewer.state import AppState
 
+LIMIT = 200.0
+"""Seconds until what is waited for counts as never coming; a machine that compiles kernels beside is slow."""
+
 STAMP = ImVec2(1 / 32, 1 / 32)
 """Pixels of a window that nobody looks at, for each of its own."""
 
@@ -50,7 +53,7 @@ class Hand:
     def frames(self, count: int = 3) -> None:
         self.ctx.yield_(count)
 
-    def wait(self, condition: Callable[[], bool], what: str, seconds: float = 60) -> None:
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = LIMIT) -> None:
         limit = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > limit:

@@ -29,11 +29,11 @@ def open_section(hand: Hand, title: str) -> None:
 
 def settle(hand: Hand) -> None:
     hand.settle()
-    hand.wait(lambda: (session := session_of(hand.app)) is not None and session.job is None, "the job", 120)
+    hand.wait(lambda: (session := session_of(hand.app)) is not None and session.job is None, "the job")
     hand.frames(2)
     session = session_of(hand.app)
     assert session is not None
-    hand.wait(lambda: session.loaded in (None, session.gaussians), "the changed scene", 120)
+    hand.wait(lambda: session.loaded in (None, session.gaussians), "the changed scene")
 
 
 def counts(app: AppState) -> dict[str, int]:

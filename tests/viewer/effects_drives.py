@@ -30,7 +30,7 @@ def receipt(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     hand.shoot(options.get("shot"))
 
     hand.ctx.item_click("**/###measure effects")
-    hand.wait(lambda: bool(effects.prices), "the prices", 120)
+    hand.wait(lambda: bool(effects.prices), "the prices")
     hand.frames(3)
     found["prices"] = {
         name: [price.on, price.ms, price.saved_ms, price.psnr, price.max_error, str(price)]

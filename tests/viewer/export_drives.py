@@ -64,7 +64,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     def measure() -> None:
         hand.ctx.item_click(f"{DIALOG}/Measure")
         hand.frames(2)
-        hand.wait(lambda: session.job is None, "the measurement", 120)
+        hand.wait(lambda: session.job is None, "the measurement")
         hand.frames(3)
 
     def write_to(path: Path) -> None:
@@ -72,7 +72,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
         hand.frames(3)
         hand.ctx.item_click(f"{DIALOG}/Write")
         hand.frames(2)
-        hand.wait(lambda: session.job is None and app.dialog is None, "the file", 60)
+        hand.wait(lambda: session.job is None and app.dialog is None, "the file")
         hand.frames(3)
 
     hand.ctx.set_ref("##MainMenuBar")
@@ -103,7 +103,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     shoot(hand, "export-searching")
     found["searching"] = session.job is not None
     hand.ctx.item_click(f"{DIALOG}/Cancel")
-    hand.wait(lambda: session.job is None, "the end of the search", 60)
+    hand.wait(lambda: session.job is None, "the end of the search")
     export_module.measure = search
     hand.frames(3)
     found["cancelled"] = [exporting.measured is None, hand.said[-1]]
@@ -119,7 +119,7 @@ def exports(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
     choose("Splats", 2)
     hand.ctx.item_click(f"{DIALOG}/Write")
     hand.frames(2)
-    hand.wait(lambda: session.job is None, "the measurement", 120)
+    hand.wait(lambda: session.job is None, "the measurement")
     hand.frames(3)
     found["none_selected"] = [app.problem, app.dialog]
     app.problem = None

@@ -118,8 +118,8 @@ def capture_goes(app: AppState, hand: Hand, options: dict[str, Any], found: dict
     hand.strip("Compare")
     hand.wait(lambda: training.comparer.latest is not None, "the comparison")
     end_after(training, 20)
-    hand.wait(lambda: training.status.state == "done", "the end", 120)
-    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
+    hand.wait(lambda: training.status.state == "done", "the end")
+    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving")
     found["failure"] = training.status.failure
 
 
@@ -131,7 +131,7 @@ def edits_until_killed(app: AppState, hand: Hand, options: dict[str, Any], found
     app.prefer(fly_speed=options["speed"])
     hand.wait(lambda: app.preferences == app.preferences, "a frame")
     Path(options["ready"]).touch()
-    hand.wait(Path(options["go"]).exists, "the word", 120)
+    hand.wait(Path(options["go"]).exists, "the word")
     found["export"] = None
     if options["export"]:
         hand.on_gl_thread(lambda: commands.apply(app, Delete()))

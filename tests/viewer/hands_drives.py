@@ -104,7 +104,7 @@ def tools_and_jobs(app: AppState, session: EditSession, hand: Hand, found: dict[
     shoot(hand, "tool")
     hand.press("Escape")
     go_on = threading.Event()
-    hand.on_gl_thread(lambda: session.start("Waiting", lambda _: go_on.wait(60), lambda _: None))
+    hand.on_gl_thread(lambda: session.start("Waiting", lambda _: go_on.wait(200), lambda _: None))
     places.append(place())
     shoot(hand, "job")
     go_on.set()

@@ -102,7 +102,7 @@ def saves(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.press("Ctrl+Shift+S")
     hand.frames(4)
     hand.ctx.key_chars_replace_enter(options["rounded"])
-    hand.wait(lambda: Path(options["rounded"]).exists(), "the rounded file", 180)
+    hand.wait(lambda: Path(options["rounded"]).exists(), "the rounded file")
     hand.settle()
     titles.append(layout.title(app))
 
@@ -239,10 +239,10 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
     shoot(hand, "readying")
-    hand.wait(lambda: app.find(LiveTraining) is not None, f"the training {state.problem}", 200)
+    hand.wait(lambda: app.find(LiveTraining) is not None, f"the training {state.problem}")
     training = app.feature(LiveTraining)
-    hand.wait(lambda: app.is_open, "the first snapshot", 120)
-    hand.wait(lambda: training.status.iteration >= options["steps"], "some steps", 120)
+    hand.wait(lambda: app.is_open, "the first snapshot")
+    hand.wait(lambda: training.status.iteration >= options["steps"], "some steps")
     shoot(hand, "training")
     found["scene"] = app.scene.name
     found["steps"] = training.status.iteration

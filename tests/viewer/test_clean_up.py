@@ -45,7 +45,7 @@ def frame(app, session, *, after: float = 0.0, touched: bool = False) -> str:
 
 
 def finish(app, session) -> None:
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while session.job is not None:
         assert time.monotonic() < limit
         session.advance()
@@ -77,7 +77,7 @@ def test_prices_give_way_to_the_mouse_and_go_on(app, opened, monkeypatch):
     finish(app, opened)
     frame(app, opened)
     go_on, compare = threading.Event(), cleanup.compare
-    monkeypatch.setattr(cleanup, "compare", lambda *images: go_on.wait(60) and compare(*images))
+    monkeypatch.setattr(cleanup, "compare", lambda *images: go_on.wait(200) and compare(*images))
     assert frame(app, opened, after=2 * CALM_SECONDS) == PRICING
     job = opened.job
     assert frame(app, opened, touched=True) == "" and job is not None and job.cancelled

@@ -92,7 +92,7 @@ def frame(app: AppState) -> None:
 
 
 def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
         frame(app)
@@ -117,7 +117,7 @@ def choose(session: EditSession, *splats: int) -> None:
 
 def alive(training: LiveTraining) -> np.ndarray:
     """Numbers of the splats in the trainer."""
-    return training.thread.post(lambda session: session.trainer.splats.ids.copy()).result(60)
+    return training.thread.post(lambda session: session.trainer.splats.ids.copy()).result(200)
 
 
 def pause(app: AppState, training: LiveTraining) -> None:
@@ -277,7 +277,7 @@ def test_crops_become_rules_that_keep_it_cut(app, training, origin, capture, tmp
         at = training.status.iteration
         training.thread.step_once()
         until(app, lambda at=at: training.status.iteration == at + 1, "a step")
-    exported = load_scene(training.thread.export(tmp_path / "export.ply").result(60))
+    exported = load_scene(training.thread.export(tmp_path / "export.ply").result(200))
     assert np.abs(np.median(exported.means, axis=0) - origin).max() < 10
     assert not small.contains(exported.means).any()
     editor(app).remove_rule(app, "cut", 0)

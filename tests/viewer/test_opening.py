@@ -149,10 +149,10 @@ def slow_reader(monkeypatch):
 def test_cancelling_ends_the_thread_and_says_nothing_is_wrong(app, ply, slow_reader):
     open_paths(app, [ply("a")])
     running = app.loading
-    assert slow_reader.wait(60)
+    assert slow_reader.wait(200)
     assert running.progress == pytest.approx(0.25)
     cancel_loading(app)
-    running.join(60)
+    running.join(200)
     assert running.done
     assert app.loading is None
     assert app.problem is None
@@ -173,7 +173,7 @@ def test_cancelling_an_upload_keeps_the_old_scene(app, ply, wait_for_loading, mo
 
     monkeypatch.setattr(app.picture, "load_steps", endless)
     open_paths(app, [ply("b", 20)])
-    app.loading.join(60)
+    app.loading.join(200)
     opening.continue_loading(app)
     assert app.loading.stage == "Uploading", "the window gets its turn although the upload goes on"
     cancel_loading(app)
@@ -186,13 +186,13 @@ def test_cancelling_an_upload_keeps_the_old_scene(app, ply, wait_for_loading, mo
 def test_a_second_file_cancels_the_first(app, ply, slow_reader, monkeypatch, wait_for_loading):
     open_paths(app, [ply("a")])
     first = app.loading
-    assert slow_reader.wait(60)
+    assert slow_reader.wait(200)
     monkeypatch.undo()
     open_paths(app, [ply("b", 7)])
     assert first.cancelled
     wait_for_loading(app)
     assert app.scene.name == "b.ply"
-    first.join(60)
+    first.join(200)
     assert first.done
 
 
@@ -203,7 +203,7 @@ def test_progress_of_several_files_goes_by_their_sizes(app, ply, monkeypatch, wa
     begun = threading.Event()
 
     def read(path, *, progress):
-        assert begun.wait(60)
+        assert begun.wait(200)
         progress.step(1.0)
         assert app.loading is not None
         seen.append(app.loading.progress)
@@ -251,7 +251,7 @@ def test_a_camera_list_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_p
     def slow(entry, where):
         if "camera 10" in where:
             begun.set()
-            go_on.wait(60)
+            go_on.wait(200)
         return parse(entry, where)
 
     monkeypatch.setattr(cameras_module, "_own_camera", slow)
@@ -259,7 +259,7 @@ def test_a_camera_list_is_read_beside_the_frames_and_can_be_cancelled(app, tmp_p
     open_paths(app, [tmp_path / "many.json"])
     lists.before_frame(app)
     reading = lists.reading
-    assert begun.wait(60)
+    assert begun.wait(200)
     lists.before_frame(app)
     assert app.waiting and reading.progress == pytest.approx(0.2 + 0.8 / 4)
     COMMANDS["cancel"].run(app)
@@ -276,7 +276,7 @@ def test_a_background_picture_is_read_beside_the_frames_and_can_be_cancelled(app
     path, go_on = tmp_path / "sky.png", threading.Event()
     Image.new("RGB", (8, 4), "blue").save(path)
     load = background.load_panorama
-    monkeypatch.setattr(background, "load_panorama", lambda path: go_on.wait(60) and load(path))
+    monkeypatch.setattr(background, "load_panorama", lambda path: go_on.wait(200) and load(path))
     behind = app.feature(WindowBackground)
     behind.choose(app, path)
     behind.before_frame(app)
@@ -355,7 +355,7 @@ def test_a_shown_scene_is_examined_and_ill_splats_are_told(app, tmp_path, random
     open_paths(app, [tmp_path / "ill.ply"])
     wait_for_loading(app)
     assert app.is_open
-    app.examination.join(30)
+    app.examination.join(200)
     opening.report_examination(app)
     opening.report_examination(app)
     told = [message.text for message in app.messages if "left out" in message.text]

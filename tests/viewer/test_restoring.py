@@ -34,7 +34,7 @@ def files(tmp_path, random_gaussians) -> list[Path]:
 
 def settle(app: AppState) -> None:
     """Runs frames until nothing is under way."""
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while True:
         app.run_posted()
         app.feature(Restoring).before_frame(app)

@@ -42,7 +42,7 @@ def player_of(app: AppState) -> Player:
 
 def until(app: AppState, condition: Callable[[], bool]) -> None:
     """Frames of the window, without one, until `condition`."""
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while not condition():
         assert time.monotonic() < limit, [message.text for message in app.messages]
         app.run_posted()
@@ -232,7 +232,7 @@ def test_reading_again_finds_new_frames_and_stays(opened, folder):
     view = app.view
     (folder / "f13.ply").write_bytes((folder / "f12.ply").read_bytes())
     opening.reload(app)
-    until_loaded = time.monotonic() + 60
+    until_loaded = time.monotonic() + 200
     while app.loading is not None:
         assert time.monotonic() < until_loaded
         app.loading.join(0.01)

@@ -67,7 +67,7 @@ def training(app, capture, tmp_path) -> Iterator[LiveTraining]:
 
 def until(app: AppState, condition: Callable[[], Any], what: str) -> None:
     """Runs the part of the frame loop that trainings need."""
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
         app.run_posted()
@@ -370,7 +370,7 @@ def test_a_comparer_makes_the_latest_request_and_survives_trouble(capture, monke
         return ComparisonRequest(shot=shots[index], **options)
 
     def ask(wanted: ComparisonRequest) -> None:
-        limit = time.monotonic() + 60
+        limit = time.monotonic() + 200
         while comparer.latest is None or comparer.latest.request.shot is not wanted.shot or comparer.busy:
             assert time.monotonic() < limit
             comparer.request(wanted)

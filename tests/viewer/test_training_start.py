@@ -13,7 +13,7 @@ from splatview.viewer.training.start import TrainingStart
 
 def looked(app: AppState) -> TrainingStart:
     start = app.feature(TrainingStart)
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while start.is_looking:
         assert time.monotonic() < limit
         start.before_frame(app)

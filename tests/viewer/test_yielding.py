@@ -41,5 +41,5 @@ def test_the_thread_and_those_it_starts_are_nicer_and_nobody_else():
 def test_slow_work_gives_way_to_the_window_which_keeps_its_priority():
     own = niceness()
     job = Job("Counting", lambda progress: niceness(), lambda result: None)
-    job.join(30)
+    job.join(200)
     assert job.result == min(own + NICER, 19) and niceness() == own

@@ -90,7 +90,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     found["drawn_in_pause"] = app.stats.drawn - drawn
     found["picture_mean"] = float(picture[..., :3].mean())
 
-    found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(60)]
+    found["niceness"] = [niceness(), training.thread.post(lambda _: niceness()).result(200)]
     pacing = hello_imgui.get_runner_params().fps_idling
     found["attended"] = pacing.time_active_after_last_event
 
@@ -178,7 +178,7 @@ def breaks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     def fail(*arguments: Any) -> Any:
         raise FloatingPointError("a step went wrong")
 
-    trainer = training.thread.post(lambda session: session.trainer).result(60)
+    trainer = training.thread.post(lambda session: session.trainer).result(200)
     vars(trainer)["step"] = fail
     hand.wait(lambda: app.problem is not None, "the dialog")
     hand.frames(5)
@@ -237,20 +237,20 @@ def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     index = next(i for i, photo in enumerate(training.photos) if photo.held_out)
     found["clicked"] = click_frustum(app, hand, index)
     end_after(training, 100)
-    hand.wait(lambda: training.status.state == "done", "the end", 120)
-    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving", 120)
+    hand.wait(lambda: training.status.state == "done", "the end")
+    hand.wait(lambda: training.status.saved_at is not None and not training.status.activity, "saving")
     found["progress"] = training.status.progress
     last_seen(hand)
     answer = training.thread.post(lambda session: session.trainer.splats.arrays.means.copy())
     assert training.shown is not None
-    found["shown_is_trained"] = bool(np.array_equal(answer.result(60), training.shown.gaussians.means))
+    found["shown_is_trained"] = bool(np.array_equal(answer.result(200), training.shown.gaussians.means))
 
 
 def end_after(training: LiveTraining, count: int) -> None:
     """Has the run end so many steps later, counted where nobody steps meanwhile."""
     training.thread.post(
         lambda run: run.trainer.change(iterations=run.trainer.counters.iteration + count)
-    ).result(60)
+    ).result(200)
 
 
 def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
@@ -292,7 +292,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     hand.shoot(options.get("growth_box"))
     ctx.item_click("//Edit/Crop/No growth inside")
     hand.wait(lambda: len(training.status.settings.no_growth) == 1, "the rule")
-    first = training.thread.post(lambda session: session.trainer.splats.next_id).result(60)
+    first = training.thread.post(lambda session: session.trainer.splats.next_id).result(200)
     ctx.item_click("//Edit/###let go")
     hand.wait(
         lambda: training.shown is not None and bool((training.shown.ids >= first).any()), "splats born since"
@@ -320,7 +320,7 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     outside = training.shown.gaussians.means[~sphere.contains(training.shown.gaussians.means)]
     found["left"] = len(training.shown.ids)
     found["outside"] = len(outside)
-    training.thread.save_checkpoint(Path("rules.safetensors")).result(60)
+    training.thread.save_checkpoint(Path("rules.safetensors")).result(200)
     ctx.mouse_move("//Edit/Rules of the training/cut 0/###remove")
     hand.frames(3)
     found["pointed"] = len(app.feature(Editing).outlined)

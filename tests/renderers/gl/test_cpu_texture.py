@@ -52,7 +52,7 @@ def texture() -> Iterator[Shown]:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 60
+    limit = time.monotonic() + 200
     while not condition():
         assert time.monotonic() < limit
         time.sleep(0.002)
@@ -100,12 +100,12 @@ def test_drawing_never_waits_and_the_latest_wish_wins(texture, random_gaussians,
     def held(splats, view, *args, **options):
         angles.append(round(float(np.arctan2(view.eye[0], -view.eye[2])), 3))
         entered.set()
-        assert gate.wait(60)
+        assert gate.wait(200)
         return real(splats, view, *args, **options)
 
     monkeypatch.setattr(raster, "draw_frame", held)
     texture.draw(FrameRequest(None, camera(0.1), SETTINGS))
-    assert entered.wait(60)
+    assert entered.wait(200)
     for step in range(2, 9):
         texture.draw(FrameRequest(None, camera(step / 10), SETTINGS))
     assert texture.busy
@@ -194,7 +194,7 @@ def test_ready_pictures_wake_the_window(random_gaussians):
     try:
         texture.load(random_gaussians(50))
         texture.draw(FrameRequest(None, camera(), SETTINGS))
-        assert woken.wait(60)
+        assert woken.wait(200)
     finally:
         texture.close()
 
@@ -242,11 +242,11 @@ def test_waiting_ends_with_the_picture_and_at_once_where_none_comes(texture, ran
     texture.load(random_gaussians(300))
     rest(texture, camera())
     begun = time.monotonic()
-    texture.wait(60)
+    texture.wait(200)
     gate, real = threading.Event(), raster.draw_frame
 
     def held(*args, **options):
-        assert gate.wait(60)
+        assert gate.wait(200)
         return real(*args, **options)
 
     monkeypatch.setattr(raster, "draw_frame", held)
@@ -254,9 +254,9 @@ def test_waiting_ends_with_the_picture_and_at_once_where_none_comes(texture, ran
     texture.wait(0.01)  # in vain
     threading.Timer(0.05, gate.set).start()
     drawn = texture.stats().drawn
-    texture.wait(60)
+    texture.wait(200)
     assert texture.stats().drawn > drawn
-    assert time.monotonic() - begun < 50
+    assert time.monotonic() - begun < 190
     until(lambda: not texture._drawing)
 
 
