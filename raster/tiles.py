@@ -8,6 +8,11 @@ which makes the test of the whole row two square roots, and exact. The ellipse i
 These intervals, the spans, are found once, in the order of the splats in memory. Then the depth order is
 cut into pieces; each piece counts its pairs per tile; the sums of the counts over earlier tiles and
 earlier pieces are where it writes. So lists come out in depth order whatever the number of pieces.
+
+Dropped: to count and write in the order of memory, and to sort each tile's pairs by depth, which needs no
+order of all splats. Sorting and binning took 51 in place of 53 ms of processor time for `playbot` (two pairs
+a splat), and 29 in place of 16 ms for `skull` (seven). Nor do one-row boxes gain by leaving out the ellipse:
+these loops wait for memory.
 """
 
 from __future__ import annotations
