@@ -37,6 +37,7 @@ DEMO_SPLATS = 60_000
 FOV_Y = 40.0
 DISTANCE = 2.6
 """Radii of the scene's bulk from its centre to the eye."""
+CLOSE = 0.7
 POINTS = 3000
 POINT_NOISE = 0.004
 """Standard deviation of a point, in radii."""
@@ -54,6 +55,25 @@ def orbit(scene: Gaussians, count: int, size: int, *, around: float = 360.0) -> 
         away = np.array([np.sin(angle) * np.cos(height), -np.sin(height), -np.cos(angle) * np.cos(height)])
         eye = centre + DISTANCE * radius * away
         cameras.append(look_at(eye, centre, up=(0, -1, 0), fov_y=FOV_Y, width=size, height=size))
+    return cameras
+
+
+def closeups(scene: Gaussians, count: int, size: int) -> list[Camera]:
+    """Cameras CLOSE radii before places all over the scene's bulk, each of which shows a small part of it: a
+    capture with many photos, of which few show the same."""
+    centre, radius = bulk(scene)
+    opaque = scene.means[sigmoid(scene.opacity_logits) > 0.6].astype(np.float64) - centre
+    rng = np.random.default_rng(3)
+    opaque = opaque[(np.linalg.norm(opaque, axis=1) < 1.2 * radius)]
+    cameras = []
+    for _ in range(count):
+        away = rng.normal(size=3)
+        away /= np.linalg.norm(away)
+        # The outermost of what lies that way.
+        along = opaque @ away
+        target = opaque[np.argmax(along - 2 * np.linalg.norm(opaque - along[:, None] * away, axis=1))]
+        eye = centre + target + CLOSE * radius * away
+        cameras.append(look_at(eye, centre + target, up=(0, -1, 0), fov_y=FOV_Y, width=size, height=size))
     return cameras
 
 
@@ -115,12 +135,19 @@ def write(capture: Capture, folder: Path, *, rgba: list[np.ndarray] | None = Non
         Image.fromarray(picture, "RGBA").save(folder / "images" / photo.name)
 
 
-def objects(scene_file: str, count: int, *, points: bool, size: int = 200) -> Callable[[Path, Path], None]:
+def objects(
+    scene_file: str,
+    count: int,
+    *,
+    points: bool,
+    size: int = 200,
+    cameras_of: Callable[[Gaussians, int, int], list[Camera]] = orbit,
+) -> Callable[[Path, Path], None]:
     """Transparent photos from all around."""
 
     def make(data: Path, folder: Path) -> None:
         scene = load_scene(data / "scenes" / scene_file)
-        cameras = orbit(scene, count, size)
+        cameras = cameras_of(scene, count, size)
         pictures = rgba_pictures(scene, cameras)
         found = surface_points(scene, 0) if points else no_points()
         write(capture_from(pictures, cameras, found), folder, rgba=pictures)
@@ -191,6 +218,8 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "skull RGBA 100": ("judge", objects("skull.ply", 100, points=False)),
     "guitar RGBA 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True)),
     "playbot RGBA 18": ("choose", objects("playbot_lod0.ply", 18, points=True)),
+    "playbot close 80": ("choose", objects("playbot_lod0.ply", 80, points=True, cameras_of=closeups)),
+    "skull close 80": ("judge", objects("skull.ply", 80, points=True, cameras_of=closeups)),
     "train front 30": ("judge", front("train-1000.ply", 30)),
     "biker front 24": ("choose", front("biker/biker.compressed.ply", 24)),
     "demo drift 40": ("choose", demo("drift")),

@@ -109,13 +109,17 @@ def main() -> None:
             side_by_side(view, picture).save(options.pictures / f"{Path(view.camera.name).stem}.png")
 
     final = score(keep)
-    fitted = evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=True)
+    plain, fitted = (
+        evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_halves)
+        for by_halves in (False, True)
+    )
     result = {
         "capture": options.name,
         "split": options.split,
         "minutes": options.minutes,
         "photos": len(views),
         "psnr": final.psnr,
+        "psnr_plain": plain.psnr,
         "psnr_fitted": fitted.psnr,
         "ssim": final.ssim,
         "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, trainer.render_settings),
@@ -123,6 +127,8 @@ def main() -> None:
         "gaussians": len(trainer.splats),
         "seconds": used,
         "exposure": trainer.exposures.is_on,
+        "evidence": str(trainer.exposures.evidence),
+        "gains": float(np.sqrt((trainer.exposures.table[..., 0] ** 2).mean())),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "set": fields,
     }
