@@ -11,6 +11,7 @@ every viewer shows alike is worth more than a tenth of a decibel.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -24,6 +25,7 @@ from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, LEAST_SPREAD, Exposures
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.strategies.mcmc import LEAST_REG
 
 SCALE_RATIO = 3.0
 """Of the scales at which photos show the scene, from which on training is antialiased: see above."""
@@ -35,6 +37,10 @@ POINTS = 2000
 """Points of the capture that depths are measured by."""
 
 EXPOSURE = "exposure of each photo"
+
+FEW_PHOTOS = "rules for few photos"
+
+EASED = "; eased to "
 
 Antialiased = Literal["auto", "on", "off"]
 
@@ -82,7 +88,18 @@ def capture_effects(
         _lens(capture),
         _antialiased(capture, settings, antialiased),
         _background(capture, settings),
+        _few_photos(len(capture.train), settings),
     )
+
+
+def with_easing(effects: tuple[Effect, ...], need: float) -> tuple[Effect, ...]:
+    """The same once the rules for few photos are in force by this share, 0 to 1: see `need_of_reg`."""
+
+    def eased(effect: Effect) -> Effect:
+        why = effect.why.split(EASED)[0]
+        return replace(effect, why=why if need >= 1 else f"{why}{EASED}{need:.0%}, as the scene meets them")
+
+    return tuple(eased(effect) if effect.name == FEW_PHOTOS else effect for effect in effects)
 
 
 def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Effect, ...]:
@@ -195,4 +212,23 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
         on=transparent > 0,
         why=why + behind,
         saving=Saving(what="a look at each pixel's opacity"),
+    )
+
+
+def _few_photos(photos: int, settings: TrainSettings) -> Effect:
+    rules = []
+    if settings.strategy == "mcmc" and max(settings.opacity_reg, settings.scale_reg) > LEAST_REG:
+        rules.append(f"mean opacity and scale weigh {settings.opacity_reg:.2g} and {settings.scale_reg:.2g}")
+    if settings.dropout > 0:
+        rules.append(f"up to {settings.dropout:.0%} of the splats are left out of a step")
+    if settings.max_aspect < math.inf:
+        rules.append(f"splats are at most {settings.max_aspect:g} times as long as wide")
+    what = (
+        "; ".join(rules) if rules else "enough, or as asked for: nothing stands for photos that are missing"
+    )
+    return Effect(
+        name=FEW_PHOTOS,
+        on=bool(rules),
+        why=f"{photos} photos to train on: {what}",
+        saving=Saving(what="draws of the splats that are left out"),
     )

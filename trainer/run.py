@@ -28,7 +28,7 @@ from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
-from splatview.trainer.effects import EXPOSURE, with_exposure
+from splatview.trainer.effects import EXPOSURE, FEW_PHOTOS, with_easing, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
 from splatview.trainer.views import TrainView
 
@@ -183,6 +183,8 @@ class TrainingRun:
         self.effects = effects
         """What the run computes and why; replaced once exposures are decided."""
         self._effects_told: tuple[Effect, ...] = ()
+        self._need = 1.0
+        """Share of the rules for few photos that is in force, in quarters."""
         self.evaluation: Evaluation | None = None
         """Latest scores on the held-out photos."""
         self.evaluated_at = 0
@@ -257,6 +259,7 @@ class TrainingRun:
             if exposures.evidence:
                 line = next((effect.why for effect in self.effects if effect.name == EXPOSURE), "")
                 self.on_note(f"{EXPOSURE} {'on' if exposures.is_on else 'off'}: {line}")
+        self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):
             evaluation = self.evaluate()
@@ -341,6 +344,17 @@ class TrainingRun:
             return False
         pause = max(self.eval_seconds, self._evaluation_cost / EVALUATION_SHARE)
         return time.perf_counter() - self._evaluated >= pause
+
+    def _tell_easing(self) -> None:
+        """Notes by what share the rules for few photos are in force, where that has changed by a quarter."""
+        need = math.ceil(4 * self.trainer.need_of_reg) / 4
+        if need == self._need:
+            return
+        first, self._need = self._need == 1, need
+        self.effects = with_easing(self.effects, need)
+        line = next((one.why for one in self.effects if one.name == FEW_PHOTOS and one.in_force), "")
+        if line and first:
+            self.on_note(f"{FEW_PHOTOS}: {line}")
 
     def _write_metrics(self, report: StepReport, evaluation: Evaluation | None) -> None:
         if self.outputs.metrics is None:

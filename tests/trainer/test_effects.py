@@ -14,7 +14,15 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import Photo, PhotoStatistics, Pixels
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
-from splatview.trainer.effects import SCALE_RATIO, Antialiased, capture_effects, model_for, scale_ratio
+from splatview.trainer.effects import (
+    FEW_PHOTOS,
+    SCALE_RATIO,
+    Antialiased,
+    capture_effects,
+    model_for,
+    scale_ratio,
+    with_easing,
+)
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies.ops import raise_sh_degree
@@ -84,7 +92,7 @@ def test_each_effect_names_its_evidence():
     rich = told(
         capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
     )
-    assert {name for name, (on, _) in rich.items() if on} == set(rich) - {"antialiased opacity"}
+    assert {name for name, (on, _) in rich.items() if on} == set(rich) - {"antialiased opacity", FEW_PHOTOS}
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
     assert "1 of 4 photos have transparency, laid over 0, 0, 0" in rich["background"][1]
@@ -164,3 +172,30 @@ def test_files_say_how_their_scene_was_trained(make_trainer, blur):
     trainer = make_trainer(iterations=10, model=ImageModel(antialiased=True, blur=blur))
     assert antialiasing(trainer.snapshot().comments)[:2] == (True, blur)
     assert antialiasing(make_trainer(iterations=10).snapshot().comments)[:2] == (False, 0.3)
+
+
+def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_path):
+    ring = capture([2.0] * 5)
+    on, why = told(ring, dropout=0.2, max_aspect=6.0, opacity_reg=0.1, scale_reg=0.05)[FEW_PHOTOS]
+    assert on and "4 photos to train on: mean opacity and scale weigh 0.1 and 0.05" in why
+    assert "up to 20% of the splats" in why and "6 times as long as wide" in why
+    assert not told(ring)[FEW_PHOTOS][0]
+
+    trainer = make_trainer(iterations=30, dropout=0.2, full_reg_loss=10.0)
+    outputs = Outputs(
+        scene=tmp_path / "s.ply",
+        checkpoint=tmp_path / "s.safetensors",
+        metrics=None,
+        pictures=tmp_path / "p",
+    )
+    effects = capture_effects(ring, trainer.settings, "auto")
+    notes: list[str] = []
+    training_run = TrainingRun(
+        trainer, [], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
+    )
+    assert training_run.run()
+    assert 0 < trainer.need_of_reg <= 0.25, "photos are met far better than asked"
+    (note,) = (note for note in notes if FEW_PHOTOS in note)
+    assert note.endswith("; eased to 25%, as the scene meets them")
+    assert note == f"{FEW_PHOTOS}: {training_run.effects[-1].why}"
+    assert with_easing(training_run.effects, 1.0)[-1] == effects[-1], "back to all of it"
