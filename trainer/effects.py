@@ -108,7 +108,7 @@ def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Ef
     on = (
         "a gain and an offset for each photo and colour are learnt; the scene has their average"
         if exposures.is_on
-        else f"below {LEAST_SPREAD:.0%} or not known well enough: not corrected"
+        else f"below {LEAST_SPREAD:.0%}, not known well enough or not grey: not corrected"
     )
     return tuple(
         replace(effect, on=exposures.is_on, why=evidence + on) if effect.name == EXPOSURE else effect
@@ -136,8 +136,8 @@ def _exposure(settings: TrainSettings) -> Effect:
     why = {
         "off": "as asked for",
         "on": f"as asked for: {what}",
-        "auto": f"decided within {DECIDED_BY:.0%} of the run, by whether photos differ from the scene as"
-        f" it is then by more than {LEAST_SPREAD:.0%}",
+        "auto": f"decided within {DECIDED_BY:.0%} of the run, by whether photos differ in brightness"
+        f" where they show the same places, by {LEAST_SPREAD:.0%} or more",
     }
     return Effect(
         name=EXPOSURE,

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from splatview.scene.camera import look_at
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.exposure import fitted, fitted_by_halves, log_gain, measured_evidence
+from splatview.trainer.exposure import Evidence, fitted, fitted_by_halves, log_gain, measured_evidence
 from splatview.trainer.functional import expose, photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
@@ -93,29 +94,76 @@ def test_gradients_are_those_of_finite_differences(views) -> None:
     torch.testing.assert_close(exposed[..., 3], image[..., 3])
 
 
-def test_evidence_is_the_spread_of_gains_and_its_error(views) -> None:
+def wall(gains, *, shine: float = 0.0, **more: Any) -> tuple[np.ndarray, list[TrainView]]:
+    """Points of a coloured wall, and photos of it with these gains; with shine parts of the wall are brighter
+    from some sides, its blue most."""
     rng = np.random.default_rng(0)
-    gains = [1.0, 1.3, 0.8, 1.1]
-    pictures = [rng.uniform(0.1, 0.5, size=(40, 48, 3)) for _ in gains]
-    photos = [
-        replace(views[0], pixels=(picture * gain * 255 + 0.5).astype(np.uint8))
-        for picture, gain in zip(pictures, gains, strict=True)
+    x, y = rng.uniform(-1, 1, size=(2, 2000))
+    photos = []
+    for i, gain in enumerate(gains):
+        angle = 0.5 * np.sin(i)
+        eye = (2 * np.sin(angle), 0.3 * np.cos(i), -2 * np.cos(angle))
+        camera = replace(look_at(eye, (0, 0, 0), width=96, height=72, fov_y=50), name=f"{i}.png")
+        u, v = np.meshgrid(np.arange(96) + 0.5, np.arange(72) + 0.5)
+        ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+        ray = ray @ camera.R_camera_world
+        at = camera.eye + ray * (-camera.eye[2] / ray[..., 2])[..., None]
+        colour = 0.4 + 0.1 * np.sin(4 * at[..., :1] + 3 * at[..., 1:2] + np.arange(3))
+        bright = shine * np.sin(5 * at[..., :1] + 7 * angle) * [0.4, 0.6, 1.0]
+        pixels = np.clip(colour * gain * np.exp(bright) * 255 + 0.5, 0, 255).astype(np.uint8)
+        photos.append(TrainView(camera, pixels, **more))
+    return np.stack([x, y, np.zeros_like(x)], axis=1).astype(np.float32), photos
+
+
+def test_evidence_is_how_far_photos_differ_where_they_show_the_same() -> None:
+    gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1, -0.15, 0.0])
+    points, photos = wall(gains)
+    evidence = measured_evidence(points, photos)
+    assert evidence.spread == pytest.approx(np.std(np.log(gains)), rel=0.05)
+    assert evidence.error < 0.01 and evidence.unevenness < 1.1 and evidence.calls_for_correction
+    assert str(evidence).startswith("photos differ in exposure by 13% (known to 0.")
+    alike = measured_evidence(*wall(np.ones(8)))
+    assert alike.spread < 0.01 and not alike.calls_for_correction
+
+
+def test_shine_is_no_exposure() -> None:
+    evidence = measured_evidence(*wall(np.ones(8), shine=0.6))
+    assert evidence.spread > 0.03 and not evidence.calls_for_correction
+    by_colour = Evidence(spread=0.2, error=0.01, unevenness=2.5)
+    assert not by_colour.calls_for_correction and "2.5 times more in one colour" in str(by_colour)
+
+
+def test_evidence_leaves_out_what_says_nothing() -> None:
+    gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1])
+    points, photos = wall(gains)
+    nothing = Evidence(0.0, np.inf)
+    assert measured_evidence(points[:20], photos) == nothing, "too few places"
+    assert measured_evidence(np.full((50, 3), np.nan, np.float32), photos) == nothing
+    assert measured_evidence(points, photos[:1]) == nothing
+    assert not Evidence(np.nan, 0.0).calls_for_correction and not Evidence(0.1, np.nan).calls_for_correction
+    # What stands before the wall hides it, and what a mask leaves out may be anything.
+    hidden = np.concatenate([points, points * 0.5 + [0, 0, 3.0]]).astype(np.float32)
+    assert measured_evidence(hidden, photos).spread == pytest.approx(np.std(np.log(gains)), rel=0.1)
+    left = np.arange(96)[None, :].repeat(72, 0) < 48
+    spoilt = [
+        replace(photo, pixels=np.where(left[..., None], photo.pixels, 60 + 20 * i), mask=left)
+        for i, photo in enumerate(photos)
     ]
-    logs = [log_gain(picture, photo) for picture, photo in zip(pictures, photos, strict=True)]
-    evidence = measured_evidence(logs)
-    assert evidence.spread == pytest.approx(np.std(np.log(gains)), rel=0.01)
-    assert evidence.error < 0.002 and evidence.calls_for_correction
-    # A picture that is wrong in some of its parts says little of the photo's exposure.
-    half = pictures[0].copy()
-    half[:20] *= 3
-    uncertain = measured_evidence([log_gain(half, photos[0]), *logs[1:], log_gain(half, photos[0])] * 3)
-    assert uncertain.error >= evidence.error
-    nothing = log_gain(np.zeros((40, 48, 3)), photos[0])
-    assert np.isnan(nothing).all() and not measured_evidence([nothing, nothing]).calls_for_correction
-    masked = replace(photos[1], mask=np.arange(48)[None, :].repeat(40, 0) < 24)
-    wrong_outside = pictures[1].copy()
+    spoilt = [replace(photo, pixels=photo.pixels.astype(np.uint8)) for photo in spoilt]
+    assert measured_evidence(points, spoilt).spread == pytest.approx(np.std(np.log(gains)), rel=0.2)
+    see_through = [replace(photo, alpha=np.full((72, 96), 128, np.uint8)) for photo in photos]
+    assert measured_evidence(points, see_through) == nothing
+
+
+def test_the_first_gain_is_that_of_least_squares(views) -> None:
+    picture = np.random.default_rng(0).uniform(0.1, 0.5, size=(40, 48, 3))
+    photo = replace(views[0], pixels=(picture * 1.3 * 255 + 0.5).astype(np.uint8))
+    np.testing.assert_allclose(log_gain(picture, photo), np.log(1.3), atol=0.01)
+    assert np.isnan(log_gain(np.zeros((40, 48, 3)), photo)).all()
+    wrong_outside = picture.copy()
     wrong_outside[:, 24:] = 9
-    np.testing.assert_allclose(log_gain(wrong_outside, masked)[0], np.log(1.3), atol=0.01)
+    masked = replace(photo, mask=np.arange(48)[None, :].repeat(40, 0) < 24)
+    np.testing.assert_allclose(log_gain(wrong_outside, masked), np.log(1.3), atol=0.01)
 
 
 def test_halves_are_measured_by_fits_that_have_not_seen_them(views) -> None:
