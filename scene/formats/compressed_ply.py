@@ -61,12 +61,9 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
     check_room(path, vertex.count, 3 if sh_element is not None else 0, room)
     coloured = set(COLOUR_BOUNDS) <= set(scalar_types(chunk))
     bounds = np.empty((chunk.count, 18 if coloured else 12), np.float32)
-    words = np.empty((vertex.count, 4), np.uint32)
-    names = list(BOUNDS + COLOUR_BOUNDS if coloured else BOUNDS)
-    wanted = {"chunk": Target(names=names, array=bounds), "vertex": Target(names=PACKED, array=words)}
-    rest = np.empty((vertex.count, 0), np.uint8)
+    names = BOUNDS + COLOUR_BOUNDS if coloured else BOUNDS
+    rest_names = [f"f_rest_{i}" for i in range(len(sh_element.properties))] if sh_element is not None else []
     if sh_element is not None:
-        rest_names = [f"f_rest_{i}" for i in range(len(sh_element.properties))]
         types = scalar_types(sh_element)
         if len(rest_names) not in (0, 9, 24, 45) or any(types.get(name) != np.uint8 for name in rest_names):
             raise InputError(f"{path}: its element sh makes no whole bands of bytes; export the scene again")
@@ -74,24 +71,30 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
             raise InputError(
                 f"{path}: SH of {sh_element.count:,} splats, and there are {vertex.count:,}: it is damaged"
             )
-        rest = np.empty((vertex.count, len(rest_names)), np.uint8)
-        if rest_names:
-            wanted["sh"] = Target(names=rest_names, array=rest)
-    read = [element for name, element in elements.items() if name in wanted]
-    for i, element in enumerate(read):
-        piece = progress.part(0.5 * i / len(read), 0.5 * (i + 1) / len(read))
-        body.read_rows(element, [wanted[element.name]], piece)
+
+    def no_rest(start: int, stop: int) -> np.ndarray:
+        return np.empty((stop - start, 0), np.uint8)
+
+    words, rest = no_rest, no_rest
+    for element in elements.values():
+        if element is chunk:
+            body.read_rows(chunk, [Target(names=names, array=bounds)], progress.part(0.0, 0.0))
+        elif element is vertex:
+            words = body.row_reader(vertex, PACKED, np.uint32)
+        elif sh_element is not None and element is sh_element and rest_names:
+            rest = body.row_reader(sh_element, rest_names, np.uint8)
     from splatview.scene.formats.kernels.compiling import over_splats
     from splatview.scene.formats.kernels.decoding import decode_compressed_ply
 
-    arrays = empty_arrays(vertex.count, SH_COEFFICIENTS.index(rest.shape[1] // 3 + 1))
-    over_splats(
-        decode_compressed_ply,
-        vertex.count,
-        *(bounds, words, rest, SHARES, (QUAT_LEVELS, LOGITS), rows_of(arrays)),
-        progress=progress.part(0.5, 1.0),
-        step=CHUNK,
-    )
+    arrays = empty_arrays(vertex.count, SH_COEFFICIENTS.index(len(rest_names) // 3 + 1))
+    rows = rows_of(arrays)
+
+    def decode(start: int, stop: int) -> None:
+        # Read piece by piece: what has just been read is in the cache, and needs no memory of its own.
+        piece = words(start, stop), rest(start, stop)
+        decode_compressed_ply(start, stop, bounds, *piece, SHARES, (QUAT_LEVELS, LOGITS, SH_LEVELS), rows)
+
+    over_splats(decode, vertex.count, progress=progress, step=CHUNK)
     return scene_of(arrays, body.header.comments)
 
 
@@ -100,6 +103,9 @@ SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))
 
 QUAT_LEVELS = (np.arange(1024) * np.float64(np.float32(2 / 1023)) - 1).astype(np.float32) * SQRT_HALF
 """Component of a quaternion for each number of 10 bits."""
+
+SH_LEVELS = np.concatenate([[-128.0], np.arange(1, 255) - 127.5, [128.0]]).astype(np.float32) / np.float32(32)
+"""SH coefficient of each byte: the middle of its step, but for the two ends."""
 
 
 def save_compressed(gaussians: Gaussians, path: Path, progress: Progress) -> None:

@@ -102,7 +102,12 @@ LOGITS = logits_of(np.arange(256) / 255)
 
 
 def empty_arrays(count: int, degree: int) -> dict[str, np.ndarray]:
-    """Arrays of `Gaussians` for so many splats, float32, to be filled."""
+    """Arrays of `Gaussians` for so many splats, float32, to be filled.
+
+    Tried in vain: that they begin and end with pages of 2 MiB, which numpy has in between; one piece of
+    memory for all; clearing it while a thread has nothing to unpack. Each took 1 to 4 % off the time of
+    reading 500,000 splats, less than its spread.
+    """
     shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "opacity_logits": ()}
     shapes |= {"sh": (SH_COEFFICIENTS[degree], 3)}
     return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}

@@ -11,8 +11,9 @@ import io
 import math
 import os
 import re
+import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -91,6 +92,8 @@ class PlyBody:
         self._room = min(room, physical_memory())
         self._file, self._file_bytes = file, os.fstat(file.fileno()).st_size
         self._progress = progress
+        self._lock = threading.Lock()
+        """Of the place where `file` stands."""
         self._lines = 0
         self._passed: set[str] = set()
         """Elements that the file stands behind."""
@@ -149,6 +152,45 @@ class PlyBody:
                 _unpack(block, targets, start, stop, self.path)
             start = stop
             progress.step(start / element.count)
+
+    def row_reader(
+        self, element: PlyElement, names: Sequence[str], dtype: type[np.generic]
+    ) -> Callable[[int, int], np.ndarray]:
+        """What gives rows [start, stop) of the columns `names`, an array (stop - start, names) of `dtype`, to
+        any thread: from the file, where they are the file's to the byte, else of all of them, which are read
+        now. To be asked for in the order of the file, and before any rows are given.
+
+        Raises, as what it returns does:
+            InputError: the file ends too early, or a row is not what the header says.
+            Cancelled: nobody waits for it any more.
+        """
+        offset = self._offset_of(element)
+        whole = Target(names=names, array=np.empty((element.count, len(names)), dtype))
+        if offset is None or _as_stored(element, [whole], self.header) is None:
+            self.read_rows(element, [whole], self._progress.part(0.0, 0.0))
+            return lambda start, stop: whole.array[start:stop]
+
+        def rows(start: int, stop: int) -> np.ndarray:
+            self._progress.check()
+            part = np.empty((stop - start, len(names)), dtype)
+            with self._lock:
+                self._file.seek(offset + start * part[:1].nbytes)
+                if self._file.readinto(part.data.cast("B")) < part.nbytes:
+                    raise self._ended(element)
+            return part
+
+        return rows
+
+    def _offset_of(self, element: PlyElement) -> int | None:
+        """Where the rows of `element` begin; None where what lies before them has no certain size."""
+        offset = self.header.body_offset
+        for earlier in self.header.elements.values():
+            if earlier is element:
+                break
+            if self.header.is_ascii or earlier.dtype().hasobject:
+                return None
+            offset += earlier.count * earlier.dtype().itemsize
+        return offset
 
     def _fill(self, rows: np.ndarray, element: PlyElement) -> Iterator[np.ndarray]:
         """Fills the `rows` (N, columns) of an array that is as the file has them, and yields each piece."""

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -236,14 +237,13 @@ class _Pictures:
     def __init__(self, source: Source, n: int) -> None:
         self.source, self._n = source, n
 
-    def texels(self, name: Any, *, alpha: bool = False) -> np.ndarray:
-        """(N, 4) uint8, one per splat; (N, 3) where the picture has no `alpha` and none is needed."""
-        pixels = self.pixels(name, self._n, alpha=alpha)
-        return pixels.reshape(-1, pixels.shape[2])[: self._n]
+    def texels(self, name: Any) -> np.ndarray:
+        """(N, 4) uint8, one per splat. Raises InputError."""
+        return self.pixels(name, self._n).reshape(-1, 4)[: self._n]
 
-    def pixels(self, name: Any, least: int, *, alpha: bool = False) -> np.ndarray:
-        """(H, W, 3 or 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
-        from PIL import WebPImagePlugin
+    def pixels(self, name: Any, least: int) -> np.ndarray:
+        """(H, W, 4) uint8, of at least so many texels and at most some rows more. Raises InputError."""
+        from webp import WebPColorMode, WebPData, WebPDecoderConfig, WebPError
 
         source, data = self.source, _webp_of(self.source, name)
         # Before the library is asked, which makes room for whatever size is said.
@@ -258,15 +258,14 @@ class _Pictures:
                 f"{source.name}: {name} has {width}x{height} texels for {least:,} splats: damaged"
             )
         try:
-            # Not Image.open, which warns of large pictures and refuses larger ones.
-            with WebPImagePlugin.WebPImageFile(io.BytesIO(data)) as image:
-                if image.size != (width, height):
-                    raise ValueError("its size is not what it says")
-                pixels = np.asarray(image if image.mode == "RGBA" or not alpha else image.convert("RGBA"))
-                # Kernels are compiled for arrays that can be written to and for others: once is enough.
-                pixels.setflags(write=False)
-                return pixels
-        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            # Pillow takes half as long again, and one at a time: it does not let other threads run meanwhile.
+            content = WebPData.from_buffer(data)
+            config = WebPDecoderConfig.new()
+            config.read_features(content)
+            if (config.input.width, config.input.height) != (width, height):
+                raise WebPError("its size is not what it says")
+            return content.decode(WebPColorMode.RGBA)  # pyright: ignore[reportArgumentType]
+        except WebPError as error:
             raise InputError(
                 f"{source.name}: {name} is no WebP that can be read ({error}); export it again"
             ) from None
@@ -295,22 +294,27 @@ def _size_of_webp(data: bytes) -> tuple[int, int]:
 
 
 def _decode(unit: SogUnit, arrays: dict[str, np.ndarray], progress: Progress) -> None:
+    from splatview.scene.compiling import run, threads_for
     from splatview.scene.formats.kernels.compiling import over_splats
     from splatview.scene.formats.kernels.decoding import decode_sog
 
     meta, version, n = unit.meta, unit.version, unit.count
     pictures, columns = _Pictures(unit.source, n), 3 * (arrays["sh"].shape[1] - 1)
     names = [*_names(meta["means"], 2), *(_names(meta[entry], 1)[0] for entry in ("quats", "scales", "sh0"))]
-    texels = []
-    for name, alpha in zip(names, (False, False, True, False, True), strict=True):
-        texels.append(pictures.texels(name, alpha=alpha))
-        progress.step(0.1 * len(texels))
     shn = meta.get("shN") or None
-    palette = np.zeros((1, columns), np.float32)
     if shn:
-        palette = _palette(pictures, shn, version, unit.degree, columns)
-    progress.step(0.6)
-    texels.append(pictures.texels(_names(shn, 2)[1]) if shn else texels[0])
+        names.append(_names(shn, 2)[1])
+
+    def texels_of(name: Any) -> np.ndarray:
+        progress.check()
+        return pictures.texels(name)
+
+    # The palette takes the longest.
+    tasks = [partial(_palette, pictures, shn, version, unit.degree, columns)] if shn else []
+    tasks += [partial(texels_of, name) for name in names]
+    made = run(lambda task: task(), [(task,) for task in tasks], (), threads_for(BYTES * n))
+    palette = made.pop(0) if shn else np.zeros((1, columns), np.float32)
+    texels = made if shn else [*made, made[0]]
     progress.step(0.7)
     low, high = (_numbers(meta["means"][end], 3)[:, None] for end in ("mins", "maxs"))
     words = np.arange(2**16)

@@ -202,6 +202,6 @@ def _webp(picture: np.ndarray) -> bytes:
     from PIL import Image
 
     out = io.BytesIO()
-    # exact: colours under an alpha of 0 are values, too.
+    # exact: colours under an alpha of 0 are values, too. The library that reads cannot write so.
     Image.fromarray(picture, "RGBA").save(out, "WEBP", lossless=True, exact=True, quality=75, method=4)
     return out.getvalue()

@@ -10,14 +10,15 @@ them say how much of a ratio is threads. Rows of a program that is not there are
 has not written after LIMIT seconds, which is written down as more than that. With --add a program can be
 measured in a run of its own, each beside splatview.
 
-FLOOR is what no reader of these files gets below: reading the bytes, unpacking them by the same libraries, in
-two threads where they let, and touching the memory that the scene's arrays take. All programs return every
-attribute as arrays of float32; what gsply has lazily (properties of its SH) is not asked of it.
+FLOOR is what no reader of these files gets below: reading the bytes, unpacking them by the same libraries in
+two threads, and touching the memory that the scene's arrays take. All programs return every attribute as
+arrays of float32. gsply's SH of a compressed .ply are a view of an array in the file's order, channel by
+channel; IN_ORDER is the same with the copy that has them coefficient by coefficient, as its own readers of
+other formats and ours return them.
 """
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import os
@@ -36,7 +37,7 @@ from typing import Any
 import numpy as np
 import zstandard
 from harness import make_parser
-from PIL import Image
+from webp import WebPData
 
 from splatview.measure.machine import write_results
 from splatview.scene.formats import load_scene, save_scene
@@ -48,19 +49,25 @@ LIMIT = 60.0
 """Seconds."""
 
 GSPLY = """
-import json, os, sys, time
+import json, sys, time
 import gsply
+import numpy as np
 scene = gsply.plyread(sys.argv[1])
 writers = {
     ".compressed.ply": lambda path: gsply.plywrite(path, scene, compressed=True),
     ".spz": lambda path: gsply.write_spz(path, scene, version=4),
 }
+def in_order(path):
+    scene = gsply.plyread(path)
+    scene.shN = np.ascontiguousarray(scene.shN)
+    return scene
 readers = {".compressed.ply": gsply.plyread, ".spz": gsply.read_spz, ".sog": gsply.sogread}
 print(json.dumps({"read": sorted(readers), "write": sorted(writers)}), flush=True)
+works = {"read": readers, "write": writers, "in order": {".compressed.ply": in_order}}
 for line in sys.stdin:
     work, suffix, path = json.loads(line)
     begun, busy = time.perf_counter(), time.process_time()
-    {"read": readers, "write": writers}[work][suffix](path)
+    works[work][suffix](path)
     print(json.dumps([time.perf_counter() - begun, time.process_time() - busy]), flush=True)
 """
 """A process that does what it is told in lines, and answers with seconds."""
@@ -98,6 +105,7 @@ def ways_of_ours(scene: Path, files: dict[str, Path], folder: Path) -> dict[tupl
 
 
 FLOOR = "its libraries alone"
+IN_ORDER = "gsply, its SH in order"
 
 
 def ways_of_floor(files: dict[str, Path], scene: Gaussians) -> dict[tuple[str, str], Way]:
@@ -118,9 +126,8 @@ def ways_of_floor(files: dict[str, Path], scene: Gaussians) -> dict[tuple[str, s
             list(pool.map(lambda frame: zstandard.ZstdDecompressor().decompress(frame), frames(data)))
         if suffix == ".sog":
             with zipfile.ZipFile(path) as archive:
-                for name in archive.namelist():
-                    if name.endswith(".webp"):
-                        Image.open(io.BytesIO(archive.read(name))).load()
+                names = [name for name in archive.namelist() if name.endswith(".webp")]
+                list(pool.map(lambda name: WebPData.from_buffer(archive.read(name)).decode(), names))
         list(pool.map(lambda shape: np.empty(shape, np.float32).fill(0), shapes))
 
     return {
@@ -131,7 +138,8 @@ def ways_of_floor(files: dict[str, Path], scene: Gaussians) -> dict[tuple[str, s
 
 def ways_of_gsply(
     python: Path, scene: Path, files: dict[str, Path], folder: Path
-) -> dict[tuple[str, str], Way]:
+) -> tuple[dict[tuple[str, str], Way], dict[tuple[str, str], Way]]:
+    """Of gsply and of IN_ORDER."""
     process = subprocess.Popen(
         [python, "-c", GSPLY, scene], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -152,7 +160,8 @@ def ways_of_gsply(
         if suffix in known["write"]:
             target = folder / f"gsply{suffix}"
             ways["write", suffix] = lambda suffix=suffix, target=target: ask("write", suffix, target)
-    return ways
+    packed = ".compressed.ply"
+    return ways, {("read", packed): lambda: ask("in order", packed, files[packed])}
 
 
 def run_program(command: list[str]) -> tuple[float, float]:
@@ -303,7 +312,7 @@ def main() -> None:
         programs[FLOOR] = ways_of_floor(files, gaussians)
         missing = []
         if options.gsply and options.gsply.exists():
-            programs["gsply"] = ways_of_gsply(options.gsply, options.scene, files, folder)
+            programs["gsply"], programs[IN_ORDER] = ways_of_gsply(options.gsply, options.scene, files, folder)
         else:
             missing.append("gsply")
         if options.splat_transform and options.splat_transform.exists():

@@ -41,21 +41,13 @@ def _between(low, high, t):
     return low * (1 - t) + high * t
 
 
-@inline
-def _coefficient(byte):
-    """SH coefficient of a byte of a compressed .ply: the middle of its step, but for the two ends."""
-    value = np.float32(np.int32(byte)) - np.float32(127.5)
-    value = np.float32(-128) if byte == 0 else value
-    value = np.float32(128) if byte == 255 else value
-    return value * np.float32(1 / 32)
-
-
 @kernel
 def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out):
-    """`words` (N, 4): position, rotation, scale, colour. `shares`: two tables of whole numbers of 11 and of
-    10 bits as shares of the largest, float64; chunks are of 256 splats, which `start` is a multiple of."""
+    """`words` (stop - start, 4): position, rotation, scale, colour of these rows alone; `rest`: bytes of
+    their SH, by channel. `shares`: two tables of whole numbers of 11 and of 10 bits as shares of the largest,
+    float64; chunks are of 256 splats, which `start` is a multiple of."""
     means, quats, log_scales, logits, sh = out
-    quat_table, logit_table = tables
+    quat_table, logit_table, sh_table = tables
     per_channel = rest.shape[1] // 3
     eleven, ten = shares
     coloured = bounds.shape[1] == 18
@@ -70,7 +62,8 @@ def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out)
         high_x, high_y, high_z, high_u, high_v, high_w = high[0], high[1], high[2], high[3], high[4], high[5]
         low_r, low_g, low_b, high_r, high_g, high_b = low[6], low[7], low[8], high[6], high[7], high[8]
         for i in range(chunk << 8, min((chunk + 1) << 8, stop)):
-            position, rotation, scale, colour = words[i, 0], words[i, 1], words[i, 2], words[i, 3]
+            row = i - start
+            position, rotation, scale, colour = words[row, 0], words[row, 1], words[row, 2], words[row, 3]
             means[i, 0] = _between(low_x, high_x, eleven[position >> np.uint32(21)])
             means[i, 1] = _between(low_y, high_y, ten[(position >> np.uint32(11)) & np.uint32(1023)])
             means[i, 2] = _between(low_z, high_z, eleven[position & np.uint32(2047)])
@@ -91,10 +84,9 @@ def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out)
             sh[i, 1] = (_between(low_g, high_g, green / 255) - 0.5) / SH_C0
             sh[i, 2] = (_between(low_b, high_b, blue / 255) - 0.5) / SH_C0
             logits[i] = logit_table[colour & np.uint32(255)]
-            for channel in range(3):
-                first = channel * per_channel
-                for k in range(per_channel):
-                    sh[i, 3 + 3 * k + channel] = _coefficient(rest[i, first + k])
+            for k in range(per_channel):
+                for channel in range(3):
+                    sh[i, 3 + 3 * k + channel] = sh_table[rest[row, channel * per_channel + k]]
 
 
 @kernel

@@ -225,7 +225,7 @@ import sys
 from pathlib import Path
 from splatview.scene import InputError
 from splatview.scene.formats import load_scene
-import PIL.WebPImagePlugin, zstandard
+import webp, zstandard
 import splatview.scene.formats.kernels.decoding
 def status(key):
     text = Path("/proc/self/status").read_text()

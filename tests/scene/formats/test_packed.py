@@ -13,10 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.lib.recfunctions import repack_fields
 from PIL import Image
 
 from splatview.scene import Gaussians, InputError
@@ -24,6 +26,7 @@ from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.formats.packing import unit_quats
 from splatview.scene.formats.sog_write import save_sog, sog_files
 from splatview.scene.formats.spz import SH_BITS
+from splatview.scene.gaussians import ARRAYS
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 from splatview.scene.projection import rotation_matrices, sigmoid
 from splatview.scene.sh import SH_C0
@@ -325,6 +328,32 @@ def test_cut_and_damaged_files_are_read_or_refused(tmp_path, suffix):
             damaged[at] = rng.integers(256)
         bad.write_bytes(damaged)
         read_or_refused(bad)
+
+
+@pytest.mark.parametrize("change", ["order", "big endian", "ascii", "a list before"])
+def test_compressed_ply_laid_out_otherwise(tmp_path, change):
+    """Rows that are not as threads take them from the file, and such as begin at no certain place."""
+    save_scene(scene(700, 2), tmp_path / "a.compressed.ply")
+    ply = plyfile.PlyData.read(tmp_path / "a.compressed.ply")
+    if change == "order":
+        ply.elements = [
+            plyfile.PlyElement.describe(
+                repack_fields(element.data[list(element.data.dtype.names)[::-1]]), element.name
+            )
+            for element in ply.elements
+        ]
+    elif change == "big endian":
+        ply.byte_order = ">"
+    elif change == "ascii":
+        ply.text = True
+    else:
+        lists = np.empty(2, [("some", object)])
+        lists["some"] = [np.arange(3, dtype=np.int32), np.arange(5, dtype=np.int32)]
+        ply.elements = [plyfile.PlyElement.describe(lists, "more"), *ply.elements]
+    ply.write(tmp_path / "b.compressed.ply")
+    plain, read = load_scene(tmp_path / "a.compressed.ply"), load_scene(tmp_path / "b.compressed.ply")
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(read, name), getattr(plain, name))
 
 
 def test_compressed_ply_without_bounds_of_colours(tmp_path):
