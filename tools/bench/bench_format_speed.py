@@ -10,11 +10,11 @@ them say how much of a ratio is threads. Rows of a program that is not there are
 has not written after LIMIT seconds, which is written down as more than that. With --add a program can be
 measured in a run of its own, each beside splatview.
 
-FLOOR is what no reader of these files gets below: reading the bytes, unpacking them by the same libraries in
-two threads, and touching the memory that the scene's arrays take. All programs return every attribute as
-arrays of float32. gsply's SH of a compressed .ply are a view of an array in the file's order, channel by
-channel; IN_ORDER is the same with the copy that has them coefficient by coefficient, as its own readers of
-other formats and ours return them.
+STAGES are what no reader of these files goes without: reading the bytes, unpacking them by the same libraries
+in two threads, and filling the memory that the scene's arrays take, which the system clears first, in two
+threads as well. All programs return every attribute as arrays of float32. gsply's SH of a compressed .ply are
+a view of an array in the file's order, channel by channel; IN_ORDER is the same with the copy that has them
+coefficient by coefficient, as its readers of other formats and ours return them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from webp import WebPData
 
 from splatview.measure.machine import write_results
 from splatview.scene.formats import load_scene, save_scene
-from splatview.scene.gaussians import ARRAYS, Gaussians
+from splatview.scene.gaussians import Gaussians
 
 SUFFIXES = (".spz", ".splat", ".sog", ".compressed.ply")
 
@@ -104,36 +104,52 @@ def ways_of_ours(scene: Path, files: dict[str, Path], folder: Path) -> dict[tupl
     return ways
 
 
-FLOOR = "its libraries alone"
+STAGES = ("its bytes alone", "unpacking alone", "memory alone")
 IN_ORDER = "gsply, its SH in order"
 
 
-def ways_of_floor(files: dict[str, Path], scene: Gaussians) -> dict[tuple[str, str], Way]:
-    """What reading cannot do without."""
+def ways_of_stages(files: dict[str, Path], scene: Gaussians) -> dict[str, dict[tuple[str, str], Way]]:
+    """By name of STAGES."""
     pool = ThreadPoolExecutor(2)
-    shapes = [getattr(scene, name).shape for name in ARRAYS]
+    numbers = dict.fromkeys(files, scene.nbytes // 4)
+    numbers[".splat"] = 14 * len(scene)
 
-    def frames(data: bytes) -> list[bytes]:
-        """Streams of a .spz of version 4, the largest first."""
+    def frames(data: bytes) -> list[tuple[bytes, int]]:
+        """Streams of a .spz of version 4 and their sizes unpacked, the largest first."""
         streams, table_at = data[15], int.from_bytes(data[16:20], "little")
-        sizes = np.frombuffer(data, "<u8", 2 * streams, table_at)[::2].astype(int)
-        edges = table_at + 16 * streams + np.concatenate([[0], np.cumsum(sizes)])
-        return [data[start:stop] for start, stop in itertools.pairwise(edges.tolist())][::-1]
+        sizes = np.frombuffer(data, "<u8", 2 * streams, table_at).astype(int).reshape(-1, 2)
+        edges = table_at + 16 * streams + np.concatenate([[0], np.cumsum(sizes[:, 0])])
+        packed = [data[start:stop] for start, stop in itertools.pairwise(edges.tolist())]
+        return list(zip(packed, sizes[:, 1].tolist(), strict=True))[::-1]
 
-    def read(suffix: str, path: Path) -> None:
-        data = path.read_bytes()
+    def unpack_frame(frame: tuple[bytes, int]) -> None:
+        zstandard.ZstdDecompressor().stream_reader(frame[0]).readinto(np.empty(frame[1], np.uint8).data)
+
+    def unpack(suffix: str, path: Path) -> None:
         if suffix == ".spz":
-            list(pool.map(lambda frame: zstandard.ZstdDecompressor().decompress(frame), frames(data)))
-        if suffix == ".sog":
+            list(pool.map(unpack_frame, frames(path.read_bytes())))
+        else:
             with zipfile.ZipFile(path) as archive:
                 names = [name for name in archive.namelist() if name.endswith(".webp")]
                 list(pool.map(lambda name: WebPData.from_buffer(archive.read(name)).decode(), names))
-        list(pool.map(lambda shape: np.empty(shape, np.float32).fill(0), shapes))
 
-    return {
-        ("read", suffix): lambda suffix=suffix, path=path: timed(lambda: read(suffix, path))
-        for suffix, path in files.items()
-    }
+    def fill(count: int) -> None:
+        memory = np.empty(count, np.float32)
+        list(pool.map(lambda part: part.fill(0), np.array_split(memory, 2)))
+
+    packed = {suffix: path for suffix, path in files.items() if suffix in (".spz", ".sog")}
+    ways: list[dict[tuple[str, str], Way]] = [
+        {("read", suffix): lambda path=path: timed(path.read_bytes) for suffix, path in files.items()},
+        {
+            ("read", suffix): lambda suffix=suffix, path=path: timed(lambda: unpack(suffix, path))
+            for suffix, path in packed.items()
+        },
+        {
+            ("read", suffix): lambda count=count: timed(lambda: fill(count))
+            for suffix, count in numbers.items()
+        },
+    ]
+    return dict(zip(STAGES, ways, strict=True))
 
 
 def ways_of_gsply(
@@ -208,6 +224,9 @@ def measured(
         for key, times in found.items():
             if times.elapsed and not np.isfinite(times.elapsed[-1]):
                 continue
+            # Virtual machines give free memory back to their host, and whoever is the first to take it again
+            # waits for it: ten times as long as for memory that another program has just left.
+            np.empty(1 << 28, np.uint8).fill(0)
             pair = programs[key[0]][key[1], key[2]]()
             # The first round compiles, but a program that starts anew never does better.
             if number or not np.isfinite(pair[0]):
@@ -309,7 +328,7 @@ def main() -> None:
         for path in files.values():
             save_scene(gaussians, path)
         programs = {"splatview": ways_of_ours(options.scene, files, folder)}
-        programs[FLOOR] = ways_of_floor(files, gaussians)
+        programs |= ways_of_stages(files, gaussians)
         missing = []
         if options.gsply and options.gsply.exists():
             programs["gsply"], programs[IN_ORDER] = ways_of_gsply(options.gsply, options.scene, files, folder)
@@ -342,15 +361,14 @@ def main() -> None:
         "taken off; gsply writes .spz "
         "in version 4."
     )
-    shares = [
-        f"{floor['seconds'] / other['seconds']:.2f} of gsply's time for `{floor['format']}`"
-        for floor in results
-        for other in results
-        if floor["program"] == FLOOR and other["program"] == "gsply"
-        if (floor["work"], floor["format"]) == (other["work"], other["format"])
-    ]
-    note += f" Reading and unpacking the bytes and touching the scene's memory, by {FLOOR}, takes "
-    note += f"{', '.join(shares)}." if shares else "as long as stands there."
+    seconds = {(one["program"], one["work"], one["format"]): one["seconds"] for one in results}
+    shares = []
+    for (name, work, suffix), other in seconds.items():
+        if (name, work) == ("gsply", "read"):
+            least = sum(seconds.get((stage, work, suffix), 0.0) for stage in STAGES[1:])
+            shares.append(f"{least / other:.2f} of gsply's time for `{suffix}`")
+    if shares:
+        note += f" Unpacking alone and memory alone together take {', '.join(shares)}."
     missing = [name for name in missing if all(one["program"] != name for one in results)]
     if missing:
         note += f" Not measured, as not there: {', '.join(missing)}."
