@@ -98,8 +98,8 @@ def read_compressed(body: PlyBody, vertex: PlyElement, progress: Progress, room:
     return scene_of(arrays, body.header.comments)
 
 
-SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10))
-"""Whole numbers of so many bits as shares of the largest."""
+SHARES = tuple(np.arange(2**bits) / (2**bits - 1) for bits in (11, 10, 8))
+"""Whole numbers of so many bits as shares of the largest, float64."""
 
 QUAT_LEVELS = (np.arange(1024) * np.float64(np.float32(2 / 1023)) - 1).astype(np.float32) * SQRT_HALF
 """Component of a quaternion for each number of 10 bits."""

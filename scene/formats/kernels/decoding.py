@@ -44,12 +44,12 @@ def _between(low, high, t):
 @kernel
 def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out):
     """`words` (stop - start, 4): position, rotation, scale, colour of these rows alone; `rest`: bytes of
-    their SH, by channel. `shares`: two tables of whole numbers of 11 and of 10 bits as shares of the largest,
+    their SH, by channel. `shares`: tables of whole numbers of 11, 10 and 8 bits as shares of the largest,
     float64; chunks are of 256 splats, which `start` is a multiple of."""
     means, quats, log_scales, logits, sh = out
     quat_table, logit_table, sh_table = tables
     per_channel = rest.shape[1] // 3
-    eleven, ten = shares
+    eleven, ten, eight = shares
     coloured = bounds.shape[1] == 18
     low, high = np.zeros(9), np.ones(9)
     for chunk in range(start >> 8, (stop + 255) >> 8):
@@ -80,9 +80,9 @@ def decode_compressed_ply(start, stop, bounds, words, rest, shares, tables, out)
             )
             red, green = colour >> np.uint32(24), (colour >> np.uint32(16)) & np.uint32(255)
             blue = (colour >> np.uint32(8)) & np.uint32(255)
-            sh[i, 0] = (_between(low_r, high_r, red / 255) - 0.5) / SH_C0
-            sh[i, 1] = (_between(low_g, high_g, green / 255) - 0.5) / SH_C0
-            sh[i, 2] = (_between(low_b, high_b, blue / 255) - 0.5) / SH_C0
+            sh[i, 0] = (_between(low_r, high_r, eight[red]) - 0.5) / SH_C0
+            sh[i, 1] = (_between(low_g, high_g, eight[green]) - 0.5) / SH_C0
+            sh[i, 2] = (_between(low_b, high_b, eight[blue]) - 0.5) / SH_C0
             logits[i] = logit_table[colour & np.uint32(255)]
             for k in range(per_channel):
                 for channel in range(3):
