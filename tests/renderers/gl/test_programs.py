@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ VERTEX = "void main() { gl_Position = vec4(gl_VertexID * 2 - 1, gl_VertexID % 2 
 def shader_folder(tmp_path, monkeypatch) -> Path:
     """A folder that takes the place of shaders/."""
     monkeypatch.setattr(programs.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(programs, "_lines", cache(programs._lines.__wrapped__))
     (tmp_path / "common").mkdir()
     return tmp_path
 
