@@ -1,12 +1,10 @@
-"""Palettes of SH: the groups of `palette.vectors` against mini-batch k-means over all, at equal numbers of
-entries.
+"""Palettes of SH: mini-batch k-means as `palette.vectors` has it, against Lloyd's iteration, distances of a
+compiled kernel, and all in one group, at equal numbers of entries.
 
     python tools/bench/bench_palette.py SCENE ... [--entries 1024 4096 16384] [-o JSON]
 
-Mini-batch k-means (Sculley 2010) takes some rows at a time and moves each centroid towards those that are
-nearest to it, the less the more it has seen; its distances are a compiled kernel's, on all cores. Measured as
-it is, and within each group in place of Lloyd's iteration. dB of the six views of `convert`, of the scene
-whose SH are the palette's and whose other numbers are exact.
+Lloyd's iteration is in groups of more and fewer splats, as suits it. dB of the six views of `convert`, of the
+scene whose SH are the palette's and whose other numbers are exact.
 """
 
 from __future__ import annotations
@@ -29,11 +27,8 @@ from splatview.scene.demo import demo_scene
 from splatview.scene.formats import palette
 from splatview.scene.formats.sog_write import importance
 
-BATCH = 4096
-"""Rows of a step."""
-
-PASSES = 3
-"""Over all rows."""
+ROUNDS = 12
+"""Of Lloyd's iteration."""
 
 Way = Callable[[palette.Rows, np.ndarray, int], tuple[np.ndarray, np.ndarray]]
 
@@ -59,60 +54,61 @@ def _nearest(start, stop, rows, columns, half_squares, labels, scores):
 nearest_kernel = compiled_into(None, _nearest, fastmath={"contract"})
 
 
-def nearest(rows: np.ndarray, centroids: np.ndarray) -> np.ndarray:
-    """(N,) indices of the nearest centroids."""
+def compiled_nearest(rows: np.ndarray | palette.Rows, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `palette.nearest`, whose squared distances are only made by the calls that use them: of all rows."""
+    if isinstance(rows, palette.Rows):
+        return blas_nearest(rows, centroids)
     labels = np.empty(len(rows), np.int32)
     columns = np.ascontiguousarray(centroids.T)
     half_squares = 0.5 * np.einsum("cd,cd->c", centroids, centroids)
-    scores = np.empty((min(BATCH, len(rows)), len(centroids)), np.float32)
-    for start in range(0, len(rows), BATCH):
-        part, own = rows[start : start + BATCH], labels[start : start + BATCH]
-        arguments = (part, columns, half_squares, own, scores)
-        run(nearest_kernel, even_ranges(len(part), 16), arguments, available_threads())
-    return labels
+    scores = np.empty((len(rows), len(centroids)), np.float32)
+    arguments = (rows, columns, half_squares, labels, scores)
+    run(nearest_kernel, even_ranges(len(rows), 16), arguments, available_threads())
+    return labels, np.zeros(0, np.float32)
 
 
-def mini_batch(rows: np.ndarray, weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """At most `count` centroids, from random rows, the likelier the heavier."""
-    if len(rows) <= count:
-        return rows
+def lloyd(rows: palette.Rows, weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """As `palette._clustered`, all rows in each round."""
+    held = rows[slice(None)]
+    if len(held) <= count:
+        return held
     probabilities = weights / weights.sum()
     count = min(count, int(np.count_nonzero(probabilities)))
-    centroids = rows[rng.choice(len(rows), count, replace=False, p=probabilities)]
-    mass = np.zeros(count)
-    for _ in range(PASSES):
-        order = rng.permutation(len(rows))
-        for start in range(0, len(order), BATCH):
-            at = order[start : start + BATCH]
-            part, held = np.ascontiguousarray(rows[at]), weights[at]
-            labels = nearest(part, centroids)
-            new = np.bincount(labels, held, count)
-            sums = np.stack([np.bincount(labels, held * column, count) for column in part.T], axis=1)
-            mass += new
-            moved = np.flatnonzero(new)
-            steps = (sums[moved] - new[moved, None] * centroids[moved]) / mass[moved, None]
-            centroids[moved] += steps.astype(np.float32)
+    centroids = held[rng.choice(len(held), count, replace=False, p=probabilities)]
+    for _ in range(ROUNDS):
+        labels, errors = palette.nearest(held, centroids)
+        mass = np.bincount(labels, weights, count)
+        sums = np.stack([np.bincount(labels, weights * column, count) for column in held.T], axis=1)
+        empty = np.flatnonzero(mass == 0)
+        centroids = (sums / np.where(mass > 0, mass, 1)[:, None]).astype(np.float32)
+        centroids[empty] = held[np.argsort(-weights * errors)[: len(empty)]]
     return centroids
 
 
-def all_at_once(rows: palette.Rows, weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    everything = rows[slice(None)]
-    centroids = mini_batch(everything, weights + 1e-12 * weights.max(), count, np.random.default_rng(0))
-    return centroids, nearest(everything, centroids)
+blas_nearest = palette.nearest
 
 
-def in_groups(rows: palette.Rows, weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    lloyd, palette._clustered = palette._clustered, mini_batch
-    try:
-        return palette.vectors(rows, weights, count)
-    finally:
-        palette._clustered = lloyd
+def changed(**changes: Callable[[int], Any]) -> Way:
+    """`palette.vectors` with some of its module replaced by what is told for a number of entries."""
+
+    def way(rows: palette.Rows, weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        before = {name: getattr(palette, name) for name in changes}
+        try:
+            for name, change in changes.items():
+                setattr(palette, name, change(count))
+            return palette.vectors(rows, weights, count)
+        finally:
+            for name, value in before.items():
+                setattr(palette, name, value)
+
+    return way
 
 
 WAYS: dict[str, Way] = {
-    "groups, Lloyd": palette.vectors,
-    "groups, mini-batch": in_groups,
-    "mini-batch over all": all_at_once,
+    "mini-batch": palette.vectors,
+    "Lloyd": changed(_clustered=lambda count: lloyd, GROUP=lambda count: int(2 * math.sqrt(count))),
+    "compiled distances": changed(nearest=lambda count: compiled_nearest),
+    "one group": changed(GROUP=lambda count: count),
 }
 
 

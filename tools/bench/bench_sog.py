@@ -4,7 +4,8 @@
 
 One file of each: splat-transform takes minutes, and is stopped after the limit, in seconds. Its time includes
 its start and reading; that of splatview includes both too, in a process of its own. dB over the six views of
-`convert`; one that has no file has none.
+`convert`; one that has no file has none. Where both have one, also the smallest of ours with its dB, as
+`--target` finds it.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from typing import Any
 from harness import make_parser
 
 from splatview.measure.machine import write_results
-from splatview.renderers.conversion import sample_views
-from splatview.renderers.rate_distortion import Judge
+from splatview.renderers.conversion import measure, sample_views
+from splatview.renderers.rate_distortion import Judge, Target
+from splatview.scene import Gaussians
 from splatview.scene.formats import load_scene
 
 OURS = "import sys; from splatview.scene.formats import *; save_scene(load_scene(sys.argv[1]), sys.argv[2])"
@@ -38,6 +40,13 @@ def encoded(command: list[str], path: Path, judge: Judge, limit: float) -> dict[
     error, _ = judge.error(load_scene(path))
     psnr = -10 * math.log10(error) if error else None
     return {"seconds": seconds, "bytes": path.stat().st_size, "psnr": psnr}
+
+
+def at_quality(gaussians: Gaussians, judge: Judge, psnr: float) -> dict[str, Any]:
+    """Bytes and dB of the smallest file of ours that is as good."""
+    target = Target(psnr=psnr)
+    with measure(gaussians, Path("scene.sog"), target=target, cameras=judge.cameras) as measured:
+        return {"bytes": measured.found.bytes, "psnr": measured.found.psnr}
 
 
 def cells(found: dict[str, Any]) -> list[str]:
@@ -60,13 +69,17 @@ def main() -> None:
             program = ["node", str(options.splat_transform), "-g", "cpu", "-q", "-w", str(scene), str(theirs)]
             own = encoded([sys.executable, "-c", OURS, str(scene), str(ours)], ours, judge, options.limit)
             other = encoded(program, theirs, judge, options.limit)
-        results.append({"scene": scene.name, "splatview": own, "splat-transform": other})
+        equal = at_quality(gaussians, judge, other["psnr"]) if other.get("psnr") else {}
+        results.append(
+            {"scene": scene.name, "splatview": own, "splat-transform": other, "at_their_quality": equal}
+        )
         ratio = other.get("seconds", options.limit) / own["seconds"]
         more = "" if "seconds" in other else "more than "
-        rows.append([scene.name, *cells(own), *cells(other), f"{more}{ratio:.0f}"])
+        smallest = f"{equal['bytes'] / 1e6:.3f}" if equal else ""
+        rows.append([scene.name, *cells(own), *cells(other), f"{more}{ratio:.0f}", smallest])
         columns = ["scene", *(f"{who}: {what}" for who in ("ours", "theirs") for what in ("MB", "dB", "s"))]
         table = {
-            "columns": [*columns, "times as fast"],
+            "columns": [*columns, "times as fast", "ours at their dB: MB"],
             "rows": rows,
             "note": "One file each, from start to end of a process; splat-transform on the CPU.",
         }
