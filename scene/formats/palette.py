@@ -5,10 +5,10 @@ centroids are 140 billion operations a pass. So the splats are first parted into
 its share of the centroids and is clustered by itself, by mini-batch k-means (Sculley 2010); distances are
 products of matrices, which BLAS does at the machine's speed.
 
-What was tried besides, with figures in assets/benchmarks/palette.json: Lloyd's iteration in more groups takes
-up to three times as long, for 0.3 to 0.7 dB less of skull.ply at 256 to 4,096 entries, and 0.2 dB more at
-16,384. Distances by a compiled kernel take up to 1.7 times as long. All splats in one group give 0.4 to 1 dB
-more from 4,096 entries on, in 9 to 35 times the time.
+What was tried besides (assets/benchmarks/palette.json, of 256 to 4,096 entries): Lloyd's iteration in more
+groups gives 0.1 to 0.8 dB less, in 0.7 to 5.6 times the time (at 16,384 entries of skull.ply 0.2 dB more, in
+about the same). Distances by a compiled kernel take 1.1 to 2.3 times as long. One group for all gives 0.2 to
+0.9 dB more at 4,096 entries, in 3.5 times the time. Chosen on train-1000.ply, judged on the others.
 """
 
 from __future__ import annotations
