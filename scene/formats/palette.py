@@ -43,7 +43,7 @@ TAIL = 0.005
 """Share of the values at each end that are all taken: sampled as well, they make the error 7 % larger (of 1.8
 million that are distributed as Student's t of 3 degrees of freedom)."""
 
-BLOCK = 1 << 22
+BLOCK = 1 << 20
 """Distances held at once."""
 
 
