@@ -2,8 +2,8 @@
 
 The scene is drawn, gain·x + offset is compared to the photo, and both are trained by Adam; what is saved is
 the scene at the photos' average exposure. Only captures whose photos differ need this, and elsewhere it
-harms: `skull RGBA 100` of the bench, which shines and has one exposure, scores 29.96 dB without
-(20,000 splats), and 27.46 where it was learnt (35,000), as the scene is then right for no photo.
+harms: `skull RGBA 100` of the bench, which shines and has one exposure, scores 29.96 dB without (20,000
+splats), and 27.46 where it was learnt (35,000), as the scene is then right for no photo.
 
 So photos are compared with one another, at an early moment of the run: where splats are in front, both of two
 photos show the same place, and the median of the log ratios of its colours is what their exposures differ by.
