@@ -11,8 +11,8 @@ earlier pieces are where it writes. So lists come out in depth order whatever th
 
 Dropped: to count and write in the order of memory, and to sort each tile's pairs by depth, which needs no
 order of all splats. Sorting and binning took 51 in place of 53 ms of processor time for `playbot` (two pairs
-per splat), and 29 in place of 16 ms for `skull` (seven). Nor do one-row boxes gain by leaving out the ellipse:
-these loops wait for memory.
+per splat), and 29 in place of 16 ms for `skull` (seven). Nor do one-row boxes gain by leaving out the
+ellipse: these loops wait for memory.
 """
 
 from __future__ import annotations
