@@ -58,7 +58,6 @@ from splatview.scene.formats import load_scene
 from splatview.scene.formats.cameras import camera_values
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
     TrainSettings,
@@ -188,12 +187,9 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
         max_splats=max(1, round(factor * automatic_limit(views.pixel_count, minutes))),
     )
     settings = replace(settings, **changes)
-    parameters = initial_parameters(
-        capture.points, capture.point_colours, capture.scene_radius, limit=settings.max_splats, seed=seed
-    )
-    from splatview.trainer.trainer import Trainer
+    from splatview.trainer.setup import trainer_for
 
-    trainer = Trainer(views, parameters, capture.scene_radius, settings)
+    trainer = trainer_for(capture, views, settings, centre=np.zeros(3))
     trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:
         trainer.render_settings = replace(trainer.render_settings, early_stop=early_stop)

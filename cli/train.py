@@ -332,6 +332,12 @@ def make_parser() -> Parser:
         help="learn each photo's exposure (default: auto, where photos differ)",
     )
     group.add_argument(
+        "--sky",
+        choices=("auto", "on", "off"),
+        help="far splats for what photos show at infinity (default: auto, where enough of it is above the"
+        " horizon)",
+    )
+    group.add_argument(
         "--antialiased",
         choices=("auto", "on", "off"),
         help="train for all scales, with a kernel of 0.1 px² (default: auto, where photos differ in scale)",

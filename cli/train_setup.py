@@ -24,7 +24,7 @@ from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
-from splatview.trainer.effects import capture_effects, with_exposure
+from splatview.trainer.effects import capture_effects, with_exposure, with_sky_found
 from splatview.trainer.run import Outputs
 from splatview.trainer.settings import TrainSettings, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
@@ -52,6 +52,7 @@ OF_THE_CHECKPOINT = [
     "coarse",
     "start",
     "exposure",
+    "sky",
     "antialiased",
     "abs_grad",
     "lens",
@@ -193,6 +194,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     if loss is not None:
         notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
     effects = capture_effects(capture, trainer.settings, antialiased)
+    effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
     return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
@@ -296,6 +298,7 @@ def _new_trainer(
         batch=batch,
         strategy=strategy,
         exposure=options.exposure or "auto",
+        sky=options.sky or "auto",
         absolute_gradient=bool(options.abs_grad),
         resolution=_resolution(options.coarse),
         start=options.start or "auto",

@@ -50,6 +50,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
+    *_rungs("sky", off={"sky": "off"}),
     *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),
     *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),

@@ -78,6 +78,10 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius or 1.0
 
 
+SKY_GAP, IN_GAP, LEAST_SKY, ONE_SIDED = 3.5, 0.005, 0.01, 0.85
+"""Of a shell of far splats: factor of the distance, share of the splats in between, least share of the splats
+in it, and length of the mean direction to splats that are all on one side. See `without_sky`."""
+
 BOX_OUTLIERS, BOX_MARGIN = 0.1, 0.03
 """Of a box about nearly all splats: percent left out at either end of each axis, and share by which it is
 wider there than the others."""
@@ -112,8 +116,33 @@ def _percentiles(
         finite = means[(np.abs(means) <= FLOAT32_MAX).all(axis=1)]
     if not len(finite):
         return np.zeros((len(shares), 3))
-    sample = finite[:: _stride(len(finite))].astype(np.float64)
+    sample = without_sky(finite[:: _stride(len(finite))].astype(np.float64))
     return np.percentile(sample, shares, axis=0)
+
+
+def without_sky(means: np.ndarray) -> np.ndarray:
+    """`means` (N, 3) float64, finite, but for a shell of far splats around them, which is the sky; all where
+    there is none.
+
+    It lies beyond SKY_GAP times a distance from the middle within which all others are, it holds at least
+    LEAST_SKY of the splats and less than half, and it is on more than one side: two objects far apart are
+    none. Trained skies are at ten times the distance of the others; the demo's, at three, counts as scene.
+    """
+    offsets = means - np.median(means, axis=0)
+    with np.errstate(over="ignore"):
+        distances = np.linalg.norm(offsets, axis=1)
+    ordered = np.sort(distances)
+    count = len(ordered)
+    # Nearest of the shell: the first beyond the middle before which there is next to nothing for so long.
+    begin = np.searchsorted(ordered, ordered / SKY_GAP)
+    later = np.arange(count) >= count - min(count // 2, count - 1)
+    found = np.flatnonzero(later & (np.arange(count) - begin <= IN_GAP * count))
+    if not len(found) or not count - found[0] >= LEAST_SKY * count:
+        return means
+    far = distances >= ordered[found[0]]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        middle = (offsets[far] / distances[far, None]).mean(axis=0)
+    return means[~far] if np.linalg.norm(middle) < ONE_SIDED else means
 
 
 def _stride(count: int) -> int:

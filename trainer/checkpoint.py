@@ -32,8 +32,8 @@ REFINED = ("refined_at", "refined_progress")
 ELSEWHERE = ("extent", "focal", *REFINED)
 """What of a strategy's state is no array of its own in the file."""
 
-STATE_NAMES = {"gradient_sums": "pulled", "view_counts": "seen"}
-"""Names of a strategy's arrays in the file where they are others."""
+STATE_NAMES = {"gradient_sums": "pulled", "view_counts": "seen", "sky": "sky"}
+"""Names in the file of the state's arrays that have a row for each splat."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, LEAST_SPREAD, Exposures
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
 
 SCALE_RATIO = 3.0
@@ -37,6 +38,8 @@ POINTS = 2000
 """Points of the capture that depths are measured by."""
 
 EXPOSURE = "exposure of each photo"
+
+SKY = "sky"
 
 FEW_PHOTOS = "rules for few photos"
 
@@ -88,6 +91,7 @@ def capture_effects(
         _lens(capture),
         _antialiased(capture, settings, antialiased),
         _background(capture, settings),
+        _sky(settings),
         _few_photos(len(capture.train), settings),
     )
 
@@ -212,6 +216,28 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
         on=transparent > 0,
         why=why + behind,
         saving=Saving(what="a look at each pixel's opacity"),
+    )
+
+
+def with_sky_found(effects: tuple[Effect, ...], sky: Sky | None, count: int) -> tuple[Effect, ...]:
+    """The same once it is decided whether there is a sky, of so many splats; None: in an earlier part of the
+    run."""
+    if sky is None:
+        why = f"as the run began: {count:,} splats" if count else "as the run began"
+    else:
+        why = f"as asked for; {sky.evidence}" if sky.mode == "on" else str(sky.evidence)
+        if sky.count:
+            why += f": {sky.fine:,} splats whose colours are trained, {sky.radius:.3g} units away, before"
+            why += f" {sky.count - sky.fine:,} that stay as they are"
+    return tuple(replace(one, on=count > 0, why=why) if one.name == SKY else one for one in effects)
+
+
+def _sky(settings: TrainSettings) -> Effect:
+    return Effect(
+        name=SKY,
+        on=settings.sky == "on",
+        why="as asked for" if settings.sky != "auto" else "far splats where photos agree at infinity",
+        saving=Saving(what="far splats behind all others"),
     )
 
 

@@ -153,6 +153,9 @@ class TrainSettings(StrategySettings):
     start: Literal["auto", "points", "stereo"] = "auto"
     """Where splats begin: at the capture's points, or also where stereo finds surfaces; auto: by stereo alone
     where the capture has no points. See `stereo`."""
+    sky: Literal["auto", "on", "off"] = "auto"
+    """Whether far splats are added for what photos show at infinity; auto: where enough of them is, see
+    `sky`."""
     resolution: tuple[tuple[float, int], ...] | None = ((0.3, 2),)
     """(until this share of the run, photos are smaller by this factor), in order; None: by evidence, see
     `progressive`."""
@@ -200,6 +203,8 @@ class TrainSettings(StrategySettings):
                 raise ValueError(f"{name} must be above 0, got {value}")
         if self.start not in ("auto", "points", "stereo"):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
+        if self.sky not in ("auto", "on", "off"):
+            raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
         if not self.max_aspect >= 1:
             raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
         if not 0 <= self.dropout < 1:
@@ -249,7 +254,7 @@ RECORDED_NAMES = {
 """Names of fields in checkpoints where they are not those of `TrainSettings`."""
 
 
-WITHOUT_WORD = {"alpha_weight": 0.0, "full_reg_loss": 0.0}
+WITHOUT_WORD = {"alpha_weight": 0.0, "full_reg_loss": 0.0, "sky": "off"}
 """Fields that older checkpoints do not have, as their runs went."""
 
 

@@ -29,6 +29,7 @@ from splatview.trainer.settings import (
     automatic_regularisation,
     automatic_steps,
 )
+from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
@@ -82,14 +83,34 @@ def trainer_for(
     progress: Progress = NO_PROGRESS,
 ) -> Trainer:
     """A trainer at its start: splats at the capture's points, or where stereo finds surfaces. `capture` and
-    `views` are about `centre`; `on_note` is told what stereo has found. Raises Cancelled."""
+    `views` are about `centre`; `on_note` is told what stereo and a look for a sky have found. Raises
+    Cancelled."""
     extent = capture.scene_radius
     points, colours = start_points(
         capture, views, settings, threads=threads, on_note=on_note, progress=progress
     )
-    parameters = initial_parameters(points, colours, extent, limit=settings.max_splats, seed=settings.seed)
+    sky = find_sky(
+        capture,
+        views.all,
+        points,
+        mode=settings.sky,
+        most=settings.max_splats,
+        random_points=capture.guessed and points is capture.points,
+    )
+    if sky.count:
+        on_note(f"{sky.count:,} far splats are the sky: {sky.evidence}")
+    limit = max(settings.max_splats - sky.count, 1)
+    parameters = initial_parameters(points, colours, extent, limit=limit, seed=settings.seed)
     return Trainer(
-        views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
+        views,
+        with_sky(parameters, sky),
+        extent,
+        settings,
+        centre=centre,
+        threads=threads,
+        group=group,
+        loss=loss,
+        sky=sky,
     )
 
 

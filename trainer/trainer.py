@@ -25,6 +25,7 @@ from splatview.trainer.initialisation import comments_for
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
@@ -58,10 +59,12 @@ class Trainer:
         threads: int | None = None,
         group: Group | None = None,
         loss: LossPlugin | None = None,
+        sky: Sky | None = None,
     ) -> None:
         """`centre` (3,) float64: where the origin of views and parameters is in the world, see
         `Capture.centre`; snapshots, crops and regions are in the world.
-        `group`: the processes that share each batch; every one of them has a trainer made alike."""
+        `group`: the processes that share each batch; every one of them has a trainer made alike.
+        `sky`: what was decided about it; its splats are the last of `parameters`."""
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
@@ -80,7 +83,11 @@ class Trainer:
         _, strategy = STRATEGIES[settings.strategy]
         self.strategy: Strategy = strategy(self._local(settings))
         self.state = self.strategy.initialize_state(self.splats, extent=self.extent, focal=views.focal)
-        """What the strategy notes."""
+        """What the strategy notes, and in "sky", where there is one, which splats are its: see `sky.hold`."""
+        self.sky = sky
+        """What was decided about a sky; None where nobody looked for one, as in a run that was resumed."""
+        if sky is not None and sky.count:
+            self.state["sky"] = sky.flags(len(self.splats))
         self._differences: list[float] = []
         """Of this step's pictures to their photos, while these are small."""
         self._unseen = 0.0
@@ -203,6 +210,7 @@ class Trainer:
         info, loss = self._backward(progress)
         self._check_seen(info)
         counters.iteration += 1
+        held = hold(splats.arrays, self.state)
         with clock.stage("adam"):
             optimizer.step(info.pieces if settings.visible_only else None)
         if self.exposures.is_on:
@@ -212,6 +220,7 @@ class Trainer:
             self.strategy.step_post_backward(
                 splats, optimizer, self.state, counters.iteration, info, progress=progress
             )
+            restore(splats.arrays, self.state, held)
             self._cut()
         self._note_loss(loss)
         if seconds is None:
@@ -271,6 +280,9 @@ class Trainer:
         if share > 0:
             with clock.stage("drop"):
                 logits = dropout(logits, share, np.random.default_rng([settings.seed, place, 2]))
+                if "sky" in self.state:
+                    is_sky = torch.from_numpy(self.state["sky"] > 0)
+                    logits = torch.where(is_sky, splats.opacity_logits, logits)
         image, info = rasterize(
             *splats._replace(opacity_logits=logits),
             view.camera,

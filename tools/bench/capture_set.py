@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import sky_scenes
 from PIL import Image
 
 from splatview.raster import render
@@ -201,6 +202,31 @@ def demo(kind: Literal["drift", "hard", "lens"], count: int = 40) -> Callable[[P
     return make
 
 
+def outdoors(
+    make_scene: Callable[[Path, int], sky_scenes.Outdoors], count: int
+) -> Callable[[Path, Path], None]:
+    """Photos before a sky at infinity. Beside them `sky` has where they show it, and `unseen` pictures that
+    look where few or no photos do, with theirs."""
+
+    def make(data: Path, folder: Path) -> None:
+        world = make_scene(data, count)
+        points, colours = surface_points(world.scene, 1)
+        points = np.concatenate([points, world.points])
+        grey = np.full((len(world.points), 3), 128, np.uint8)
+        found = points, np.concatenate([colours, grey])
+        for cameras, place in ((world.cameras, folder), (world.probes, folder / "unseen")):
+            if not cameras:
+                continue
+            drawn = [world.picture(camera) for camera in cameras]
+            capture = capture_from([(p * 255 + 0.5).astype(np.uint8) for p, _ in drawn], cameras, found)
+            write(capture, place)
+            (place / "sky").mkdir(exist_ok=True)
+            for photo, (_, sky) in zip(capture.photos, drawn, strict=True):
+                Image.fromarray(np.where(sky, 255, 0).astype(np.uint8)).save(place / "sky" / photo.name)
+
+    return make
+
+
 def moved(scene: Gaussians, camera: Camera, rng: np.random.Generator) -> np.ndarray:
     """The mean of pictures along a short way: a photo taken by a hand in motion, some 4 px long."""
     _, radius = bulk(scene)
@@ -225,6 +251,9 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "demo drift 40": ("choose", demo("drift")),
     "demo hard 40": ("judge", demo("hard")),
     "demo lens 40": ("judge", demo("lens")),
+    "demo sky 40": ("choose", outdoors(sky_scenes.demo_outdoors, 40)),
+    "biker sky 30": ("judge", outdoors(sky_scenes.biker_outdoors, 30)),
+    "biker room 40": ("judge", outdoors(sky_scenes.biker_indoors, 40)),
 }
 """Name -> what it is for, and what renders it."""
 

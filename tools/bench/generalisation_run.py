@@ -51,6 +51,59 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
     return float(np.mean(found))
 
 
+def sky_errors(
+    name: str, made: Path, held_out: Any, trained: Any, scene: Any, settings: Any, pictures: Path | None
+) -> dict[str, float]:
+    """How wrong the sky is where a capture's truth is known, in held-out photos ("sky") and in directions
+    that no photo trained on shows ("unseen"): mean absolute difference, 0 to 1, and the share of it that is
+    empty, with an opacity below a half. Nothing for other captures."""
+    from splatview.raster import Workspace, draw_frame
+    from splatview.scene.captures import load_capture
+
+    folder, found = folder_of(name, made), {}
+    if name in REAL or not (folder / "unseen").exists():
+        return found
+    probes = load_capture(folder / "unseen").photos
+    cases = {
+        "sky": (folder, [(view.camera, view.pixels) for view in held_out]),
+        "unseen": (folder / "unseen", [(photo.camera, photo.image()) for photo in probes]),
+    }
+    for case, (place, views) in cases.items():
+        errors, empty = [], []
+        for camera, truth in views:
+            size = (camera.width, camera.height)
+            with Image.open(place / "sky" / Path(camera.name).name) as image:
+                sky = np.asarray(image.resize(size)) > 127
+            if case == "unseen":
+                sky = sky & ~seen_by(trained, camera)
+            drawn = draw_frame(scene, camera, settings, Workspace()).image
+            colours = np.clip(drawn[..., :3], 0, 1)
+            errors.append(np.abs(colours - truth / 255)[sky].mean(axis=1))
+            empty.append(drawn[..., 3][sky] < 0.5)
+            if case == "unseen" and pictures is not None:
+                pictures.mkdir(parents=True, exist_ok=True)
+                both = np.concatenate(
+                    [truth, (np.clip(drawn[..., :3], 0, 1) * 255 + 0.5).astype(np.uint8)], 1
+                )
+                Image.fromarray(both).save(pictures / f"unseen_{Path(camera.name).stem}.png")
+        for kind, values in (("error", errors), ("empty", empty)):
+            found[f"{case}_{kind}"] = float(np.concatenate(values).mean())
+    return found
+
+
+def seen_by(trained: Any, camera: Any) -> np.ndarray:
+    """(H, W) bool: pixels of a camera whose directions a photo shows."""
+    x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    rays = camera.points_at(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), 1.0) @ camera.R_camera_world
+    seen = np.zeros(len(rays), np.bool_)
+    for view in trained:
+        shown, local = view.camera, rays @ view.camera.R_camera_world.T
+        u, v = shown.image_points(local).T
+        with np.errstate(invalid="ignore"):
+            seen |= (local[:, 2] > 0) & (u >= 0) & (u < shown.width) & (v >= 0) & (v < shown.height)
+    return seen.reshape(camera.height, camera.width)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name")
@@ -113,6 +166,10 @@ def main() -> None:
         evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_halves)
         for by_halves in (False, True)
     )
+    skies = sky_errors(
+        *(options.name, options.made, held_out, views.all),
+        *(trainer.splats.arrays, trainer.render_settings, options.pictures),
+    )
     result = {
         "capture": options.name,
         "split": options.split,
@@ -130,6 +187,7 @@ def main() -> None:
         "evidence": str(trainer.exposures.evidence),
         "gains": float(np.sqrt((trainer.exposures.table[..., 0] ** 2).mean())),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        **skies,
         "set": fields,
     }
     print(json.dumps(result | ({"curve": curve} if curve else {})))

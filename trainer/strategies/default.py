@@ -21,9 +21,9 @@ from splatview.trainer.strategies.ops import (
     State,
     Strategy,
     append,
-    inside_any,
     invalid_splats,
     keep,
+    may_grow,
     opacities_of,
 )
 
@@ -152,8 +152,10 @@ class DefaultStrategy(Strategy[DefaultSettings]):
         if state["resets"] > 0:
             actions[~(scales <= limits.largest_scale * extent)] = PRUNE
         growing = (actions == CLONE) | (actions == SPLIT)
-        actions[growing & inside_any(self.settings.no_growth, parameters.means)] = KEEP
+        actions[growing & ~may_grow(state, self.settings.no_growth, parameters.means)] = KEEP
         actions[invalid_splats(parameters)] = PRUNE
+        if "sky" in state:
+            actions[state["sky"] > 0] = KEEP
         if (actions == PRUNE).all():
             actions[:] = KEEP  # there would be nothing left to train
         self._respect_limit(actions, gradients)

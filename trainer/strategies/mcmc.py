@@ -23,8 +23,8 @@ from splatview.trainer.strategies.ops import (
     State,
     Strategy,
     append,
-    inside_any,
     invalid_splats,
+    may_grow,
     opacities_of,
 )
 
@@ -159,7 +159,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         living = (opacities > DEAD) & ~invalid_splats(parameters)
         dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
-        growing = ~inside_any(self.settings.no_growth, parameters.means)
+        growing = may_grow(state, self.settings.no_growth, parameters.means)
         alive = np.flatnonzero(living & growing)
         if len(alive) == 0:
             return
@@ -177,7 +177,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         missing = min(due, MOST_GROWTH * len(splats)) - len(splats)
         if missing > 0:
             opacities = opacities_of(parameters)
-            growing = ~inside_any(self.settings.no_growth, parameters.means)
+            growing = may_grow(state, self.settings.no_growth, parameters.means)
             sources, copies = self._draw(parameters, opacities, np.flatnonzero(growing), missing, rng)
             for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values

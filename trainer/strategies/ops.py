@@ -218,6 +218,13 @@ def find_invalid(start, stop, means, quats, log_scales, opacity_logits, sh, inva
         invalid[i] = not (nothing == 0 and longest >= MIN_QUAT_COMPONENT and largest <= LARGEST_LOG_SCALE)
 
 
+def may_grow(state: State, no_growth: Sequence[Crop], means: np.ndarray) -> np.ndarray:
+    """Which splats at `means` (N, 3) may be multiplied: (N,) bool; those in regions without growth and those
+    of the sky may not."""
+    grown = ~inside_any(no_growth, means)
+    return grown & (state["sky"] == 0) if "sky" in state else grown
+
+
 def inside_any(regions: Sequence[Crop], means: np.ndarray) -> np.ndarray:
     """Which of `means` (N, 3) are inside a region that is switched on, whatever it keeps: (N,) bool."""
     inside = np.zeros(len(means), np.bool_)

@@ -1,0 +1,452 @@
+"""Sky: what photos show at infinity becomes far splats before training, so that no view of it is black.
+
+Where a photo shows a direction does not depend on the place that it was taken from, if what it shows is far
+enough. So the sphere of directions is divided evenly (Fibonacci lattice, Gonzalez 2010), and a cell is
+far where photos from places apart have one colour there, above the horizon, and no point of the capture is
+near the cell in them. Where enough of the photos is far, two shells of opaque splats are added, many times
+farther out than cameras and points: a fine one of the cells that photos have seen, whose colours are trained,
+before a coarse one, as it is, of all directions down to the lowest of these, coloured smoothly from what was
+seen: that is what a view shows that no photo had, and what comes out between trees as one walks on.
+
+Density control, regularisers and dropout leave these splats alone (`Held`): a regulariser of scales would
+shrink a splat that is a hundred radii large before it did anything else, and noise, which grows with the
+covariance, would fling it away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageFilter
+
+from splatview.raster import Parameters
+from splatview.scene import Camera
+from splatview.scene.captures import Capture
+from splatview.scene.sh import SH_C0
+from splatview.trainer.views import TrainView
+
+Mode = Literal["auto", "on", "off"]
+
+CELLS = 4000
+"""Directions that evidence is found in: 3.2 degrees apart."""
+
+MOST_PHOTOS = 60
+"""Photos that are looked at; of more, an even choice."""
+
+PIXELS_A_CELL = 2.0
+"""Pixels of a photo along a cell, as its colours are compared."""
+
+NEAR_POINT = 1.5
+"""Cells about a point that are taken for what is near."""
+
+FAR_EXTENTS = 40.0
+"""Extents of the scene beyond which a point is as far as the sky."""
+
+TOLERANCE = 0.08
+"""Largest difference of a colour channel, of 1, of photos that agree."""
+
+AGREEING = 0.6
+"""Share of the photos without a point near that have to agree about a cell."""
+
+APART = 0.15
+"""Extents between two photos at least that agree."""
+
+DARKEST = 0.06
+"""Largest channel of a sky that is worth adding, apart from the background behind the scene."""
+
+LOWEST = math.radians(-4)
+"""Height above the horizon of what may be sky: the horizon itself is known to some degrees."""
+
+LEAST_SHARE = 0.05
+"""Share of the photos' area that has to be far."""
+
+NEARER, LEAST_COMPARED = (1.5, 2.0, 3.0, 4.0), 12
+"""Distances at which photos are compared too, in median depths of the points, and cells at least."""
+
+MOST_LEFT = 0.7
+"""See `FarCells.left`."""
+
+RADIUS_EXTENTS, RADIUS_REACHES = 100.0, 10.0
+"""Radius of the shell, in extents of the cameras and in distances of the points: whichever is more. A walk
+as long as the extent turns the sky by half a degree."""
+
+REACH = 0.98
+"""Share of the points that are within the distance of the points."""
+
+COARSE_CELLS, BEHIND = 1000, 1.1
+"""Cells of the coarse shell over a whole sphere, and its radius in radii of the fine one."""
+
+FINE_SHARE, MOST_OF_START = 0.12, 0.6
+"""Share of `max_splats` that the fine shell may have, and its splats for each point to begin with."""
+
+FINEST = 3.0
+"""Pixels of the photos that a cell of the fine shell has at least along its side."""
+
+SIGMA, COARSE_SIGMA = 0.6, 1.0
+"""Standard deviations of the shells' splats, in distances of cells. Alone 0.6 leaves up to 5 % open, 1.0 less
+than 0.01 %."""
+
+OPACITY = 0.99
+
+
+class SkyEvidence(NamedTuple):
+    """What speaks for a sky."""
+
+    share: float
+    """Share of the photos' area that is far, above the horizon."""
+    left: float = math.inf
+    """See `FarCells.left`."""
+    why_not: str = ""
+    """Reason why nothing can be said; empty where it can."""
+
+    @property
+    def calls_for_sky(self) -> bool:
+        return not self.why_not and self.share >= LEAST_SHARE and self.left <= MOST_LEFT
+
+    def __str__(self) -> str:
+        if self.why_not:
+            return self.why_not
+        found = f"photos agree about {self.share:.1%} of what they show as if it were at infinity"
+        if not self.share >= LEAST_SHARE:
+            return f"{found}, less than {LEAST_SHARE:.0%}"
+        if not self.left <= MOST_LEFT:
+            return f"{found}, and no less as if it were nearer: a plain wall does that"
+        return f"{found}, {1 / max(self.left, 0.01):.1f} times better than nearer"
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """The decision about a sky, and its splats."""
+
+    mode: Mode
+    evidence: SkyEvidence
+    parameters: Parameters | None
+    """Splats of both shells, degree 0; None where there are none."""
+    fine: int = 0
+    """How many of them, the first ones, have colours that are trained."""
+    radius: float = 0.0
+    """World units."""
+
+    @property
+    def count(self) -> int:
+        return 0 if self.parameters is None else len(self.parameters.means)
+
+    def flags(self, count: int) -> np.ndarray:
+        """(count,) uint8: TRAINED and FIXED for the last splats, which are the sky's, 0 for the others."""
+        flags = np.zeros(count, np.uint8)
+        first = count - self.count
+        flags[first : first + self.fine], flags[first + self.fine :] = TRAINED, FIXED
+        return flags
+
+
+TRAINED, FIXED = 1, 2
+"""In the trainer's state "sky": splats of which colours alone are trained, and such that stay as they are."""
+
+
+def with_sky(parameters: Parameters, sky: Sky) -> Parameters:
+    """The splats, of degree 0, and those of the sky behind them."""
+    if sky.parameters is None:
+        return parameters
+    return Parameters(*(np.concatenate(pair) for pair in zip(parameters, sky.parameters, strict=True)))
+
+
+def hold(parameters: Parameters, state: Mapping[str, Any]) -> Parameters | None:
+    """What a step must leave alone of the sky's splats: a copy of their rows, the colours of those that
+    are FIXED. None where there are none."""
+    if "sky" not in state:
+        return None
+    rows = np.flatnonzero(state["sky"])
+    return Parameters(*(array[rows] for array in parameters[:4]), sh=parameters.sh[state["sky"] == FIXED])
+
+
+def restore(parameters: Parameters, state: Mapping[str, Any], held: Parameters | None) -> None:
+    """Puts back what was held, wherever the sky's splats are by now: in the same order, and none is gone."""
+    if held is None:
+        return
+    rows = np.flatnonzero(state["sky"])
+    for array, values in zip(parameters[:4], held[:4], strict=True):
+        array[rows] = values
+    parameters.sh[state["sky"] == FIXED] = held.sh
+
+
+NO_SKY = Sky("off", SkyEvidence(0.0, why_not="as asked for"), None)
+
+
+def find_sky(
+    capture: Capture,
+    views: Sequence[TrainView],
+    points: np.ndarray,
+    *,
+    mode: Mode,
+    most: int,
+    random_points: bool = False,
+) -> Sky:
+    """Looks for a sky in the photos, and makes its splats. `points` (P, 3) are those that training starts
+    from, in the world of the views; `most`: splats that the whole scene may have."""
+    if mode == "off":
+        return NO_SKY
+    some = views[:: -(-len(views) // MOST_PHOTOS)]
+    extent, up = capture.scene_radius, up_of([view.camera for view in some])
+    why_not = _why_not(views, random_points and mode == "auto")
+    if up is None or why_not:
+        return Sky(mode, SkyEvidence(0.0, why_not=why_not or "photos have no common up"), None)
+    if random_points:
+        points = points[:0]
+    looks = [Look.of(view, points, spacing_of(CELLS), FAR_EXTENTS * extent) for view in some]
+    found = FarCells.of(looks, sphere(CELLS), up, extent, capture.background or (0.0, 0.0, 0.0))
+    left = found.left(looks, points) if found.far.any() and len(points) else math.inf
+    evidence = SkyEvidence(found.share, left)
+    if not found.far.any() or (mode == "auto" and not evidence.calls_for_sky):
+        return Sky(mode, evidence, None)
+    radius = max(RADIUS_EXTENTS * extent, RADIUS_REACHES * reach_of(points, looks))
+    most_fine = int(min(FINE_SHARE * most, MOST_OF_START * len(points)))
+    parameters, fine = shells(found, some, points, up, extent, radius, most_fine)
+    return Sky(mode, evidence, parameters, fine, radius)
+
+
+def _why_not(views: Sequence[TrainView], random_points: bool) -> str:
+    if any(view.alpha is not None for view in views):
+        return "photos are transparent where nothing is"
+    if any(view.camera.orthographic for view in views):
+        return "photos without perspective see no direction twice"
+    if random_points:
+        return "the capture has random points, which do not say what is near"
+    return ""
+
+
+def up_of(cameras: Sequence[Camera]) -> np.ndarray | None:
+    """(3,) unit, world: the mean of the cameras' ups; None where these point everywhere."""
+    mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 0.3 else None
+
+
+def sphere(count: int) -> np.ndarray:
+    """(count, 3) unit vectors, evenly over the sphere."""
+    i = np.arange(count)
+    z = 1 - (2 * i + 1) / count
+    angle = np.pi * (3 - math.sqrt(5)) * i
+    across = np.sqrt(1 - z * z)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+
+
+def spacing_of(count: int) -> float:
+    """Radians between neighbours of so many over the whole sphere."""
+    return math.sqrt(4 * math.pi / count)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A photo as directions are looked up in it."""
+
+    camera: Camera
+    pixels: np.ndarray
+    """(H, W, 3) uint8, in which a cell is some PIXELS_A_CELL wide."""
+    usable: np.ndarray
+    """(H, W) bool: neither masked nor near a point that is not far."""
+    masked: np.ndarray | None
+    """(H, W) bool, false where masked; None: nowhere."""
+
+    @classmethod
+    def of(cls, view: TrainView, points: np.ndarray, spacing: float, far: float) -> Look:
+        """`points` (P, 3) less than `far` away hide what is behind them; `spacing` of cells in radians."""
+        view = view.smaller(max(1, round(view.camera.fx * spacing / PIXELS_A_CELL)))
+        camera, near = view.camera, np.zeros(view.pixels.shape[:2], np.uint8)
+        local = points @ camera.R_camera_world.T + camera.t_camera_world
+        inside, x, y = placed(camera, local)
+        close = np.linalg.norm(local[inside], axis=1) < far
+        near[y[close], x[close]] = 255
+        size = 2 * max(1, round(NEAR_POINT * spacing * camera.fx)) + 1
+        usable = np.asarray(Image.fromarray(near).filter(ImageFilter.MaxFilter(size))) == 0
+        return cls(camera, view.pixels, usable, view.mask)
+
+    def colours(self, places: np.ndarray, infinite: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """(D, 3) float32, 0 to 1, at places (D, 3) in the world, or in directions of infinite ones; NaN where
+        the photo does not show them; and (D,) bool: shown, with nothing near."""
+        found, free = np.full(places.shape, np.nan, np.float32), np.zeros(len(places), np.bool_)
+        local = places @ self.camera.R_camera_world.T
+        inside, x, y = placed(self.camera, local if infinite else local + self.camera.t_camera_world)
+        if self.masked is not None:
+            use = self.masked[y, x]
+            inside, x, y = inside[use], x[use], y[use]
+        found[inside] = self.pixels[y, x] / np.float32(255)
+        free[inside] = self.usable[y, x]
+        return found, free
+
+
+def free_colours(
+    looks: Sequence[Look], places: np.ndarray, infinite: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """(P, D, 3) float32 colours that photos have at places, NaN where something is near, and (P, D) bool: the
+    photos that show them, something near or not."""
+    found = [look.colours(places, infinite) for look in looks]
+    colours = np.stack([np.where(free[:, None], own, np.float32(np.nan)) for own, free in found])
+    return colours, np.stack([np.isfinite(own[:, 0]) for own, _ in found])
+
+
+@dataclass(frozen=True, eq=False)
+class FarCells:
+    """Directions, and which of them are far."""
+
+    directions: np.ndarray
+    """(D, 3) unit."""
+    far: np.ndarray
+    """(D,) bool: photos from places apart have one colour there, without a point near, above the horizon."""
+    colours: np.ndarray
+    """(D, 3) float32, 0 to 1: median of the photos that have no point near; NaN where there are none."""
+    share: float
+    """Share of the photos' area that is far."""
+
+    @classmethod
+    def of(
+        cls,
+        looks: Sequence[Look],
+        directions: np.ndarray,
+        up: np.ndarray,
+        extent: float,
+        background: Sequence[float],
+    ) -> FarCells:
+        colours, seen = free_colours(looks, directions)
+        median, deviations = agreement(colours)
+        with np.errstate(invalid="ignore"):
+            agree = deviations <= TOLERANCE
+            coloured = np.abs(median - np.asarray(background)).max(axis=1) > DARKEST
+        free, count = (np.count_nonzero(which, axis=0) for which in (np.isfinite(deviations), agree))
+        eyes = np.array([look.camera.eye for look in looks])
+        low, high = np.full(directions.shape, np.inf), np.full(directions.shape, -np.inf)
+        for eye, which in zip(eyes, agree, strict=True):
+            low[which], high[which] = np.minimum(low[which], eye), np.maximum(high[which], eye)
+        apart = (high - low).max(axis=1)
+        far = (count >= 2) & (count >= AGREEING * free) & (apart >= APART * extent) & coloured
+        far &= directions @ up > math.sin(LOWEST)
+        share = np.count_nonzero(agree & far) / max(np.count_nonzero(seen), 1)
+        return cls(directions, far, median, float(share))
+
+    def left(self, looks: Sequence[Look], points: np.ndarray) -> float:
+        """How much photos differ at infinity, where they are far, relative to how much they do at the nearer
+        distance that suits them best: well below 1 for a sky, 1 and more for plain walls."""
+        centre = np.mean([look.camera.eye for look in looks], axis=0)
+        directions = self.directions[self.far]
+        at_infinity, largest = differences(free_colours(looks, directions)[0]), 0.0
+        depth = float(np.median(np.linalg.norm(points - centre, axis=1)))
+        for factor in NEARER:
+            nearer = differences(free_colours(looks, centre + factor * depth * directions, infinite=False)[0])
+            both = np.isfinite(nearer) & np.isfinite(at_infinity)
+            if np.count_nonzero(both) >= LEAST_COMPARED:
+                largest = max(largest, float(at_infinity[both].sum() / max(nearer[both].sum(), 1e-9)))
+        return largest or math.inf
+
+
+def differences(colours: np.ndarray) -> np.ndarray:
+    """(D,) float32: median difference of photos' colours (P, D, 3) from their median; NaN where fewer than
+    three have any."""
+    _, deviations = agreement(colours)
+    count = np.count_nonzero(np.isfinite(deviations), axis=0)
+    ordered = np.sort(deviations, axis=0)
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
+    return np.where(count >= 3, middle, np.float32(np.nan))
+
+
+def agreement(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Median colours (D, 3) of photos' colours (P, D, 3), NaN where none has any, and (P, D) float32: the
+    largest difference of a photo's channels from them."""
+    count = np.count_nonzero(np.isfinite(colours[..., 0]), axis=0)
+    ordered = np.sort(colours, axis=0)  # NaN come last
+    middle = np.maximum(count - 1, 0)
+    at = np.stack([middle // 2, (middle + 1) // 2])[..., None]
+    low, high = np.take_along_axis(ordered, at, axis=0)
+    median = (low + high) / 2
+    return median, np.abs(colours - median).max(axis=2)
+
+
+def placed(camera: Camera, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Indices of the rows of local (N, 3), in camera coordinates, that are in the picture, and the columns
+    and rows of their pixels."""
+    ahead = np.flatnonzero(local[:, 2] > 1e-6)
+    x, y = camera.image_points(local[ahead]).T
+    with np.errstate(invalid="ignore"):
+        inside = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    return ahead[inside], x[inside].astype(np.int64), y[inside].astype(np.int64)
+
+
+def reach_of(points: np.ndarray, looks: Sequence[Look]) -> float:
+    """Distance of nearly all points from the cameras' mean, world units."""
+    centre = np.mean([look.camera.eye for look in looks], axis=0)
+    distances = np.linalg.norm(points - centre, axis=1)
+    distances = distances[np.isfinite(distances)]
+    return float(np.quantile(distances, REACH)) if len(distances) else 0.0
+
+
+def shells(
+    found: FarCells,
+    views: Sequence[TrainView],
+    points: np.ndarray,
+    up: np.ndarray,
+    extent: float,
+    radius: float,
+    most: int,
+) -> tuple[Parameters, int]:
+    """Splats of the fine and the coarse shell, and how many the fine one has, about `most` at most."""
+    centre = np.mean([view.camera.eye for view in views], axis=0)
+    heights = found.directions[found.far] @ up
+    lowest = min(float(np.quantile(heights, 0.02)), 0.0)
+    coarse = sphere(COARSE_CELLS)
+    coarse = coarse[coarse @ up > lowest - spacing_of(COARSE_CELLS)]
+    share = np.count_nonzero(found.far) / len(found.far)
+    finest = FINEST / float(np.median([view.camera.fx for view in views]))
+    count = int(min(most / max(share, 1e-6), 4 * math.pi / finest**2))
+    fine, colours = np.empty((0, 3)), np.empty((0, 3), np.float32)
+    if count >= CELLS / 4:
+        fine = sphere(count)
+        fine = fine[found.far[nearest(found.directions, fine)]]
+        looks = [Look.of(view, points, spacing_of(count), FAR_EXTENTS * extent) for view in views]
+        colours, _ = agreement(free_colours(looks, fine)[0])
+        known = np.isfinite(colours[:, 0])
+        fine, colours = fine[known], colours[known]
+    filled = spread(found.directions[found.far], found.colours[found.far], coarse, up)
+    means = np.concatenate([radius * fine, BEHIND * radius * coarse]) + centre
+    sizes = np.concatenate(
+        [
+            np.full(len(fine), SIGMA * radius * spacing_of(max(count, 1))),
+            np.full(len(coarse), COARSE_SIGMA * BEHIND * radius * spacing_of(COARSE_CELLS)),
+        ]
+    )
+    rgb, total = np.concatenate([colours, filled]), len(means)
+    quats = np.zeros((total, 4), np.float32)
+    quats[:, 0] = 1
+    return Parameters(
+        means=means.astype(np.float32),
+        quats=quats,
+        log_scales=np.repeat(np.log(sizes).astype(np.float32)[:, None], 3, axis=1),
+        opacity_logits=np.full(total, math.log(OPACITY / (1 - OPACITY)), np.float32),
+        sh=((rgb.astype(np.float32) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :].copy(),
+    ), len(fine)
+
+
+def nearest(known: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(D,) int64: which of the known directions (K, 3) is nearest to each of directions (D, 3)."""
+    found = [(directions[at : at + 512] @ known.T).argmax(axis=1) for at in range(0, len(directions), 512)]
+    return np.concatenate(found) if found else np.empty(0, np.int64)
+
+
+FILL_POWER, HEIGHTS = 6, 8.0
+"""Of `spread`: power of the distance, and weight of the square of a difference in height. In 221 directions
+that no photo of `demo sky 40` shows colours are wrong by 0.092 with 4 and 0, by 0.081 so (chosen); in 262 of
+`biker sky 30` by 0.105 and 0.098 (judged). Black is wrong by 0.66 and 0.31."""
+
+
+def spread(known: np.ndarray, colours: np.ndarray, directions: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(D, 3) colours of directions (D, 3) from those of known ones (K, 3): means weighted by a power of the
+    distance (Shepard 1968), in which a height above the horizon counts more than a turn about `up`."""
+    filled, least = np.empty((len(directions), 3), np.float32), spacing_of(CELLS) ** 2 / 4
+    for start in range(0, len(directions), 256):
+        part = directions[start : start + 256]
+        heights = (part @ up)[:, None] - known @ up
+        squares = np.maximum(2 - 2 * part @ known.T + HEIGHTS * heights**2, least)
+        weights = (least / squares) ** (FILL_POWER / 2)
+        filled[start : start + 256] = (weights @ colours) / weights.sum(axis=1, keepdims=True)
+    return filled
