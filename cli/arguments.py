@@ -18,6 +18,7 @@ from splatview.measure.knobs import KNOBS, Plan, apply_choices
 from splatview.scene import Camera, Gaussians, InputError, Lens, RenderSettings, look_at
 from splatview.scene.background import Background, Colour, Gradient
 from splatview.scene.camera import orbited, stepped_back, through_lens, with_parallel_rays
+from splatview.scene.errors import parse_bytes
 from splatview.scene.first_view import first_view
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.panorama import load_panorama
@@ -117,6 +118,14 @@ def count(text: str) -> int:
     if not re.fullmatch(r"\+?\d{1,9}", text) or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
     return int(text)
+
+
+def memory(text: str) -> int:
+    """Bytes: ``2GB``, ``800MiB``."""
+    size = parse_bytes(text)
+    if size is None:
+        raise argparse.ArgumentTypeError(f"must be a size such as 2GB or 800MB, got {text!r}")
+    return size
 
 
 def index(text: str) -> int:

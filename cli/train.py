@@ -19,7 +19,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from splatview.cli.arguments import Parser, count, index, positive
+from splatview.cli.arguments import Parser, count, index, memory, positive
 from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console, no_window
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.scene import InputError
@@ -144,7 +144,7 @@ def background_training(
     options: argparse.Namespace, console: Console, started: float, opening: Callable[[Run], str]
 ) -> tuple[Run, BackgroundTraining]:
     """The run that a window watches, its thread waiting to begin; arguments as of `train_in_window`."""
-    ready = prepare(options, console, Alone())
+    ready = prepare(options, console, Alone(), window=True)
     say(console, opening(ready))
     strategies = (ready.trainer.settings.strategy,)
     started += ready.uncounted + ready_kernels(console, lens=ready.has_lens, strategies=strategies)
@@ -157,6 +157,7 @@ def background_training(
         eval_seconds=EVAL_SECONDS,
         notes=ready.notes,
         effects=ready.effects,
+        memory=ready.memory,
     )
     return ready, BackgroundTraining(run, cores=options.threads)
 
@@ -187,9 +188,10 @@ def watched(ready: Run, thread: BackgroundTraining) -> LiveTraining:
 
     return LiveTraining(
         thread=thread,
-        name=ready.capture.name,
+        name=ready.name,
         photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
         settings=ready.trainer.render_settings,
+        memory=ready.memory,
     )
 
 
@@ -357,6 +359,13 @@ def make_parser() -> Parser:
     )
     group.add_argument("--seed", type=index, metavar="S", help="of all that is random (default: 0)")
     group.add_argument("--threads", type=count, metavar="T", help="default: all cores")
+    group.add_argument(
+        "--memory",
+        type=memory,
+        metavar="2GB",
+        help="most memory of the run, of each process where there are several: fewer splats where it has room"
+        " for no more (default: what the machine has left)",
+    )
     group = parser.add_argument_group("report")
     group.add_argument(
         "--eval-every", type=count, default=EVAL_EVERY, metavar="N", help=f"steps (default: {EVAL_EVERY})"
@@ -425,12 +434,12 @@ def _train(options: argparse.Namespace, group: Group, started: float) -> int:
 def opening_lines(ready: Run) -> str:
     trainer, (_, width, height) = ready.trainer, ready.trainer.views.names()[0]
     text = (
-        f"{ready.capture.name}: {len(trainer.views)} photos to train on, {len(ready.held_out)} held out,"
+        f"{ready.name}: {len(trainer.views)} photos to train on, {len(ready.held_out)} held out,"
         f" {width}x{height} px; {len(trainer.splats):,} splats to begin with"
     )
     if trainer.group.size > 1:
         text += f"; {trainer.group.size} processes share batches of {trainer.settings.batch}"
-    return "\n".join([text, *map(effect_line, ready.effects)])
+    return "\n".join([text, f"  {ready.memory.line}", *map(effect_line, ready.effects)])
 
 
 def _lead(ready: Run, options: argparse.Namespace, console: Console, started: float) -> int:
@@ -452,6 +461,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             eval_every=options.eval_every,
             notes=ready.notes,
             effects=ready.effects,
+            memory=ready.memory,
             on_progress=show,
             on_note=lambda note: say(bar.console, note, "yellow"),
         )

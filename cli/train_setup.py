@@ -23,10 +23,31 @@ from splatview.scene.formats.io import require_regular_file, take_lock
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
-from splatview.trainer.distributed import Alone, Group, Processes, check_equal, digest, share_of_cores
+from splatview.trainer.distributed import (
+    Alone,
+    Group,
+    Processes,
+    check_equal,
+    digest,
+    local_processes,
+    share_of_cores,
+)
 from splatview.trainer.effects import capture_effects, with_exposure, with_sky_found
+from splatview.trainer.memory import (
+    Bound,
+    Machine,
+    MemoryPlan,
+    PhotoSizes,
+    RunMemory,
+    begins_by_stereo,
+    check_fits,
+    plan,
+    run_memory,
+    sizes_of_capture,
+    sizes_of_files,
+)
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import TrainSettings, automatic_steps
+from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -74,8 +95,10 @@ class ToldElsewhere(Exception):
 class Run:
     """A run that is ready for its first step."""
 
-    capture: Capture
-    """About `trainer.centre`."""
+    name: str
+    """Name of the capture."""
+    has_lens: bool
+    """Whether photos are trained on through a lens."""
     trainer: Trainer
     held_out: list[TrainView]
     outputs: Outputs
@@ -83,27 +106,27 @@ class Run:
     """For checkpoints."""
     effects: tuple[Effect, ...]
     """What the run computes and why."""
+    memory: MemoryPlan
+    """What the run takes."""
     uncounted: float
     """Seconds spent on what is made once per installation; they count against no budget."""
 
-    @property
-    def has_lens(self) -> bool:
-        """Whether photos are trained on through a lens."""
-        return any(photo.camera.lens is not None for photo in self.capture.photos)
 
-
-def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
-    """Reads the capture and makes the trainer; the outputs have been tried by then.
+def prepare(options: argparse.Namespace, console: Console, group: Group, *, window: bool = False) -> Run:
+    """Reads the capture and makes the trainer; the outputs have been tried by then. `window`: there is one.
 
     Raises:
         InputError: the user asked for something that cannot be.
         ToldElsewhere: another process of the group raises InputError.
     """
+    machine = Machine.here(_threads(options, group), local_processes())
     if not isinstance(group, Processes):
-        return _prepare(options, console, group)
+        return _prepare(options, console, group, machine, window)
+    # Before anything can fail in one of them.
+    machine = Machine.least(group.gathered(machine))
     run, problem = None, None
     try:
-        run = _prepare(options, console, group)
+        run = _prepare(options, console, group, machine, window)
     except InputError as error:
         problem = str(error)
     problems = group.gathered(problem)
@@ -123,7 +146,9 @@ def prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
     return run
 
 
-def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run:
+def _prepare(
+    options: argparse.Namespace, console: Console, group: Group, machine: Machine, window: bool
+) -> Run:
     torch_import = TorchImport()
     if options.plugin is not None:
         check_plugin(options.plugin)
@@ -150,11 +175,30 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
         for path in (outputs.scene, outputs.checkpoint):
             lock_run(path)
     folder, uncounted = _demo(console) if options.demo else (options.capture, 0.0)
+    asked = options.memory or (checkpoint.notes.get("memory") if checkpoint else None)
+    bound = Bound(bytes=asked or machine.left, asked=asked is not None)
+
+    def room_for(sizes: PhotoSizes, *, guessed: bool = False) -> RunMemory:
+        stereo = checkpoint is None and begins_by_stereo(options.start or "auto", guessed=guessed)
+        more = {"machine": machine, "batch": batch, "stereo": stereo, "window": window}
+        return _room_for(sizes, bound, options, checkpoint, **more)
+
     capture = _with_status(
         console,
         "Reading photos",
-        lambda progress: load_capture(folder, downscale=downscale, lens=lens, masks=masks, progress=progress),
+        lambda progress: load_capture(
+            folder,
+            downscale=downscale,
+            lens=lens,
+            masks=masks,
+            progress=progress,
+            # The least that it can be: what photos really are is told once they are read.
+            on_poses=lambda posed: room_for(
+                replace(sizes_of_files(posed.entries, downscale), trained=0, planes=3)
+            ),
+        ),
     )
+    memory = room_for(sizes_of_capture(capture), guessed=capture.guessed)
     centre = capture.centre
     capture = capture.about(centre)
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
@@ -164,7 +208,9 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     torch_import.wait()
     loss = _loss(options, checkpoint, console)
     if checkpoint is None:
-        trainer = _new_trainer(capture, views, centre, seed, batch, options, group, loss, console)
+        trainer, planned = _new_trainer(
+            capture, views, centre, seed, batch, options, group, loss, console, memory, bound
+        )
         if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
                 console,
@@ -172,7 +218,8 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
                 " learn single photos by heart; --iterations asks for more",
             )
     else:
-        trainer = _resumed_trainer(views, centre, checkpoint, options, group, loss)
+        planned = plan(memory, bound, checkpoint.settings.max_splats)
+        trainer = _resumed_trainer(views, centre, checkpoint, options, group, loss, planned.splats)
         if trainer.done:
             # Perhaps it was killed before its scene was written.
             say(
@@ -180,6 +227,7 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
                 f"{options.resume}: its run is over; its scene and pictures are written, and --iterations"
                 f" above {trainer.counters.iteration} or more --minutes trains on",
             )
+    trainer.most_splats = planned.most
     if group.rank == 0:
         _check_room(outputs, max(trainer.settings.max_splats, len(trainer.splats)))
     antialiased = (
@@ -197,7 +245,36 @@ def _prepare(options: argparse.Namespace, console: Console, group: Group) -> Run
     effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
-    return Run(capture, trainer, held_out, outputs, notes, effects, uncounted)
+    if asked is not None:
+        notes["memory"] = asked
+    return Run(
+        name=capture.name,
+        has_lens=any(photo.camera.lens is not None for photo in capture.photos),
+        trainer=trainer,
+        held_out=held_out,
+        outputs=outputs,
+        notes=notes,
+        effects=effects,
+        memory=planned,
+        uncounted=uncounted,
+    )
+
+
+def _room_for(
+    sizes: PhotoSizes, bound: Bound, options: argparse.Namespace, checkpoint: Checkpoint | None, **run: Any
+) -> RunMemory:
+    """What the run takes on such photos; `run` goes to `run_memory`. Raises InputError where the bound has no
+    room for them and the least number of splats, or those of the checkpoint."""
+    if checkpoint is None:
+        memory = run_memory(sizes, resolution=_resolution(options.coarse), **run)
+        what = "the demo: its photos" if options.demo else f"{options.capture}: its photos"
+        splats, advice = min(LEAST_LIMIT, options.max_splats or LEAST_LIMIT), "use a larger --downscale, or"
+    else:
+        settings, splats = checkpoint.settings, len(checkpoint.ids)
+        memory = run_memory(sizes, resolution=settings.resolution, sh_degree=settings.sh_degree, **run)
+        what, advice = f"{options.resume}: its photos", "resume with"
+    check_fits(memory, bound, splats, f"{what} and {splats:,} splats", f"{advice} --memory {{}} or more")
+    return memory
 
 
 def ready_kernels(
@@ -281,7 +358,9 @@ def _new_trainer(
     group: Group,
     loss: LossPlugin | None,
     console: Console,
-) -> Trainer:
+    memory: RunMemory,
+    bound: Bound,
+) -> tuple[Trainer, MemoryPlan]:
     from splatview.trainer.setup import settings_for, trainer_for
 
     strategy = options.strategy or TrainSettings.strategy
@@ -303,6 +382,8 @@ def _new_trainer(
         resolution=_resolution(options.coarse),
         start=options.start or "auto",
     )
+    planned = plan(memory, bound, settings.max_splats)
+    settings = replace(settings, max_splats=planned.splats)
     threads = _threads(options, group)
 
     notes: list[str] = []
@@ -314,7 +395,7 @@ def _new_trainer(
     trainer = _with_status(console, "Finding where splats begin", made)
     for note in notes:
         say(console, note)
-    return trainer
+    return trainer, planned
 
 
 def _resolution(coarse: tuple[tuple[float, int], ...] | str | None) -> tuple[tuple[float, int], ...] | None:
@@ -331,19 +412,21 @@ def _resumed_trainer(
     options: argparse.Namespace,
     group: Group,
     loss: LossPlugin | None,
+    max_splats: int,
 ) -> Trainer:
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
     from splatview.trainer.trainer import Trainer
 
+    settings = replace(settings, max_splats=max_splats)
     parameters = checkpoint.parameters
     extent, threads = checkpoint.extent, _threads(options, group)
     trainer = Trainer(
         views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
     )
     restore(trainer, checkpoint)
-    if trainer.done and settings is not checkpoint.settings:
+    if trainer.done and (options.iterations is not None or options.minutes is not None):
         raise InputError(
             f"{options.resume}: its run is over; give --iterations above {trainer.counters.iteration}"
             " or more --minutes to train on"

@@ -27,7 +27,7 @@ from splatview.edit.sample_views import sample_cameras
 from splatview.raster.contributions import contributions
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings, look_at
 from splatview.scene.effects.overrides import settings_for
-from splatview.scene.errors import bytes_in_words
+from splatview.scene.errors import bytes_in_words, parse_bytes
 from splatview.scene.formats import FORMATS, Format, load_scene, save_scene, stored_bytes, trial_path
 from splatview.scene.framing import WORLD_UP, robust_bounds
 from splatview.scene.gaussians import SH_COEFFICIENTS
@@ -37,17 +37,6 @@ from splatview.scene.progress import NO_PROGRESS, Progress
 def size_in_words(size: int) -> str:
     """As `bytes_in_words`, with small ones in bytes."""
     return f"{size:,} bytes" if size < 10240 else bytes_in_words(size)
-
-
-UNITS = {
-    "b": 1,
-    "kb": 10**3,
-    "mb": 10**6,
-    "gb": 10**9,
-    "kib": 2**10,
-    "mib": 2**20,
-    "gib": 2**30,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,12 +55,11 @@ class Target:
 
 def parse_target(text: str) -> Target:
     """``40dB``, ``5 MB``, ``800kB``, ``1.5MiB``. Raises InputError."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-zA-Z]+)\s*", text)
-    value, unit = (float(found[1]), found[2].lower()) if found else (0.0, "")
-    if unit == "db" and 0 < value <= 200:
-        return Target(psnr=value)
-    if unit in UNITS and 1 <= value * UNITS[unit] < 2**60:
-        return Target(bytes=int(value * UNITS[unit]))
+    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*db\s*", text, re.IGNORECASE)
+    if found and 0 < float(found[1]) <= 200:
+        return Target(psnr=float(found[1]))
+    if (size := parse_bytes(text)) is not None:
+        return Target(bytes=size)
     raise InputError(f"{text!r} is no target: give a quality such as 40dB or a size such as 5MB or 800kB")
 
 

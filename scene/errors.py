@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 LONGEST_MESSAGE = 900
 """Characters, which leaves room for two long paths."""
 
@@ -24,6 +26,24 @@ def bytes_in_words(size: float) -> str:
     if kib < 1024:
         return f"{kib:.0f} KiB"
     return f"{kib / 1024:.1f} MiB" if kib < 10 << 20 else f"{kib / 2**20:,.1f} GiB"
+
+
+UNITS = {
+    "b": 1,
+    "kb": 10**3,
+    "mb": 10**6,
+    "gb": 10**9,
+    "kib": 2**10,
+    "mib": 2**20,
+    "gib": 2**30,
+}
+
+
+def parse_bytes(text: str) -> int | None:
+    """``5 MB``, ``800kB``, ``1.5MiB``; None where `text` is no size of at least a byte."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-zA-Z]+)\s*", text)
+    size = float(found[1]) * UNITS.get(found[2].lower(), 0) if found else 0.0
+    return int(size) if 1 <= size < 2**60 else None
 
 
 def printable(text: str, *, keep: str = "") -> str:

@@ -166,7 +166,12 @@ def is_launched() -> bool:
 
 def share_of_cores() -> int:
     """Threads for each of the processes on this machine."""
-    return max(available_threads() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")), 1)
+    return max(available_threads() // local_processes(), 1)
+
+
+def local_processes() -> int:
+    """Processes of the run on this machine."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
 
 
 def digest(*parts: Any) -> str:

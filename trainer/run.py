@@ -30,6 +30,7 @@ from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, FEW_PHOTOS, with_easing, with_exposure
 from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
+from splatview.trainer.memory import MemoryPlan
 from splatview.trainer.views import TrainView
 
 if TYPE_CHECKING:
@@ -170,12 +171,13 @@ class TrainingRun:
         eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
         effects: tuple[Effect, ...] = (),
+        memory: MemoryPlan | None = None,
         on_progress: Callable[[RunProgress], None] = lambda progress: None,
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
         between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints; `effects`
-        of the run are told in the metrics;
+        and `memory` of the run are told in the metrics;
         `on_progress` is called after every step, `on_note` with a line for the user."""
         self.trainer, self.held_out, self.outputs = trainer, list(held_out), outputs
         self.eval_every, self.eval_seconds, self.notes = eval_every, eval_seconds, notes or {}
@@ -183,6 +185,8 @@ class TrainingRun:
         self.effects = effects
         """What the run computes and why; replaced once exposures are decided."""
         self._effects_told: tuple[Effect, ...] = ()
+        self.memory = memory
+        """What the run takes, as it was stated."""
         self._need = 1.0
         """Share of the rules for few photos that is in force, in quarters."""
         self.evaluation: Evaluation | None = None
@@ -365,6 +369,10 @@ class TrainingRun:
             "loss": report.loss,
             "gaussians": report.gaussians,
         }
+        if self.memory is not None and self._metrics is None:
+            bound = self.memory.bound
+            told = {"bytes": self.memory.peak, "splats": self.memory.splats}
+            line["memory"] = told | {"bound": bound.bytes if bound.asked else None}
         if self.effects != self._effects_told:
             named = [{"name": one.name, "on": one.in_force, "why": one.why} for one in self.effects]
             line["effects"], self._effects_told = named, self.effects

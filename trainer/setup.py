@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,9 +19,20 @@ from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
 from splatview.trainer.evaluate import Evaluation, evaluate
 from splatview.trainer.initialisation import initial_parameters
+from splatview.trainer.memory import (
+    Bound,
+    Machine,
+    RunMemory,
+    begins_by_stereo,
+    check_fits,
+    plan,
+    run_memory,
+    sizes_of_capture,
+)
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
+    LEAST_LIMIT,
     PAPER_ITERATIONS,
     TrainSettings,
     automatic_dropout,
@@ -46,12 +58,15 @@ def settings_for(
     iterations: int | None = None,
     minutes: float | None = None,
     max_splats: int | None = None,
+    memory: int | None = None,
     antialiased: Antialiased = "auto",
     **fields: Any,
 ) -> TrainSettings:
     """The recipe that suits a capture; `fields` are those of `TrainSettings`, which stand as they are.
+    `memory`: bytes that the run may take, by which the number of splats is limited.
 
     Raises:
+        InputError: the memory is too little for the photos and a least number of splats.
         ValueError, TypeError: a field makes no sense, or there is none of its name.
     """
     photos, pixels = len(views), views.pixel_count
@@ -67,7 +82,26 @@ def settings_for(
         "background": capture.background or (0.0, 0.0, 0.0),
         "model": model_for(capture, antialiased),
     }
-    return TrainSettings(iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields})
+    settings = TrainSettings(
+        iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
+    )
+    if memory is None:
+        return settings
+    needed, bound = memory_of(capture, settings), Bound(bytes=memory, asked=True)
+    check_fits(needed, bound, min(limit, LEAST_LIMIT), f"{capture.name}: its photos", "give it {} or more")
+    return replace(settings, max_splats=plan(needed, bound, limit).splats)
+
+
+def memory_of(capture: Capture, settings: TrainSettings) -> RunMemory:
+    """What a run of this process on all cores takes."""
+    return run_memory(
+        sizes_of_capture(capture),
+        resolution=settings.resolution,
+        batch=settings.batch,
+        sh_degree=settings.sh_degree,
+        stereo=begins_by_stereo(settings.start, guessed=capture.guessed),
+        machine=Machine.here(),
+    )
 
 
 def trainer_for(
@@ -126,7 +160,7 @@ def start_points(
     """Points (P, 3) float64 and colours (P, 3) uint8 that splats begin at, by `TrainSettings.start`; the
     capture's own where stereo finds fewer than LEAST_FOUND, which `on_note` is told. Raises Cancelled."""
     known = capture.points, capture.point_colours
-    if settings.start == "points" or (settings.start == "auto" and not capture.guessed):
+    if not begins_by_stereo(settings.start, guessed=capture.guessed):
         return known
     found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
     found = thinned(*found, min(settings.max_splats, MOST_FOUND), seed=settings.seed)

@@ -68,6 +68,8 @@ class Trainer:
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
+        self.most_splats = math.inf
+        """Splats that the run has memory for, see `memory`: `max_splats` cannot be raised above."""
         self.views = views
         self.centre = np.zeros(3) if centre is None else centre
         self.extent = float(extent)
@@ -129,6 +131,8 @@ class Trainer:
         for name in KEPT:
             if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
                 raise ValueError(f"{name} cannot be changed in a run")
+        if not settings.get("max_splats", 0) <= self.most_splats:
+            raise ValueError(f"max_splats must be at most {self.most_splats:,}: there is no memory for more")
         self.settings = replace(self.settings, **settings)
         self.strategy.settings = self._local(self.settings)
 

@@ -6,7 +6,6 @@ GL thread. Nothing here imports ImGui, so all of it is tested without a display.
 
 from __future__ import annotations
 
-import os
 import time
 import traceback
 from collections import deque
@@ -24,6 +23,7 @@ from splatview.scene.camera import stepped_back
 from splatview.scene.edits import SceneEdits
 from splatview.scene.effects.overrides import followed
 from splatview.scene.errors import printable
+from splatview.scene.formats.io import resident_memory
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading, Reading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -364,8 +364,5 @@ class AppState:
 
 def process_memory() -> float | None:
     """Resident memory of this process in MiB; None where it cannot be told without more libraries."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return None
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    resident = resident_memory()
+    return None if resident is None else resident / 2**20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +24,14 @@ def load_capture(
     lens: LensUse = DEFAULT_LENS_USE,
     masks: MaskUse = "ignore",
     progress: Progress = NO_PROGRESS,
+    on_poses: Callable[[PosedPhotos], object] = lambda posed: None,
 ) -> Capture:
     """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; `lens` says what is
     done about distortion, `masks` what masks mean; transparent photos are laid over `background`, RGB in
     0..1. Every 8th photo by sorted name, starting with the first, is held out unless the capture says which.
+    `on_poses` is called with what the capture says before photos are read, and may raise.
 
     Raises:
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
@@ -40,6 +43,7 @@ def load_capture(
     # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         folder, posed = read_poses(path, progress.part(0.0, POSES))
+        on_poses(posed)
         return capture_of(
             posed,
             name=capture_name(folder),

@@ -299,3 +299,12 @@ def physical_memory() -> float:
     with contextlib.suppress(ValueError, OSError):
         size = min(size, int(Path("/sys/fs/cgroup/memory.max").read_text()))
     return size
+
+
+def resident_memory() -> int | None:
+    """Bytes of memory that this process has taken; None where it cannot be told without more libraries."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -235,6 +235,11 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["photos"] = len(state.found.photos)
     found["proposed"] = str(state.form.output)
     state.form.length, state.form.output = "1 minute", Path(options["output"])
+    free = state.planned_memory()
+    ctx.set_ref("//Train on photos")
+    ctx.combo_click("##Memory/2 GB")
+    hand.frames(3)
+    found["memory"] = [state.form.memory, free.bound.asked, state.planned_memory().bound.bytes]
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -246,6 +251,9 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     shoot(hand, "training")
     found["scene"] = app.scene.name
     found["steps"] = training.status.iteration
+    assert training.memory is not None
+    found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
+    found["told"] = any("memory: about" in message.text for message in app.messages)
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

@@ -68,6 +68,8 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     assert found["after_escape"] is None and found["after_click"] is None
     assert found["photos"] == 10 and found["proposed"] == str(capture.parent / "pond.ply")
     assert found["scene"] == "pond (training)" and found["steps"] >= 5
+    assert found["memory"] == ["2 GB", False, 2 * 10**9]
+    assert found["bound"] == 2 * 10**9 > found["peak"] and found["told"]
     assert len(load_scene(output)), "saved when the window closed"
 
 

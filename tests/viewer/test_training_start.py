@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
+import pytest
+
+from splatview.scene import InputError
 from splatview.viewer.command import Command
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.preferences import load_preferences, save_preferences, with_recent
 from splatview.viewer.state import AppState
-from splatview.viewer.training.start import TrainingStart
+from splatview.viewer.training.start import AUTOMATIC, TrainingStart
 
 
 def looked(app: AppState) -> TrainingStart:
@@ -28,6 +32,22 @@ def test_the_folder_of_the_photos_stands_for_its_capture(app, capture):
     start = looked(app)
     assert start.problem == "" and start.folder == capture
     assert start.found is not None and len(start.found.photos) == 10
+
+
+def test_the_form_bounds_the_memory_of_the_run(app, capture):
+    start = app.feature(TrainingStart)
+    start.choose(capture)
+    assert looked(app).found is not None and "--memory" not in start.arguments()
+    free = start.planned_memory()
+    assert not free.bound.asked and free.splats == free.wanted
+    start.form.memory = "2 GB"
+    assert start.arguments()[-2:] == ["--memory", "2 GB"]
+    bounded = start.planned_memory()
+    assert bounded.bound.bytes == 2 * 10**9 and bounded.peak <= bounded.bound.bytes
+    start.machine = replace(start.machine, left=10**8)
+    start.form.memory = AUTOMATIC
+    with pytest.raises(InputError, match=r"this machine has .* left for it; choose a smaller size"):
+        start.planned_memory()
 
 
 def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):

@@ -259,7 +259,7 @@ def main() -> None:
         arguments += ["--downscale", options.downscale, "--max-splats", options.max_splats]
         parsed = train.make_parser().parse(arguments)
         assert parsed is not None
-        train_window.train_in_window(parsed, time.perf_counter(), lambda run: run.capture.name)
+        train_window.train_in_window(parsed, time.perf_counter(), lambda run: run.name)
     results = report(soak)
     write_results(options.output, results)
     for row in results["table"]["rows"]:

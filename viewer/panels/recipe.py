@@ -8,7 +8,7 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.scene.edits import Crop
-from splatview.scene.errors import printable
+from splatview.scene.errors import bytes_in_words, printable
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import theme
 from splatview.viewer.editing.session import Editing, session_of
@@ -65,6 +65,8 @@ def show(app: AppState, training: LiveTraining) -> None:
     held_out = sum(photo.held_out for photo in training.photos)
     widgets.fact("Photos", f"{len(training.photos) - held_out} + {held_out} held out")
     widgets.fact("First photo", f"{first.width} x {first.height} px", "After downscaling.")
+    if training.memory is not None:
+        widgets.fact("Memory", f"{bytes_in_words(training.memory.peak)} at most", training.memory.line)
     red, green, blue = settings.background
     widgets.fact("Background", f"{red:.2f}, {green:.2f}, {blue:.2f}", "Behind the scene, RGB.")
     widgets.fact("Loss", f"{1 - settings.ssim_weight:g} L1 + {settings.ssim_weight:g} (1 - SSIM)")

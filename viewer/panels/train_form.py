@@ -9,7 +9,8 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
-from splatview.scene.errors import printable
+from splatview.scene import InputError
+from splatview.scene.errors import bytes_in_words, printable
 from splatview.viewer import theme
 from splatview.viewer.dialogs import DIALOG_FLAGS
 from splatview.viewer.panels import widgets
@@ -18,7 +19,7 @@ from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import Thumbnails
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
-from splatview.viewer.training.start import DOWNSCALES, LENGTHS, TrainingStart
+from splatview.viewer.training.start import DOWNSCALES, LENGTHS, MEMORIES, TrainingStart
 
 NAME, DROPPED = "Train on photos", "Photos with cameras"
 """Titles of the two windows."""
@@ -197,6 +198,16 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if chosen is not None:
         form.downscale = int(chosen)
+    memory = widgets.combo(
+        "Memory",
+        form.memory,
+        MEMORIES,
+        "The most that training may take, window and photos included: where there is no room for more, fewer"
+        " splats grow.",
+    )
+    if memory is not None:
+        form.memory = memory
+    _memory(state)
     widgets.label("Save as", "The scene, written when training ends or the window closes.")
     change = "Change...###output"
     room = (
@@ -206,6 +217,21 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     widgets.tooltip(str(form.output))
     widgets.beside(change)
     widgets.button(change, "Another place or name.", partial(app.post, start.choose_output))
+
+
+def _memory(state: TrainingStart) -> None:
+    """What the run will take, or why it does not fit."""
+    if state.lacks:
+        return
+    try:
+        planned = state.planned_memory()
+    except InputError as error:
+        widgets.note(str(error), theme.ERROR)
+        return
+    text = f"About {bytes_in_words(planned.peak)} at most, for up to {planned.splats:,} splats"
+    if planned.splats < planned.wanted:
+        text += f"; with more memory there would be {planned.wanted:,}"
+    widgets.note(text)
 
 
 def path_in(text: str, room: float) -> str:

@@ -16,6 +16,7 @@ from splatview.renderers.async_renderer import FRAME_SECONDS
 from splatview.scene import Camera, InputError, RenderSettings
 from splatview.scene.framing import robust_bounds
 from splatview.trainer.background import BackgroundTraining, Snapshot, State, Status, pace_of
+from splatview.trainer.memory import MemoryPlan
 from splatview.trainer.views import TrainView
 from splatview.viewer.camera import common_up, go_to_camera
 from splatview.viewer.editing.session import Editing
@@ -96,6 +97,8 @@ class LiveTraining(Feature):
     """All photos, sorted by name."""
     settings: RenderSettings
     """Settings that the scene is trained for."""
+    memory: MemoryPlan | None = None
+    """What the run takes, where that was stated."""
     minimised: bool = False
     """Whether the window is minimised, so that nothing is shown."""
     photo_index: int = 0

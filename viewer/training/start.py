@@ -13,9 +13,23 @@ from typing import Literal, Protocol
 from splatview.scene import InputError
 from splatview.scene.captures import read_poses
 from splatview.scene.captures.photos import downscaled_size
+from splatview.scene.captures.points import MIN_POINTS
+from splatview.scene.errors import parse_bytes
 from splatview.scene.formats.sequence import NERF
 from splatview.scene.formats.sequence import is_capture as holds_capture
 from splatview.scene.progress import Cancelled, Progress
+from splatview.trainer.memory import (
+    Bound,
+    Machine,
+    MemoryPlan,
+    PhotoSizes,
+    begins_by_stereo,
+    check_fits,
+    plan,
+    run_memory,
+    sizes_of_files,
+)
+from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_limit
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.editing.session import Editing
@@ -40,6 +54,11 @@ LENGTHS: dict[Length, tuple[str, ...]] = {
 }
 """Options of `splatview train` for each length; the last is the whole recipe, however long it takes."""
 
+AUTOMATIC = "What is free"
+
+MEMORIES = (AUTOMATIC, "1 GB", "2 GB", "4 GB", "8 GB", "16 GB", "32 GB", "64 GB")
+"""Bounds to choose from; the first is what the machine has left."""
+
 PHOTO_SIDES = (800, 1600)
 """Px: photos larger than the first are halved unless the user says otherwise, than the second quartered."""
 
@@ -59,6 +78,8 @@ class Found:
     """Photos with a pose that are not there."""
     points: int
     """Points that the capture gives to begin with."""
+    sizes: dict[int, PhotoSizes]
+    """By each of DOWNSCALES."""
 
 
 def look_through(folder: Path, progress: Progress) -> Found:
@@ -71,6 +92,7 @@ def look_through(folder: Path, progress: Progress) -> Found:
         size=(largest.width, largest.height),
         missing=len(posed.missing),
         points=len(posed.points),
+        sizes={factor: sizes_of_files(posed.entries, factor) for factor in DOWNSCALES},
     )
 
 
@@ -117,6 +139,8 @@ class TrainingForm:
 
     length: Length = "3 minutes"
     downscale: int = 1
+    memory: str = AUTOMATIC
+    """One of MEMORIES."""
     output: Path = field(default_factory=Path)
     """File that will hold the scene."""
 
@@ -131,6 +155,8 @@ class TrainingStart(Feature):
         self.form = TrainingForm()
         self.folder: Path | None = None
         self.found: Found | None = None
+        self.machine: Machine | None = None
+        """What the machine had left when the folder was looked through."""
         self.problem = ""
         """Why the folder cannot be trained on, or training has not begun."""
         self.stage = ""
@@ -181,7 +207,31 @@ class TrainingStart(Feature):
             *("-o", os.path.abspath(self.form.output)),
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale)),
+            *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
+
+    def planned_memory(self) -> MemoryPlan:
+        """What the run of the form takes, by what is known before its photos are read: their opacity is not.
+
+        Raises:
+            InputError: it does not fit; the message says what to do.
+        """
+        assert self.found is not None and self.machine is not None
+        form, length = self.form, LENGTHS[self.form.length]
+        asked = None if form.memory == AUTOMATIC else parse_bytes(form.memory)
+        bound = Bound(bytes=asked or self.machine.left, asked=asked is not None)
+        sizes = self.found.sizes[form.downscale]
+        memory = run_memory(
+            sizes,
+            resolution=TrainSettings.resolution,
+            stereo=begins_by_stereo(TrainSettings.start, guessed=self.found.points < MIN_POINTS),
+            machine=self.machine,
+            window=True,
+        )
+        advice = "choose a smaller size, or {} of memory or more"
+        check_fits(memory, bound, LEAST_LIMIT, f"These photos and {LEAST_LIMIT:,} splats", advice)
+        minutes = float(length[1]) if length else None
+        return plan(memory, bound, automatic_limit(sizes.trained, minutes))
 
     def trained_size(self) -> tuple[int, int]:
         """Width and height of the largest photo as it is trained on, px."""
@@ -241,6 +291,7 @@ class TrainingStart(Feature):
             self.problem = str(task.error) if known else f"{type(task.error).__name__}: {task.error}"
         elif task.result is not None:
             found = self.found = task.result
+            self.machine = Machine.here()
             output = found.folder.absolute()
             folder = output.parent if os.access(output.parent, os.W_OK) else Path.cwd()
             stem = output.name if output.is_dir() else output.parent.name
