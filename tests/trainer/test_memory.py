@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -52,8 +53,8 @@ def test_more_of_anything_takes_more_memory() -> None:
 
 
 def test_what_is_counted_of_photos_and_splats_is_what_they_are() -> None:
-    added = estimate(replace(SIZES, pixels=11_000_000)).peak(50_000) - estimate().peak(50_000)
-    assert added == pytest.approx(3e6, abs=2), "three bytes of each pixel"
+    added = estimate(replace(SIZES, pixels=11_000_000)).photos - estimate().photos
+    assert added == 3e6, "three bytes of each pixel"
     added = estimate().peak(1_000_001) - estimate().peak(1_000_000)
     assert added > 4 * 59 * 4, "parameters, two averages and a gradient of 59 numbers"
 
@@ -173,7 +174,8 @@ def test_too_little_memory_ends_in_one_line_before_photos_are_read(
     assert train(capture_folder, tmp_path / "toy.ply", "--iterations", "5", "--memory", "0.2GB") == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "need about" in line and "--memory allows 190.7 MiB" in line
-    assert f"use a larger --downscale, or --memory {least}MB or more" in line
+    found = re.search(r"use a larger --downscale, or --memory (\d+)MB or more$", line)
+    assert found and least - 1 <= int(found[1]) <= least, "smaller copies are not known yet"
     assert not list(tmp_path.glob("*.ply*"))
 
 
