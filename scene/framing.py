@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def robust_bounds(means: np.ndarray) -> tuple[np.ndarray, float]:
 
 SKY_GAP, IN_GAP, LEAST_SKY, ONE_SIDED = 3.5, 0.005, 0.01, 0.85
 """Of a shell of far splats: factor of the distance, share of the splats in between, least share of the splats
-in it, and length of the mean direction to splats that are all on one side. See `without_sky`."""
+in it, and length of the mean direction to splats that are all on one side. See `sky_shell`."""
 
 BOX_OUTLIERS, BOX_MARGIN = 0.1, 0.03
 """Of a box about nearly all splats: percent left out at either end of each axis, and share by which it is
@@ -121,28 +122,45 @@ def _percentiles(
 
 
 def without_sky(means: np.ndarray) -> np.ndarray:
-    """`means` (N, 3) float64, finite, but for a shell of far splats around them, which is the sky; all where
-    there is none.
+    """`means` (N, 3), finite, but for those of a sky, see `sky_shell`."""
+    shell = sky_shell(means)
+    return means if shell is None else means[~shell.holds(means)]
 
-    It lies beyond SKY_GAP times a distance from the middle within which all others are, it holds at least
-    LEAST_SKY of the splats and less than half, and it is on more than one side: two objects far apart are
-    none. Trained skies are at ten times the distance of the others; the demo's, at three, counts as scene.
+
+class Shell(NamedTuple):
+    """What surrounds a scene from a distance on."""
+
+    middle: np.ndarray
+    """(3,) float64, world."""
+    radius: float
+    """Distance of its nearest splat from the middle, world units."""
+
+    def holds(self, means: np.ndarray) -> np.ndarray:
+        """Which of `means` (N, 3) belong to it: (N,) bool."""
+        return np.linalg.norm(means - self.middle, axis=1) >= self.radius
+
+
+def sky_shell(means: np.ndarray) -> Shell | None:
+    """The shell of far splats around `means` (N, 3), finite, which is their sky; None where there is none.
+
+    Between its nearest splat, and places SKY_GAP times nearer to the middle, is next to nothing; it holds at
+    least LEAST_SKY of the splats and at most half, and is on more than one side: two objects far apart are
+    none. Trained skies are ten times as far as the rest; the demo's, at three times, counts as scene.
     """
-    offsets = means - np.median(means, axis=0)
+    middle = np.median(means.astype(np.float64), axis=0)
+    offsets = means - middle
     with np.errstate(over="ignore"):
         distances = np.linalg.norm(offsets, axis=1)
-    ordered = np.sort(distances)
-    count = len(ordered)
-    # Nearest of the shell: the first beyond the middle before which there is next to nothing for so long.
-    begin = np.searchsorted(ordered, ordered / SKY_GAP)
-    later = np.arange(count) >= count - min(count // 2, count - 1)
-    found = np.flatnonzero(later & (np.arange(count) - begin <= IN_GAP * count))
+    ordered, count = np.sort(distances), len(means)
+    in_gap = np.arange(count) - np.searchsorted(ordered, ordered / SKY_GAP)
+    found = np.flatnonzero((np.arange(count) >= count / 2) & (in_gap <= IN_GAP * count))
     if not len(found) or not count - found[0] >= LEAST_SKY * count:
-        return means
-    far = distances >= ordered[found[0]]
+        return None
+    shell = Shell(middle, float(ordered[found[0]]))
+    far = distances >= shell.radius
     with np.errstate(invalid="ignore", divide="ignore"):
-        middle = (offsets[far] / distances[far, None]).mean(axis=0)
-    return means[~far] if np.linalg.norm(middle) < ONE_SIDED else means
+        side = np.linalg.norm((offsets[far] / distances[far, None]).mean(axis=0))
+    return shell if side < ONE_SIDED else None
 
 
 def _stride(count: int) -> int:

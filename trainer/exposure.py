@@ -142,15 +142,17 @@ class Exposures:
         settings: RenderSettings,
         workspace: Workspace,
         threads: int,
+        places: np.ndarray | None = None,
     ) -> None:
-        """Compares photos, one for each name and in any size, where the scene's splats are."""
+        """Compares photos, one for each name and in any size, where the scene's splats are, or at `places`
+        (N, 3)."""
 
         def picture(view: TrainView) -> np.ndarray:
             return draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
 
         self.is_decided, self.is_on = True, self.mode == "on"
         if self.mode == "auto":
-            self.evidence = measured_evidence(parameters.means, views)
+            self.evidence = measured_evidence(parameters.means if places is None else places, views)
             self.is_on = self.evidence.calls_for_correction
         if self.is_on:
             for row, view in enumerate(views):

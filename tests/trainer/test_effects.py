@@ -17,6 +17,7 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
     FEW_PHOTOS,
     SCALE_RATIO,
+    SKY,
     Antialiased,
     capture_effects,
     model_for,
@@ -92,7 +93,11 @@ def test_each_effect_names_its_evidence():
     rich = told(
         capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
     )
-    assert {name for name, (on, _) in rich.items() if on} == set(rich) - {"antialiased opacity", FEW_PHOTOS}
+    assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
+        "antialiased opacity",
+        SKY,
+        FEW_PHOTOS,
+    }
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
     assert "1 of 4 photos have transparency, laid over 0, 0, 0" in rich["background"][1]

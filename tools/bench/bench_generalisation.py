@@ -59,7 +59,8 @@ def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
     first."""
     columns = ["capture", "rules", "photos", "minutes", *names]
     columns += [f"{names[-1]} - {names[0]}, dB"] if len(names) > 1 else []
-    columns += ["haze"]
+    has_sky = any("unseen_error" in run for run in runs.values())
+    columns += ["wrong sky", "wrong unseen sky", "unseen sky empty"] if has_sky else ["haze"]
     rows = []
     for capture in [*REAL, *RENDERED]:
         for minutes in sorted({key[3] for key in runs if key[1] == capture}):
@@ -74,15 +75,32 @@ def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
                 gains = [b["psnr"] - a["psnr"] for a, b in zip(by_name[0], by_name[-1], strict=True)]
                 spread = f" ({min(gains):+.2f} to {max(gains):+.2f})" if len(gains) > 1 else ""
                 row.append(f"{np.mean(gains):+.2f}{spread}")
-            haze = [run["haze"] for run in by_name[-1] if run["haze"] is not None]
-            row.append(f"{np.mean(haze):.4f}" if haze else "")
+            if has_sky:
+                row += [sky_cell(by_name, kind) for kind in ("sky_error", "unseen_error", "unseen_empty")]
+            else:
+                haze = [run["haze"] for run in by_name[-1] if run["haze"] is not None]
+                row.append(f"{np.mean(haze):.4f}" if haze else "")
             rows.append(row)
     note = (
         "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked "
-        "so, and are only judged by the others. Haze: mean opacity where held-out photos are empty. Minutes "
+        f"so, and are only judged by the others. {SKY_NOTE if has_sky else HAZE_NOTE} Minutes "
         "of a model of what a step costs on two cores, so that no other work on the machine matters."
     )
     return {"columns": columns, "rows": rows, "note": note}
+
+
+HAZE_NOTE = "Haze: mean opacity where held-out photos are empty."
+
+SKY_NOTE = (
+    "Wrong sky: mean absolute difference of colours, 0 to 1, in the sky of held-out photos and in directions "
+    "of it that no photo trained on shows; empty: share of the latter with an opacity below a half."
+)
+
+
+def sky_cell(by_name: list[list[dict[str, Any]]], kind: str) -> str:
+    """The means of a figure of the sky, by checkout."""
+    means = [[run[kind] for run in found if kind in run] for found in by_name]
+    return ", ".join(f"{np.mean(values):.3f}" if values else "" for values in means)
 
 
 def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:

@@ -83,6 +83,12 @@ def dusk(directions: np.ndarray) -> np.ndarray:
     return np.where(hills[:, None], (0.24, 0.25, 0.33) + rocks[:, None], np.clip(colour, 0, 1))
 
 
+def overcast(directions: np.ndarray) -> np.ndarray:
+    """Clouds without a gap: three times as bright above as at the horizon (Moon and Spencer 1942)."""
+    light = (1 + 2 * np.clip(directions @ UP, 0, 1)) / 3 + 0.03 * fbm(directions * 4.0, 3, octaves=3)
+    return np.clip(light, 0, 1)[:, None] ** 0.45 * np.array([0.93, 0.95, 0.98])
+
+
 def meadow(sky: Callable[[np.ndarray], np.ndarray], level: float, size: float) -> Backdrop:
     """A sky over a plane at y = `level` with patches as large as `size`, world units."""
 
@@ -123,9 +129,21 @@ def demo_outdoors(data: Path, count: int) -> Outdoors:
     )
 
 
+BIKER, GUITAR = "biker/biker.compressed.ply", "guitar/guitar.compressed.ply"
+
+
 def biker_outdoors(data: Path, count: int) -> Outdoors:
-    """A rider on a plain with hills far behind, seen from all around at the height of a walker's eye."""
-    scene = load_scene(data / "scenes" / "biker" / "biker.compressed.ply")
+    """A rider in the evening."""
+    return outdoors(load_scene(data / "scenes" / BIKER), dusk, count)
+
+
+def guitar_outdoors(data: Path, count: int) -> Outdoors:
+    """A guitar under an overcast sky."""
+    return outdoors(load_scene(data / "scenes" / GUITAR), overcast, count)
+
+
+def outdoors(scene: Gaussians, sky: Callable[[np.ndarray], np.ndarray], count: int) -> Outdoors:
+    """A thing on a plain, seen from all around at the height of a walker's eye."""
     centre, radius = bulk(scene)
     level = float(np.percentile(scene.means[:, 1], 99.5))
     cameras = []
@@ -141,7 +159,7 @@ def biker_outdoors(data: Path, count: int) -> Outdoors:
     places[:, 1] = level + rng.normal(scale=0.004 * radius, size=len(places))
     return Outdoors(
         scene=scene,
-        backdrop=meadow(dusk, level, radius),
+        backdrop=meadow(sky, level, radius),
         cameras=cameras,
         probes=probes_at(centre + 1.5 * radius * UP, 240, 240),
         points=places,
@@ -174,16 +192,25 @@ def room(centre: np.ndarray, half: np.ndarray) -> Backdrop:
 
 
 def biker_indoors(data: Path, count: int) -> Outdoors:
-    """The rider in a room with plain walls and ceiling: photos from around, a half of them outwards. Points
-    are where a reconstruction finds some: on the carpet, the pictures and along the edges."""
-    scene = load_scene(data / "scenes" / "biker" / "biker.compressed.ply")
+    """The rider in a room, a half of the photos outwards."""
+    return indoors(load_scene(data / "scenes" / BIKER), count, outwards=2)
+
+
+def guitar_indoors(data: Path, count: int) -> Outdoors:
+    """The guitar in a room, all photos inwards."""
+    return indoors(load_scene(data / "scenes" / GUITAR), count, outwards=count + 1)
+
+
+def indoors(scene: Gaussians, count: int, *, outwards: int) -> Outdoors:
+    """A thing in a room with plain walls and ceiling: photos from around, one of so many outwards. Points are
+    where a reconstruction finds some: on the carpet, the pictures and along the edges."""
     centre, radius = bulk(scene)
     half, cameras = ROOM * radius, []
     for i in range(count):
         angle = np.radians(360 * ((i * 0.6180339887498949) % 1.0))
         rise = np.radians(-15 + 35 * ((i * 0.7548776662466927) % 1.0))
         eye = centre + 2.0 * radius * np.array([np.sin(angle), -0.3 * ((i * 0.57) % 1.0), -np.cos(angle)])
-        cameras.append(towards(eye, -angle + (np.pi if i % 2 else 0.0), rise, 240, 240))
+        cameras.append(towards(eye, -angle + (np.pi if i % outwards == 1 else 0.0), rise, 240, 240))
     rng = np.random.default_rng(4)
     carpet = rng.uniform(-1, 1, (1500, 3)) * (1, 0, 1) + (0, 1, 0)
     pictures = rng.uniform(-0.4, 0.4, (600, 3)) * (1, 1, 0) + (0, -0.1, 1)
