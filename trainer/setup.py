@@ -39,6 +39,7 @@ from splatview.trainer.settings import (
     automatic_limit,
     automatic_max_aspect,
     automatic_regularisation,
+    automatic_sh_divisor,
     automatic_steps,
 )
 from splatview.trainer.sky import find_sky, with_sky
@@ -79,6 +80,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
+        "sh_divisor": automatic_sh_divisor(photos),
         "background": capture.background or (0.0, 0.0, 0.0),
         "model": model_for(capture, antialiased),
     }

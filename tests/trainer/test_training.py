@@ -29,6 +29,7 @@ from splatview.trainer.settings import (
     automatic_limit,
     automatic_max_aspect,
     automatic_regularisation,
+    automatic_sh_divisor,
     automatic_steps,
 )
 from splatview.trainer.splats import Splats
@@ -90,6 +91,17 @@ def test_bands_are_unlocked_in_turn(make_trainer) -> None:
     assert trainer.optimizer.first.sh.shape[1] == 16
 
 
+def test_higher_bands_learn_at_their_share_of_the_rate(make_trainer) -> None:
+    moved = {}
+    for divisor in (2.0, 20.0):
+        trainer = make_trainer(sh_every=0.0, sh_divisor=divisor)
+        trainer.step()
+        # The first step of Adam is one rate long for whatever has a gradient.
+        moved[divisor] = np.abs(trainer.splats.arrays.sh[:, 1:]).max()
+        assert np.isclose(moved[divisor], trainer.settings.sh_rate / divisor, rtol=1e-3)
+    assert moved[2.0] > 9 * moved[20.0]
+
+
 def test_unseen_splats_move_only_with_plain_adam(make_trainer, start) -> None:
     behind = start._replace(means=start.means + np.float32(1e4))
     for visible_only in (True, False):
@@ -147,6 +159,7 @@ def test_a_checkpoint_without_what_came_later_resumes(make_trainer, tmp_path: Pa
         arrays = {name: file.get_tensor(name) for name in file.keys() if name not in later}  # noqa: SIM118
     description = json.loads(metadata["run"])
     assert later and description["settings"].pop("alpha_weight") == 0
+    assert description["settings"].pop("sh_divisor") == 20
     save_file(arrays, path, metadata | {"run": json.dumps(description)})
     checkpoint = load_checkpoint(path)
     resumed = Trainer(part.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2)
@@ -281,6 +294,7 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"seed": -1}, "seed"),
         ({"max_aspect": 0.5}, "max_aspect"),
         ({"dropout": 1.0}, "dropout"),
+        ({"sh_divisor": float("nan")}, "sh_divisor"),
     ):
         with pytest.raises(ValueError, match=name):
             make_settings(**options)
@@ -298,6 +312,8 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
         > automatic_dropout(80)
         == 0
     )
+    many, some, few = (automatic_sh_divisor(photos) for photos in (1000, 40, 30))
+    assert 1 < many < some < few < automatic_sh_divisor(20) == automatic_sh_divisor(1) == 20
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
