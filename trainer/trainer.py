@@ -376,7 +376,10 @@ class Trainer:
         rounds = self.counters.iteration * self.settings.batch / len(self.views)
         if self.exposures.is_due(progress, rounds):
             views = self.views.sized(self.downscale)
-            self.exposures.decide(self.splats.arrays, views, self.render_settings, Workspace(), self.threads)
+            arrays = self.splats.arrays
+            # A sky is not the same from all sides, nor behind each of its splats.
+            places = arrays.means[self.state["sky"] == 0] if "sky" in self.state else None
+            self.exposures.decide(arrays, views, self.render_settings, Workspace(), self.threads, places)
 
     def _check_seen(self, info: Visibility) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""

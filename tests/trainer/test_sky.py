@@ -18,6 +18,7 @@ from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.framing import bulk, without_sky
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SKY, capture_effects, with_sky_found
+from splatview.trainer.exposure import measured_evidence
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
@@ -255,3 +256,13 @@ def test_files_hold_the_sky_and_the_rest(open_air: Capture, tmp_path: Path, name
     camera = replace(open_air.photos[0].camera, name="")
     first, second = (render(one, camera) for one in (scene, again))
     assert np.abs(first - second).mean() < 0.01
+
+
+def test_exposures_are_judged_without_the_sky(open_air: Capture) -> None:
+    trainer = trainer_of(open_air, resolution=())
+    arrays, views = trainer.splats.arrays, trainer.views.all
+    expected = measured_evidence(arrays.means[trainer.state["sky"] == 0], views)
+    assert expected != measured_evidence(arrays.means, views)
+    trainer.exposures.is_due = lambda progress, rounds: not trainer.exposures.is_decided  # pyright: ignore
+    trainer.step()
+    assert trainer.exposures.evidence == expected
