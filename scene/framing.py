@@ -127,6 +127,15 @@ def without_sky(means: np.ndarray) -> np.ndarray:
     return means if shell is None else means[~shell.holds(means)]
 
 
+def in_sky(means: np.ndarray) -> np.ndarray:
+    """Which of `means` (N, 3), any values, are those of a sky, see `sky_shell`: (N,) bool."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = (np.abs(means) <= FLOAT32_MAX).all(axis=1)
+        some = means[finite]
+        shell = sky_shell(some[:: _stride(len(some))]) if len(some) else None
+        return np.zeros(len(means), np.bool_) if shell is None else finite & shell.holds(means)
+
+
 class Shell(NamedTuple):
     """What surrounds a scene from a distance on."""
 

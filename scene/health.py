@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatview.scene.framing import robust_bounds
+from splatview.scene.framing import in_sky, robust_bounds
 from splatview.scene.gaussians import Gaussians
 from splatview.scene.image_model import ALPHA_CUT, MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX, sigmoid
@@ -61,7 +61,8 @@ def check(gaussians: Gaussians) -> list[Finding]:
         rods = largest - middle > math.log(NEEDLE_RATIO)
         extreme = (np.abs(gaussians.log_scales) > EXTREME_LOG_SCALE).any(axis=1)
         _, radius = robust_bounds(gaussians.means)
-        giants = largest > math.log(GIANT_RADII * radius)
+        # A sky is as large as it has to be.
+        giants = (largest > math.log(GIANT_RADII * radius)) & ~in_sky(gaussians.means)
         bright = sh_bound(gaussians.sh).sum(axis=1).max(axis=1) > BRIGHT
         no_scale_nan = ~np.isnan(gaussians.log_scales).any(axis=1)
     drawn_shape = scales_finite & no_scale_nan

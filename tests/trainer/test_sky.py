@@ -16,6 +16,7 @@ from splatview.scene.camera import look_at
 from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.scene.formats import load_scene, save_scene
 from splatview.scene.framing import bulk, without_sky
+from splatview.scene.health import check
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SKY, capture_effects, with_sky_found
 from splatview.trainer.exposure import measured_evidence
@@ -237,6 +238,7 @@ def test_framing_leaves_the_sky_out(open_air: Capture) -> None:
     scene = scene_with_sky(open_air)
     plain = trainer_of(open_air, sky="off").snapshot()
     (centre, radius), (expected, size) = bulk(scene), bulk(plain)
+    assert not any(finding.count for finding in check(scene) if finding.name == "giants")
     assert radius == pytest.approx(size, rel=0.1) and np.linalg.norm(centre - expected) < 0.1 * size
 
 
