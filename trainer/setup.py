@@ -80,7 +80,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
-        "sh_divisor": automatic_sh_divisor(photos),
+        "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points)),
         "background": capture.background or (0.0, 0.0, 0.0),
         "model": model_for(capture, antialiased),
     }

@@ -13,6 +13,9 @@ from splatview.scene import Camera, InputError
 from splatview.scene.captures.capture import Photo
 from splatview.scene.captures.photos import area_averaged, wholly_valid
 
+SAMPLED_PLACES = 3000
+"""Points that say how many photos show a place."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrainView:
@@ -98,6 +101,21 @@ class TrainViews:
     def pixel_count(self) -> int:
         """Pixels of all photos together."""
         return sum(view.camera.width * view.camera.height for view in self._sizes[1])
+
+    def photos_of_a_place(self, points: np.ndarray) -> float:
+        """How many of the photos a place lies within, hidden there or not: the mean over points (P, 3); all
+        where there are none."""
+        usable = points[np.isfinite(points).all(axis=1)][:: -(-len(points) // SAMPLED_PLACES) or 1]
+        if not len(usable):
+            return float(len(self))
+        total = 0
+        for view in self.all:
+            camera = view.camera
+            local = usable @ camera.R_camera_world.T + camera.t_camera_world
+            x, y = camera.image_points(local[local[:, 2] > 0]).T
+            with np.errstate(invalid="ignore"):
+                total += np.sum((x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height))
+        return total / len(usable)
 
     def names(self) -> list[list[Any]]:
         """[name, width, height] of every photo."""
