@@ -11,15 +11,16 @@ For each photo the gain that explains its pairs best (least absolute differences
 gains leave unexplained: surfaces that look brighter from one side make ratios that no gain for each photo
 explains, and they do so more in one colour than in another, where exposures are grey.
 
-Chosen on parts of the bench: `demo drift 40` (photos differ by 18 %, 35 times what gains leave), `miku 12
-far` (7 %, 3.3 times) and `miku 20 near` (5 %, 6.3 times) call for it, `banana` (2.8 %), `biker front 24` (1.4
-times) and `playbot RGBA 18` (2.4 times) do not. It is on for `miku` (10 %, 3.9 times) and its parts 12 near
-and 40 far, off for its parts of 8 photos and 20 far (2.8 times), for `demo hard 40` and `demo lens 40`. That
+Chosen on parts of the bench, where a run decides: `demo drift 40` (photos differ by 18 %, known to 0.5 %),
+`miku 12 far` (7 %, 1.3 %) and `miku 20 near` call for it, `banana` (2.8 %, 0.5 %), `biker front 24` (2 %,
+1.5 %), `playbot RGBA 18` and `miku` (7 %, 2.1 %, see `SURELY`) do not. It is off for `demo hard 40`, `demo
+lens 40` and the parts of `miku` with 8 photos; for its others it depends on which third is held out. That
 gains must be alike in all colours was asked for after `guitar RGBA 24`, `skull RGBA 100` and the close
-captures had been seen, which differ by 19 to 51 %, but by half as much again and more in one colour than in
-another: no capture has judged that part. It is on where it should not be for `train front 30`, of a scene
-that has learnt its photos' exposures itself. `miku 12 far` with 24,000 splats has 23.76 dB after a minute and
-24.03 after three where it is on, 22.96 and 23.40 where not, both measured as below.
+captures had been seen, which differ by 17 to 55 %, but by half as much again and more in one colour than in
+another: no capture has judged that part, and one split of three of `playbot close 80` passes it. It is on
+where it should not be for `train front 30`, of a scene that has learnt its photos' exposures itself. `miku
+12 far` with 24,000 splats has 23.76 dB after a minute and 24.03 after three where it is on, 22.96 and 23.40
+where not, both measured as below.
 
 Dropped: to compare photos with the scene as it stands, which takes shine for exposure (11 % on `playbot RGBA
 18`, known to 2.6 %) and has learnt exposures itself where photos are few (3 % on `miku 12 far`).
@@ -55,10 +56,12 @@ LEAST_ROUNDS = 4
 """Before, gains would be taken from a scene that is not there yet."""
 
 LEAST_SPREAD = 0.03
-"""Standard deviation of log gains. That of `banana` is 0.028; there correction loses 0.1 dB."""
+"""Standard deviation of log gains that there surely must be. That of `banana` is 0.028; there correction
+loses 0.1 dB."""
 
-LEAST_CERTAINTY = 3.0
-"""Standard errors."""
+SURELY = 2.0
+"""Standard errors by which the spread must be more. `miku`, of 7 % known to 2.1 %, scores 29.34 dB fitted and
+27.99 as it is with correction, SSIM 0.915, after a minute; without, 29.25 as it is and 0.919."""
 
 MOST_UNEVEN = 1.5
 """Ratio of the spreads of the colours that differ most and least."""
@@ -98,8 +101,7 @@ class Evidence(NamedTuple):
 
     @property
     def calls_for_correction(self) -> bool:
-        known = self.spread > LEAST_CERTAINTY * self.error
-        return known and self.spread > LEAST_SPREAD and self.unevenness < MOST_UNEVEN
+        return self.spread - SURELY * self.error > LEAST_SPREAD and self.unevenness < MOST_UNEVEN
 
     def __str__(self) -> str:
         found = f"photos differ in exposure by {self.spread:.0%} (known to {self.error:.1%})"

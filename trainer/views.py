@@ -103,19 +103,20 @@ class TrainViews:
         return sum(view.camera.width * view.camera.height for view in self._sizes[1])
 
     def photos_of_a_place(self, points: np.ndarray) -> float:
-        """How many of the photos a place lies within, hidden there or not: the mean over points (P, 3); all
+        """How many of the photos a place lies within, hidden there or not: the median over points (P, 3); all
         where there are none."""
         usable = points[np.isfinite(points).all(axis=1)][:: -(-len(points) // SAMPLED_PLACES) or 1]
         if not len(usable):
             return float(len(self))
-        total = 0
+        counts = np.zeros(len(usable))
         for view in self.all:
             camera = view.camera
             local = usable @ camera.R_camera_world.T + camera.t_camera_world
-            x, y = camera.image_points(local[local[:, 2] > 0]).T
+            ahead = np.flatnonzero(local[:, 2] > 0)
+            x, y = camera.image_points(local[ahead]).T
             with np.errstate(invalid="ignore"):
-                total += np.sum((x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height))
-        return total / len(usable)
+                counts[ahead] += (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+        return float(np.median(counts))
 
     def names(self) -> list[list[Any]]:
         """[name, width, height] of every photo."""
