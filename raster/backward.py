@@ -69,7 +69,7 @@ from splatview.raster.simd import (
     store,
     sum_lanes,
 )
-from splatview.raster.tiles import AHEAD, ask_ahead
+from splatview.raster.tiles import AHEAD
 
 T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
 SUMS = 16
@@ -309,7 +309,7 @@ def gather_pairs(
     stop,
     positions,
     order,
-    spans_of,
+    runs,
     spans,
     first_tile,
     end_tile,
@@ -329,18 +329,16 @@ def gather_pairs(
     """
     nothing = spread(sums.dtype.type(0))
     for k in range(start, stop):
-        ask_ahead(k, stop, order, spans_of, spans)
         if k + AHEAD < stop:
-            soon = order[k + AHEAD]
-            prefetch(splat_sums, soon * SUMS)
-            if spans_of[soon, 0] < spans_of[soon, 1]:
-                prefetch(sums, (positions[spans[spans_of[soon, 0], 0]] - base) * SUMS)
+            prefetch(splat_sums, order[k + AHEAD] * SUMS)
+            if runs[k + AHEAD, 1] > 0:
+                prefetch(sums, (positions[spans[runs[k + AHEAD, 0], 0]] - base) * SUMS)
         splat = order[k]
         total = nothing
         if again:
             total = load(splat_sums, splat * SUMS)
-        for span in range(spans_of[splat, 0], spans_of[splat, 1]):
-            for tile in range(max(spans[span, 0], first_tile), min(spans[span, 1], end_tile)):
+        for row in range(runs[k, 0], runs[k, 0] + runs[k, 1]):
+            for tile in range(max(spans[row, 0], first_tile), min(spans[row, 1], end_tile)):
                 position = positions[tile]
                 positions[tile] = position + 1
                 if position - offsets[tile] < walked[tile]:

@@ -159,7 +159,7 @@ def _add_contributions(
         run(
             gather_contributions,
             [(*piece, row) for piece, row in zip(bins.pieces, cursors, strict=True)],
-            (bins.order, bins.spans_of, bins.spans, *band, base, pairs, total),
+            (bins.order, bins.runs, bins.spans, *band, base, pairs, total),
             threads,
         )
     return ids
@@ -289,14 +289,14 @@ def contribution_tiles(
 
 @kernel
 def gather_contributions(
-    start, stop, positions, order, spans_of, spans, first_tile, end_tile, base, pairs, total
+    start, stop, positions, order, runs, spans, first_tile, end_tile, base, pairs, total
 ):
     """Adds the pairs of each splat of order[start:stop] in tiles [first_tile, end_tile) to total (N,). The
     pairs are found as they were written: positions (tiles,) int64 is used up."""
     for k in range(start, stop):
         splat = order[k]
-        for span in range(spans_of[splat, 0], spans_of[splat, 1]):
-            for tile in range(max(spans[span, 0], first_tile), min(spans[span, 1], end_tile)):
+        for row in range(runs[k, 0], runs[k, 0] + runs[k, 1]):
+            for tile in range(max(spans[row, 0], first_tile), min(spans[row, 1], end_tile)):
                 total[splat] += pairs[positions[tile] - base]
                 positions[tile] += 1
 

@@ -48,6 +48,8 @@ from splatview.raster.simd import (
     sqrt,
     store,
     store_int,
+    store_interleaved,
+    store_run,
 )
 from splatview.raster.surfels import (
     MAX_TILT,
@@ -76,8 +78,18 @@ CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
 # Columns of `gathered`, CHUNK numbers each; those of a surfel's row follow from G_SURFEL on.
-G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_SURFEL = range(10)
-GATHERED = 9
+G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_CUT, G_SURFEL = range(11)
+COPIED = 9
+"""Columns that are copies of what records hold."""
+GATHERED = 10
+"""Columns without those of surfels; the last is the power of two below which alpha is 0."""
+
+ITEMS = CHUNK * STRIPS * BLOCKS + LANES
+"""Most blocks of a chunk's splats, and room for a whole last vector."""
+
+PLACE_BITS = (STRIPS * BLOCKS).bit_length() - 1
+
+CENTRES = 2 * TILE_PIXELS
 
 LEAST_TRANSMITTANCE = 1e8
 """Least early stop, in smallest normal numbers of the picture's dtype."""
@@ -121,7 +133,7 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, max_l
             for number_of in range(SURFEL):
                 gathered[(G_SURFEL + number_of) * CHUNK + j] = row[number_of]
     for j in range(count, (count + LANES - 1) // LANES * LANES):
-        for column in range(GATHERED):
+        for column in range(COPIED):
             gathered[column * CHUNK + j] = gathered[column * CHUNK + count - 1]
     return count
 
@@ -130,7 +142,7 @@ def gather(lists, start, count, next_start, next_stop, records, left, top, max_l
 def touched_blocks(gathered, count, log2_cut, log2_share, rows):
     """First and last block that each gathered ellipse meets in each strip: rows (STRIPS·2·CHUNK,) int32,
     for a strip CHUNK firsts, then CHUNK lasts. First > last where it meets none; all blocks where the
-    arithmetic overflows.
+    arithmetic overflows. Fills the column G_CUT too.
 
     Within the columns of a strip an ellipse reaches farthest down at the column nearest to its own lowest
     point; there the quadratic form, solved for dy, gives dy = -ab/(b² + c²)·dx + sqrt(...).
@@ -142,7 +154,10 @@ def touched_blocks(gathered, count, log2_cut, log2_share, rows):
             load(gathered, G_B * CHUNK + j),
             load(gathered, G_C * CHUNK + j),
         )
-        bound = minimum(load(gathered, G_LOG2_OPACITY * CHUNK + j) - fill(x, log2_cut), fill(x, -log2_share))
+        log2_opacity = load(gathered, G_LOG2_OPACITY * CHUNK + j)
+        cut = maximum(log2_opacity + fill(x, log2_share), fill(x, log2_cut))
+        store(gathered, G_CUT * CHUNK + j, cut)
+        bound = minimum(log2_opacity - fill(x, log2_cut), fill(x, -log2_share))
         bound = fma(bound, fill(x, 1 + MARGIN), fill(x, MARGIN))
         zero, half, margin = fill(x, 0.0), fill(x, 0.5), fill(x, MARGIN)
         inverse = divide(fill(x, 1.0), fma(b, b, c * c))
@@ -191,6 +206,9 @@ def start_pixels(pixels, left, top, view):
     pixels[:] = 0
     for block in range(STRIPS * BLOCKS):
         _, _, columns, rows = block_in_image(block, left, top, view.width, view.height)
+        if columns == BLOCK_WIDTH and rows == BLOCK_HEIGHT:
+            store(pixels, block * 4 * LANES, spread(pixels.dtype.type(1)))
+            continue
         for row in range(rows):
             for column in range(columns):
                 pixels[block * 4 * LANES + row * BLOCK_WIDTH + column] = 1
@@ -271,54 +289,82 @@ def surfel_exponent_at(columns, gathered, j, surfels, dy):
 
 
 @inline
-def blend_chunk(gathered, count, rows, alive, log2_cut, log2_share, max_alpha, pixels, surfels):
-    """Blends gathered splats over the pixels of a tile, in their order. Returns the number of blocks."""
-    number = gathered.dtype.type
-    blocks = 0
+def list_items(rows, count, alive, items):
+    """Writes the blocks that each gathered splat touches, splat by splat, to items (ITEMS,) int32: the j-th
+    splat's block at place p of the tile is j·STRIPS·BLOCKS + p. Returns how many there are.
+
+    Of loops over each splat's own few blocks the processor guesses the end wrong for nearly every pair.
+    """
+    total = 0
     for j in range(count):
-        b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
-        log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
-        red = spread(gathered[G_RED * CHUNK + j])
-        green = spread(gathered[G_GREEN * CHUNK + j])
-        blue = spread(gathered[G_BLUE * CHUNK + j])
-        cut = maximum(log2_opacity + fill(red, log2_share), fill(red, log2_cut))
-        cap, step = fill(red, max_alpha), fill(red, BLOCK_HEIGHT)
-        y_centres = row_centres(red) - spread(gathered[G_Y * CHUNK + j])
         for strip in range(STRIPS):
             first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
             last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
-            x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            dx = column_centres(red) - spread(x_mean)
-            adx = spread(gathered[G_A * CHUNK + j]) * dx
-            if surfels is not None:
-                across = surfel_columns(gathered, j, surfels, dx)
-            dy = y_centres + fill(red, first * BLOCK_HEIGHT)
-            blocks += max(last - first + 1, 0)
-            for block in range(first, last + 1):
-                if surfels is None:
-                    u, v = fma(b, dy, adx), c * dy
-                    power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-                else:
-                    plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - surfel_exponent_at(plane, gathered, j, surfels, dy)
-                dy = dy + step
-                alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
-                base = (strip * BLOCKS + block) * 4 * LANES
-                transmittance = load(pixels, base)
-                weight = alpha * transmittance
-                # Not transmittance - weight, whose rounding would be that of the transmittance in front.
-                store(pixels, base, fma(negate(alpha), transmittance, transmittance))
-                store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
-                store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
-                store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
-    return blocks
+            store_run(items, total, (j * STRIPS + strip) * BLOCKS + first)
+            total += max(last - first + 1, 0)
+    return total
 
 
 @inline
-def write_pixels(pixels, left, top, first_pixel, background, transmittance, image):
-    """Writes the tile's part of image (H, W, 4): colour over the background, alpha."""
+def place_centres(centres):
+    """Writes the pixel centres of the blocks of a tile: centres (CENTRES,), by strip and block a vector of x
+    and one of y, px from the tile's corner."""
+    like = load(centres, 0)
+    for place in range(STRIPS * BLOCKS):
+        x, y = place // BLOCKS * BLOCK_WIDTH, place % BLOCKS * BLOCK_HEIGHT
+        store(centres, 2 * place * LANES, column_centres(like) + fill(like, x))
+        store(centres, (2 * place + 1) * LANES, row_centres(like) + fill(like, y))
+
+
+@inline
+def blend_items(items, total, gathered, centres, max_alpha, pixels, surfels):
+    """Blends gathered splats over the pixels of a tile: `items` as `list_items` made them, in their order."""
+    for n in range(total):
+        item = np.int64(items[n])  # as bits, which tell the compiler that no index is negative
+        j, place = (item >> PLACE_BITS) & (CHUNK - 1), item & (STRIPS * BLOCKS - 1)
+        dx = load(centres, 2 * place * LANES) - spread(gathered[G_X * CHUNK + j])
+        dy = load(centres, (2 * place + 1) * LANES) - spread(gathered[G_Y * CHUNK + j])
+        log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
+        if surfels is None:
+            u = fma(spread(gathered[G_B * CHUNK + j]), dy, spread(gathered[G_A * CHUNK + j]) * dx)
+            v = spread(gathered[G_C * CHUNK + j]) * dy
+            power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
+        else:
+            across = surfel_columns(gathered, j, surfels, dx)
+            power = log2_opacity - surfel_exponent_at(across, gathered, j, surfels, dy)
+        cut = spread(gathered[G_CUT * CHUNK + j])
+        alpha = keep_if_at_least(minimum(exp2(power), fill(power, max_alpha)), power, cut)
+        base = place * 4 * LANES
+        transmittance = load(pixels, base)
+        weight = alpha * transmittance
+        # Not transmittance - weight, whose rounding would be that of the transmittance in front.
+        store(pixels, base, fma(negate(alpha), transmittance, transmittance))
+        red, green = spread(gathered[G_RED * CHUNK + j]), spread(gathered[G_GREEN * CHUNK + j])
+        blue = spread(gathered[G_BLUE * CHUNK + j])
+        store(pixels, base + LANES, fma(weight, red, load(pixels, base + LANES)))
+        store(pixels, base + 2 * LANES, fma(weight, green, load(pixels, base + 2 * LANES)))
+        store(pixels, base + 3 * LANES, fma(weight, blue, load(pixels, base + 3 * LANES)))
+
+
+@inline
+def write_pixels(pixels, left, top, first_pixel, background, transmittance, image, flat_image):
+    """Writes the tile's part of image (H, W, 4), which is `flat_image` too: colour over the background,
+    alpha."""
     for block in range(STRIPS * BLOCKS):
         x, y, columns, rows = block_in_image(block, left, top, image.shape[1], image.shape[0])
+        if columns == BLOCK_WIDTH and rows == BLOCK_HEIGHT:
+            base, final = block * 4 * LANES, load(transmittance, first_pixel + block * LANES)
+            first = 4 * (y * image.shape[1] + x)
+            store_interleaved(
+                flat_image,
+                first,
+                first + 4 * image.shape[1],
+                fma(final, spread(background[0]), load(pixels, base + LANES)),
+                fma(final, spread(background[1]), load(pixels, base + 2 * LANES)),
+                fma(final, spread(background[2]), load(pixels, base + 3 * LANES)),
+                fill(final, 1.0) - final,
+            )
+            continue
         for row in range(rows):
             for column in range(columns):
                 lane = row * BLOCK_WIDTH + column
@@ -358,7 +404,10 @@ def draw_tiles(
     """
     gathered = aligned(gathered_columns(surfels) * CHUNK, image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
-    pixels = aligned(PIXELS, image.dtype)
+    pixels, centres = aligned(PIXELS, image.dtype), aligned(CENTRES, image.dtype)
+    items = aligned(ITEMS, np.int32)
+    place_centres(centres)
+    flat_image, listed = image.reshape(-1), offsets[stop] - base
     alive = np.empty(2 * STRIPS, np.int64)
     blocks = 0
     for tile in range(start, stop):
@@ -373,19 +422,19 @@ def draw_tiles(
         position, some = first, True
         while position < end and some:
             count = min(end - position, CHUNK)
-            stop_at = min(position + 2 * CHUNK, end)
+            stop_at = min(position + count + CHUNK, listed)  # of the next tile's list too
             drop = termination.max_log2_drop
             count = gather(
                 lists, position, count, position + count, stop_at, records, left, top, drop, gathered, surfels
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
-            blocks += blend_chunk(
-                gathered, count, rows, alive, view.log2_cut, view.log2_share, view.max_alpha, pixels, surfels
-            )
+            total = list_items(rows, count, alive, items)
+            blend_items(items, total, gathered, centres, view.max_alpha, pixels, surfels)
+            blocks += total
             position += count
             some = terminate_pixels(
                 pixels, first_pixel, termination.stop_below, position - first, transmittance, n_contrib, alive
             )
         terminate_pixels(pixels, first_pixel, np.inf, position - first, transmittance, n_contrib, alive)
-        write_pixels(pixels, left, top, first_pixel, background, transmittance, image)
+        write_pixels(pixels, left, top, first_pixel, background, transmittance, image, flat_image)
     return blocks

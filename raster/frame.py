@@ -21,7 +21,7 @@ from splatview.raster.project import RECORD, project
 from splatview.raster.simd import LANES
 from splatview.raster.sort import Workspace, sorted_by_depth
 from splatview.raster.surfels import SURFEL, SurfelArrays, SurfelModel, make_surfels
-from splatview.raster.tiles import count_pairs, count_rows, find_spans, place_lists, write_pairs
+from splatview.raster.tiles import SPARE, count_pairs, count_spans, find_spans, place_lists, write_pairs
 from splatview.scene import Camera, Gaussians, RenderSettings
 
 TILE_COST = 16
@@ -57,8 +57,8 @@ class Bins:
 
     order: np.ndarray
     """(V,) int32, visible splats front to back."""
-    spans_of: np.ndarray
-    """(N, 2) int32, first and one past the last span of each visible splat."""
+    runs: np.ndarray
+    """(V, 2) int32, the spans of splats in that order, see `tiles.find_spans`."""
     spans: np.ndarray
     """(S, 2) int32, first and one past the last tile of each span."""
     pieces: Runs
@@ -81,7 +81,7 @@ class Bins:
         run(
             write_pairs,
             [(*piece, row) for piece, row in zip(self.pieces, cursors, strict=True)],
-            (self.order, self.spans_of, self.spans, first, end, base, lists),
+            (self.order, self.runs, self.spans, first, end, base, lists),
             self.threads,
         )
         return lists
@@ -180,7 +180,7 @@ def draw(
         order_of=order_of,
         repaint=repaint,
     )
-    bins, image = arranged.bins, np.empty((view.height, view.width, 4), dtype)
+    bins, image = arranged.bins, workspace.lend((view.height, view.width, 4), dtype)
     termination = make_termination(early_stop, dtype)
     slopes = None
     if slopes_of is not None:
@@ -254,7 +254,7 @@ def arrange(
         records = workspace.take("records", (count, RECORD), dtype)
         depths = workspace.take("depths", (count,), np.float64)
         visible = workspace.take("visible", (count,), np.int32)
-        bounds = np.empty((len(pieces), 3))
+        bounds = np.empty((len(pieces), 4))
         footprints = own_degrees = None
         if surfels is not None:
             footprints = SurfelArrays(workspace.take("surfels", (count, SURFEL), dtype), *surfels)
@@ -271,6 +271,9 @@ def arrange(
         runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
         if repaint is not None:
             repaint(records, depths, visible, runs)
+            rows = run(count_spans, runs, (visible, records, view), threads)
+        else:
+            rows = bounds[:, 3].astype(np.int64).tolist()
     with clock.stage("sort"):
         if order_of is None:
             order = workspace.take("order", (sum(found),), np.int32)
@@ -279,7 +282,7 @@ def arrange(
         else:
             order = order_of(visible, runs)
     with clock.stage("bin"):
-        bins = _bin(order, runs, visible, records, view, workspace, threads)
+        bins = _bin(order, runs, rows, visible, records, view, workspace, threads)
     return Arrangement(
         records=records,
         depths=depths,
@@ -295,13 +298,14 @@ def arrange(
 def _bin(
     order: np.ndarray,
     runs: Runs,
+    rows: list[int],
     visible: np.ndarray,
     records: np.ndarray,
     view: View,
     workspace: Workspace,
     threads: int,
 ) -> Bins:
-    rows = run(count_rows, runs, (visible, records, view.tiles_y), threads)
+    rows = [count + SPARE for count in rows]
     ends = np.cumsum(rows).tolist()
     spans = workspace.take("spans", (ends[-1], 2), np.int32)
     spans_of = workspace.take("spans_of", (len(records), 2), np.int32)
@@ -311,20 +315,20 @@ def _bin(
         (visible, records, view, spans, spans_of),
         threads,
     )
-    tiles = view.tiles_x * view.tiles_y
+    tiles, runs_of = view.tiles_x * view.tiles_y, workspace.take("runs", (len(order), 2), np.int32)
     pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
     positions = workspace.take("positions", (len(pieces), tiles), np.int64)
     offsets = workspace.take("offsets", (tiles + 1,), np.int64)
     run(
         count_pairs,
         [(*piece, row) for piece, row in zip(pieces, positions, strict=True)],
-        (order, spans_of, spans),
+        (order, spans_of, spans, runs_of),
         threads,
     )
     place_lists(positions, offsets)
     return Bins(
         order=order,
-        spans_of=spans_of,
+        runs=runs_of,
         spans=spans,
         pieces=pieces,
         positions=positions,

@@ -111,7 +111,7 @@ def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[n
             )
         with clock.stage("gather"):
             cursors[:] = bins.positions
-            splats = (bins.order, bins.spans_of, bins.spans)
+            splats = (bins.order, bins.runs, bins.spans)
             run(
                 gather_pairs,
                 [(*piece, row) for piece, row in zip(bins.pieces, cursors, strict=True)],

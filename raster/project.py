@@ -36,19 +36,24 @@ from splatview.raster.edits import (
     turned,
     turned_back,
 )
-from splatview.raster.parameters import HALF_LOG2_E
+from splatview.raster.parameters import HALF_LOG2_E, TILE
 from splatview.raster.simd import (
     LANES,
     aligned,
     any_above,
+    ceil,
     converted,
     exp_lanes,
     fill,
+    floor,
     fma,
     keep_if_at_least,
     keep_if_below,
     load,
     log2_lanes,
+    maximum,
+    minimum,
+    prefetch,
     store,
     widened,
 )
@@ -197,6 +202,14 @@ def load_sh(flat_sh, starts, count, coefficients):
         load_rows(flat_sh, starts, min(count - block * LANES, LANES), coefficients, block * LANES * LANES)
         starts += LANES
         block += 1
+
+
+@inline
+def ask_for_sh(flat_sh, start, count):
+    """Asks for the memory of the first `count` numbers of a splat's row of SH, which begins at `start`: that
+    of the next group, while this one is worked on. Without, its rows are waited for."""
+    for at in range(0, count, LANES):
+        prefetch(flat_sh, start + at)
 
 
 @inline
@@ -414,6 +427,39 @@ def recolour(i, lane, edits, lanes):
         lanes[at], lanes[at + LANES], lanes[at + 2 * LANES] = red, green, blue
 
 
+MARGIN = 2e-3
+"""Enlargement of ellipses where they are binned, relative and in powers of two of alpha."""
+
+
+@inline
+def tile_interval(centre, half):
+    """First and last row or column of tiles, however far outside the image, whose pixel centres meet
+    centre ± half (px), enlarged, of float64 lanes; first > last where none does."""
+    half = half * (1 + MARGIN) + MARGIN
+    return ceil((centre - half - (TILE - 0.5)) * (1 / TILE)), floor((centre + half - 0.5) * (1 / TILE))
+
+
+@inline
+def tile_rows(rows, tiles_y):
+    """The first row of tiles in the image that the boxes of LANES records meet, and how many they meet; rows
+    (RECORD·LANES,) has the records as columns."""
+    first, last = tile_interval(widened(column(rows, Y)), widened(column(rows, RY)))
+    nothing = fill(first, 0.0)
+    # maximum and minimum return their second argument for NaN: then all rows are met.
+    first = minimum(maximum(first, nothing), fill(first, tiles_y))
+    return first, maximum(minimum(last, fill(last, tiles_y - 1)) - first + 1, nothing)
+
+
+@inline
+def lane_sum(vector, room):
+    """The sum of the lanes; `room` (LANES or more,) in their dtype is overwritten."""
+    store(room, 0, vector)
+    total = room[0]
+    for lane in range(1, LANES):
+        total += room[lane]
+    return total
+
+
 @kernel(allocates=True)
 def project(
     start,
@@ -439,9 +485,10 @@ def project(
 
     means (N, 3) float32 or float64; quats (N, 4), log_scales (N, 3), opacity_logits (N,), sh (N, K, 3)
     float32 or float64; records (N, RECORD) in the pictures' dtype and depths (N,) float64, both written for
-    visible splats only; visible (N,) int32; bounds (3,) float64: least and greatest depth and brightest
-    colour, written; edits an `EditArrays` or None; surfels `SurfelArrays`, whose rows are written too, or
-    None; own_degrees (N,) uint8, the SH degree beyond which each splat has only zeros, or None.
+    visible splats only; visible (N,) int32; bounds (4,) float64: least and greatest depth, brightest colour,
+    and how many rows `tiles.find_spans` can need, written; edits an `EditArrays` or None; surfels
+    `SurfelArrays`, whose rows are written too, or None; own_degrees (N,) uint8, the SH degree beyond which
+    each splat has only zeros, or None.
     """
     basis = aligned(16 * LANES, np.float64)
     coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
@@ -452,10 +499,13 @@ def project(
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
     least, greatest, brightest = np.inf, -np.inf, 0.0
+    lanes[:LANES] = 0
+    spanned = column(lanes, 0)
     count = 0
     for first in range(start, stop, LANES):
         for lane in range(LANES):  # beyond the end the last again
             splat = min(first + lane, stop - 1)
+            ask_for_sh(flat_sh, (first + LANES + lane) * (sh.shape[1] * 3), 3 * (degree + 1) * (degree + 1))
             load_splat(splat, lane, means, quats, log_scales, opacity_logits, view, lanes)
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
@@ -489,6 +539,8 @@ def project(
             rounded = converted(exact, rows)
             set_column(rows, field, rounded)
             set_column(rows, rest, converted(exact - widened(rounded), rows))
+        _, met = tile_rows(rows, view.tiles_y)
+        spanned = spanned + keep_if_below(met, fill(met, 0.0), column(lanes, DRAWN))
         for lane in range(LANES):
             starts[lane] = np.int64(min(first + lane, stop - 1)) * RECORD
         store_rows(flat_records, starts, RECORD, rows, 0)
@@ -507,4 +559,5 @@ def project(
             visible[start + count] = i
             count += 1
     bounds[0], bounds[1], bounds[2] = least, greatest, brightest
+    bounds[3] = lane_sum(spanned, lanes)
     return count

@@ -268,6 +268,68 @@ def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, value), codegen
 
 
+@intrinsic
+def _store_interleaved(
+    typingctx: Any, array: Any, index: Any, second: Any, red: Any, green: Any, blue: Any, alpha: Any
+) -> Any:
+    colours = (red, green, blue, alpha)
+    if not (
+        is_flat(array) and all(isinstance(one, Vector) and one.element == array.dtype for one in colours)
+    ):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array, index, second, *colours = args
+        half = BLOCK_WIDTH // 2
+
+        def shuffle(x: Any, y: Any, lanes: list[int]) -> Any:
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+            return builder.shuffle_vector(x, y, mask)
+
+        for row, first in enumerate((index, second)):
+            pairs = [
+                lane
+                for k in range(BLOCK_WIDTH)
+                for lane in (row * BLOCK_WIDTH + k,)
+                for lane in (lane, LANES + lane)
+            ]
+            rg, ba = shuffle(colours[0], colours[1], pairs), shuffle(colours[2], colours[3], pairs)
+            for part in range(2):
+                places = [2 * (part * half + k) for k in range(half)]
+                quads = [
+                    lane for place in places for lane in (place, place + 1, LANES + place, LANES + place + 1)
+                ]
+                at = builder.add(first, ir.Constant(first.type, part * LANES))
+                address = address_of(context, builder, signature.args[0], array, at, colours[0].type)
+                builder.store(shuffle(rg, ba, quads), address, align=signature.args[0].dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, *colours), codegen
+
+
+def _emit_ints(step: int) -> Any:
+    """What stores LANES int32 numbers that begin with `first`, each `step` more than the one before."""
+
+    def emit(typingctx: Any, array: Any, index: Any, first: Any) -> Any:
+        if not (is_flat(array) and array.dtype == types.int32 and isinstance(first, types.Integer)):
+            return None
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            ints = ir.VectorType(ir.IntType(32), LANES)
+            address = address_of(context, builder, array, args[0], args[1], ints)
+            first = emit_spread(builder, context.cast(builder, args[2], signature.args[2], types.int32))
+            steps = ir.Constant(ints, [step * lane for lane in range(LANES)])
+            builder.store(builder.add(first, steps), address, align=4)
+            return context.get_dummy_value()
+
+        return types.void(array, types.intp, first), codegen
+
+    return intrinsic(emit)
+
+
+_store_run, _store_same = _emit_ints(1), _emit_ints(0)
+
+
 @inline
 def load(array, index):
     """LANES floats of a flat, C-contiguous array from `index` on. 0 <= index <= size - LANES."""
@@ -290,6 +352,34 @@ def store_int(array, index, value):
     if BOUNDSCHECK:
         _check_bounds(array, index)
     _store_int(array, index, value)
+
+
+@inline
+def store_interleaved(array, index, second, red, green, blue, alpha):
+    """Writes the pixels of a block to a flat picture of four numbers a pixel: its first row from `index` on,
+    its second from `second` on."""
+    if BOUNDSCHECK:
+        _check_bounds(array, index + LANES)
+        _check_bounds(array, index)
+        _check_bounds(array, second + LANES)
+        _check_bounds(array, second)
+    _store_interleaved(array, index, second, red, green, blue, alpha)
+
+
+@inline
+def store_run(array, index, first):
+    """Writes the LANES numbers from `first` on to a flat int32 array from `index` on."""
+    if BOUNDSCHECK:
+        _check_bounds(array, index)
+    _store_run(array, index, first)
+
+
+@inline
+def store_same(array, index, value):
+    """Writes a number LANES times to a flat int32 array from `index` on."""
+    if BOUNDSCHECK:
+        _check_bounds(array, index)
+    _store_same(array, index, value)
 
 
 @inline

@@ -8,6 +8,7 @@ they spend no bits on depths that do not occur, they tell apart depths that agre
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +23,35 @@ GROWTH = 1.25
 """Size of a buffer that replaces one too small, relative to the size asked for."""
 
 
+def _unshared() -> int:
+    arrays = [np.empty(1)]
+    return max(sys.getrefcount(arrays[i]) for i in range(1))
+
+
+UNSHARED = _unshared()
+"""What `sys.getrefcount` says of an array that only a list refers to."""
+
+
 class Workspace:
     """Named buffers that only grow, as fresh memory costs a page fault every 4 KiB. For one picture at a
     time; not for two threads at once."""
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
+        self._lent: list[np.ndarray] = []
+
+    def lend(self, shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
+        """An array with any contents, the caller's to keep: its memory is lent anew once nothing refers to it
+        or to a view of it any more. Fresh memory for a picture of 1280x720 took 8 % of its time."""
+        for place in reversed(range(len(self._lent))):
+            if sys.getrefcount(self._lent[place]) <= UNSHARED:
+                array = self._lent.pop(place)
+                if array.shape == shape and array.dtype == dtype:
+                    break
+        else:
+            array = np.empty(shape, dtype)
+        self._lent = [*self._lent[-1:], array]
+        return array
 
     def take(self, name: str, shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
         """An array with any contents, aligned to a cache line; the one taken before by this name is lost."""
@@ -45,7 +69,7 @@ class Workspace:
 
     @property
     def nbytes(self) -> int:
-        """Bytes held."""
+        """Bytes held, besides those lent."""
         return sum(buffer.nbytes for buffer in self._buffers.values())
 
 

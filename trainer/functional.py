@@ -18,6 +18,7 @@ from splatview.raster.frame import StageClock
 from splatview.raster.gradients import Gradients, differentiate
 from splatview.raster.parameters import check_parameters
 from splatview.raster.project import RX, RY
+from splatview.raster.sort import UNSHARED
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.sh import SH_C0
 from splatview.trainer.loss import SSIM_WEIGHT
@@ -213,15 +214,6 @@ class _Buffers:
         found = differentiate(splats, frame, d_image, reuse=reuse)
         self.gradients = [*found.parameters, found.means2d, found.abs_means2d]
         return found
-
-
-def _unshared() -> int:
-    arrays = [np.empty(1)]
-    return max(sys.getrefcount(arrays[i]) for i in range(1))
-
-
-UNSHARED = _unshared()
-"""What `sys.getrefcount` says of an array that only a list refers to."""
 
 
 class _Pool:

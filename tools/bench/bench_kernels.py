@@ -22,9 +22,9 @@ from splatview.raster.gradients import differentiate
 from splatview.raster.simd import LANES, fill, fma, load, store
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 
-FLOPS_PER_PIXEL_SPLAT = 31
-"""Floating-point operations of `forward.blend_chunk`'s inner loop a pixel, a fused multiply-add being two:
-4 for dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, transmittance and three colours."""
+FLOPS_PER_PIXEL_SPLAT = 33
+"""Floating-point operations of `forward.blend_items`'s loop a pixel, a fused multiply-add being two:
+6 for dx, dy, u and v, 4 for the power, 15 for 2^power, 8 for weight, transmittance and three colours."""
 
 STAGES = ("project", "sort", "bin", "forward", "backward", "gather", "project_backward")
 COUNTS = (1_000, 20_000, 100_000, 500_000, 2_000_000)
