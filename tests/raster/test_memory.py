@@ -13,7 +13,7 @@ from splatview.raster.gradients import differentiate
 from splatview.scene import RenderSettings, look_at
 
 BYTES_A_SPLAT = 120
-"""Record 64, depth 8, keys and order twice 16, visible 4, spans 8 and 8 for each row of tiles."""
+"""Record 64, depth 8, keys and order twice 16, visible 4, spans twice 8 and 8 for each row of tiles."""
 
 BYTES_A_PAIR = 4
 
