@@ -48,7 +48,6 @@ from splatview.raster.simd import (
     sqrt,
     store,
     store_int,
-    store_interleaved,
     store_run,
 )
 from splatview.raster.surfels import (
@@ -64,6 +63,7 @@ from splatview.raster.surfels import (
     surfel_exponent,
 )
 from splatview.raster.tiles import MARGIN
+from splatview.raster.transpose import store_interleaved
 
 STRIPS = TILE // BLOCK_WIDTH
 BLOCKS = TILE // BLOCK_HEIGHT

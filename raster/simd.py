@@ -268,45 +268,6 @@ def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, value), codegen
 
 
-@intrinsic
-def _store_interleaved(
-    typingctx: Any, array: Any, index: Any, second: Any, red: Any, green: Any, blue: Any, alpha: Any
-) -> Any:
-    colours = (red, green, blue, alpha)
-    if not (
-        is_flat(array) and all(isinstance(one, Vector) and one.element == array.dtype for one in colours)
-    ):
-        return None
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        array, index, second, *colours = args
-        half = BLOCK_WIDTH // 2
-
-        def shuffle(x: Any, y: Any, lanes: list[int]) -> Any:
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-            return builder.shuffle_vector(x, y, mask)
-
-        for row, first in enumerate((index, second)):
-            pairs = [
-                lane
-                for k in range(BLOCK_WIDTH)
-                for lane in (row * BLOCK_WIDTH + k,)
-                for lane in (lane, LANES + lane)
-            ]
-            rg, ba = shuffle(colours[0], colours[1], pairs), shuffle(colours[2], colours[3], pairs)
-            for part in range(2):
-                places = [2 * (part * half + k) for k in range(half)]
-                quads = [
-                    lane for place in places for lane in (place, place + 1, LANES + place, LANES + place + 1)
-                ]
-                at = builder.add(first, ir.Constant(first.type, part * LANES))
-                address = address_of(context, builder, signature.args[0], array, at, colours[0].type)
-                builder.store(shuffle(rg, ba, quads), address, align=signature.args[0].dtype.bitwidth // 8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, *colours), codegen
-
-
 def _emit_ints(step: int) -> Any:
     """What stores LANES int32 numbers that begin with `first`, each `step` more than the one before."""
 
@@ -352,18 +313,6 @@ def store_int(array, index, value):
     if BOUNDSCHECK:
         _check_bounds(array, index)
     _store_int(array, index, value)
-
-
-@inline
-def store_interleaved(array, index, second, red, green, blue, alpha):
-    """Writes the pixels of a block to a flat picture of four numbers a pixel: its first row from `index` on,
-    its second from `second` on."""
-    if BOUNDSCHECK:
-        _check_bounds(array, index + LANES)
-        _check_bounds(array, index)
-        _check_bounds(array, second + LANES)
-        _check_bounds(array, second)
-    _store_interleaved(array, index, second, red, green, blue, alpha)
 
 
 @inline

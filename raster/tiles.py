@@ -15,8 +15,8 @@ vectors at a time of which only the beginning counts, and the list is worked off
 
 Dropped: to count and write in the order of memory, and to sort each tile's pairs by depth, which needs no
 order of all splats. Sorting and binning took 51 in place of 53 ms of processor time for `playbot` (two pairs
-per splat), and 29 in place of 16 ms for `skull` (seven). Nor to keep a splat's only span beside its number and
-copies of both in depth order, for memory to be read in any order once: counting 500,000 splats took 15 in
+per splat), and 29 in place of 16 ms for `skull` (seven). Nor to keep a splat's only span in its own row, and
+copies of rows in depth order, for memory to be read in any order once: counting 500,000 splats took 15 in
 place of 11 ms, by one more guess.
 """
 

@@ -1,5 +1,5 @@
 """Rows of LANES splats as columns and back: what a splat has in one place becomes a vector for each number,
-with a lane for each splat.
+with a lane for each splat. And pixels, of which four vectors are four numbers in one place.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from numba.core import types
 
 from splatview.raster.compiling import BOUNDSCHECK, inline
 from splatview.raster.simd import (
+    BLOCK_WIDTH,
     LANES,
     Vector,
     address_of,
@@ -103,6 +104,45 @@ def _store_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: An
     return types.void(array, starts, types.intp, columns, types.intp), codegen
 
 
+@intrinsic
+def _store_interleaved(
+    typingctx: Any, array: Any, index: Any, second: Any, red: Any, green: Any, blue: Any, alpha: Any
+) -> Any:
+    colours = (red, green, blue, alpha)
+    if not (
+        is_flat(array) and all(isinstance(one, Vector) and one.element == array.dtype for one in colours)
+    ):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array, index, second, *colours = args
+        half = BLOCK_WIDTH // 2
+
+        def shuffle(x: Any, y: Any, lanes: list[int]) -> Any:
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+            return builder.shuffle_vector(x, y, mask)
+
+        for row, first in enumerate((index, second)):
+            pairs = [
+                lane
+                for k in range(BLOCK_WIDTH)
+                for lane in (row * BLOCK_WIDTH + k,)
+                for lane in (lane, LANES + lane)
+            ]
+            rg, ba = shuffle(colours[0], colours[1], pairs), shuffle(colours[2], colours[3], pairs)
+            for part in range(2):
+                places = [2 * (part * half + k) for k in range(half)]
+                quads = [
+                    lane for place in places for lane in (place, place + 1, LANES + place, LANES + place + 1)
+                ]
+                at = builder.add(first, ir.Constant(first.type, part * LANES))
+                address = address_of(context, builder, signature.args[0], array, at, colours[0].type)
+                builder.store(shuffle(rg, ba, quads), address, align=signature.args[0].dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, *colours), codegen
+
+
 @inline
 def load_rows(array, starts, count, columns, index):
     """The first `count` <= LANES numbers of LANES rows of a flat array, rows that begin at starts (LANES,)
@@ -128,3 +168,12 @@ def _check_rows(array, starts, count, columns, index):
             raise IndexError("a row reaches beyond its array")
     if index < 0 or index + LANES * LANES > columns.size:
         raise IndexError("a vector reaches beyond its array")
+
+
+@inline
+def store_interleaved(array, index, second, red, green, blue, alpha):
+    """Writes the pixels of a block to a flat picture of four numbers a pixel: its first row from `index` on,
+    its second from `second` on."""
+    if BOUNDSCHECK and (min(index, second) < 0 or max(index, second) + 2 * LANES > array.size):
+        raise IndexError("a block reaches beyond its picture")
+    _store_interleaved(array, index, second, red, green, blue, alpha)
