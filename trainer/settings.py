@@ -95,7 +95,7 @@ and `--coarse auto`, of 0.005 and 0.004. Chosen on `playbot`: 32.8, 33.2 and 33.
 Dropped, for 5 % of a step: a background drawn anew for each step, 33.1 dB and 0.005 there, 29.1 dB and 0.003
 on `skull`, which has 29.2 dB without."""
 
-FEWEST_FOR_SH, LEAST_SH_DIVISOR = 20.0, 2.5
+FEWEST_FOR_SH, LEAST_SH_DIVISOR = 20.0, 3.0
 
 
 def automatic_sh_divisor(shown: float) -> float:
@@ -107,7 +107,7 @@ def automatic_sh_divisor(shown: float) -> float:
     42.58 with 20 and 5; `miku 12 far` (7, split 1) 19.20 and 18.52. `playbot close 80` (19 of 53) scores
     26.72, 26.34 and 25.85 with 20, 7 and 3.8, so it does not go by the number of all photos; `miku` (51)
     28.91, 29.25 and 29.04 with 20, 3.6 and 2, without correction of exposures. Judged: `skull RGBA 100` (51),
-    which shines, 29.82, 32.19 and 32.98.
+    which shines, 29.82, 32.19 and 32.98; after three minutes 33.47 and 33.06 with 3 and 2.
     """
     divisor = REST_DIVISOR * (FEWEST_FOR_SH / max(shown, 1.0)) ** 2.5
     return min(max(divisor, LEAST_SH_DIVISOR), float(REST_DIVISOR))
