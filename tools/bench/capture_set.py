@@ -273,7 +273,7 @@ class RealCapture:
 
 REAL = {
     "banana": RealCapture("choose", "banana", 2),
-    "miku": RealCapture("judge", "miku", 4),
+    "miku": RealCapture("choose", "miku", 4),
     "miku 8 far": RealCapture("judge", "miku", 4, 8),
     "miku 8 near": RealCapture("judge", "miku", 4, 8, "near"),
     "miku 12 far": RealCapture("choose", "miku", 4, 12),
