@@ -29,6 +29,12 @@ RUN = Path(__file__).with_name("generalisation_run.py")
 NOISE_DB = 0.05
 """By how much a longer run may be worse."""
 
+NOTE = (
+    "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked so, "
+    "and are only judged by the others. Haze: mean opacity where held-out photos are empty. Minutes of a model "
+    "of what a step costs on two cores, so that no other work on the machine matters."
+)
+
 Key = tuple[str, str, int, float]
 """Checkout's name, capture, split, minutes."""
 
@@ -81,12 +87,7 @@ def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
                 haze = [run["haze"] for run in by_name[-1] if run["haze"] is not None]
                 row.append(f"{np.mean(haze):.4f}" if haze else "")
             rows.append(row)
-    note = (
-        "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked "
-        f"so, and are only judged by the others. {SKY_NOTE if has_sky else HAZE_NOTE} Minutes "
-        "of a model of what a step costs on two cores, so that no other work on the machine matters."
-    )
-    return {"columns": columns, "rows": rows, "note": note}
+    return {"columns": columns, "rows": rows, "note": NOTE}
 
 
 HAZE_NOTE = "Haze: mean opacity where held-out photos are empty."
@@ -101,6 +102,45 @@ def sky_cell(by_name: list[list[dict[str, Any]]], kind: str) -> str:
     """The means of a figure of the sky, by checkout."""
     means = [[run[kind] for run in found if kind in run] for found in by_name]
     return ", ".join(f"{np.mean(values):.3f}" if values else "" for values in means)
+
+
+def table_by_marks(runs: dict[Key, dict[str, Any]], name: str) -> dict[str, Any]:
+    """A row for each capture, a column for each mark: means over the splits that a checkout has run at all
+    marks of the capture."""
+    marks = sorted({key[3] for key in runs if key[0] == name})
+    rows = []
+    for capture in [*REAL, *RENDERED]:
+        its_marks = [m for m in marks if any((name, capture, s, m) in runs for s in range(SPLITS))]
+        splits = [s for s in range(SPLITS) if all((name, capture, s, m) in runs for m in its_marks)]
+        if not its_marks or not splits:
+            continue
+        by_mark = {m: [runs[name, capture, s, m] for s in splits] for m in its_marks}
+        scores = {m: float(np.mean([run["psnr"] for run in found])) for m, found in by_mark.items()}
+        last = by_mark[its_marks[-1]]
+        haze = [run["haze"] for run in last if run["haze"] is not None]
+        gains = [later - sooner for sooner, later in pairwise(scores[m] for m in its_marks)]
+        rows.append(
+            [
+                capture,
+                use_of(capture),
+                str(last[0]["photos"]),
+                str(len(splits)),
+                *(f"{scores[m]:.2f}" if m in scores else "" for m in marks),
+                f"{min(gains):+.2f}" if gains else "",
+                f"{np.mean(haze):.4f}" if haze else "",
+            ]
+        )
+    by_marks = [f"{m:g} min, dB" for m in marks]
+    return {
+        "columns": ["capture", "rules", "photos", "splits", *by_marks, "least gain by time, dB", "haze"],
+        "rows": rows,
+        "note": NOTE,
+    }
+
+
+def tables(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    """Of several checkouts side by side, of one by marks."""
+    return table(runs, names) if len(names) > 1 else table_by_marks(runs, names[0])
 
 
 def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
@@ -145,10 +185,12 @@ def main() -> None:
                     runs[key] = run_one(
                         Path(path).resolve(), key, options.data.resolve(), options.made.resolve(), fields
                     )
+                    # Another call may have been at other captures meanwhile.
+                    runs = known_runs(options.output) | runs
                     print(name, capture, split, minutes, f"{runs[key]['psnr']:.2f}", flush=True)
                     write_results(
                         options.output,
-                        {"runs": list(runs.values()), "table": table(runs, list(checkouts))},
+                        {"runs": list(runs.values()), "table": tables(runs, list(checkouts))},
                     )
     for name in checkouts:
         print(*worse_with_time(runs, name), sep="\n")
