@@ -31,8 +31,8 @@ NOISE_DB = 0.05
 
 NOTE = (
     "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked so, "
-    "and are only judged by the others. Haze: mean opacity where held-out photos are empty. Minutes of a model "
-    "of what a step costs on two cores, so that no other work on the machine matters."
+    "and are only judged by the others. Haze: mean opacity where held-out photos are empty. Minutes of a "
+    "model of what a step costs on two cores, so that no other work on the machine matters."
 )
 
 Key = tuple[str, str, int, float]
