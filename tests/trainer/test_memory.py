@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,7 +34,7 @@ SIZES = PhotoSizes(pixels=10_000_000, trained=9_000_000, largest=200_000, stored
 MACHINE = Machine(left=8 << 30, threads=2, compiles=False)
 
 
-def estimate(sizes: PhotoSizes = SIZES, machine: Machine = MACHINE, **options) -> RunMemory:
+def estimate(sizes: PhotoSizes = SIZES, machine: Machine = MACHINE, **options: Any) -> RunMemory:
     return run_memory(sizes, **{"resolution": TrainSettings.resolution, "machine": machine, **options})
 
 
@@ -44,9 +45,11 @@ def test_more_of_anything_takes_more_memory() -> None:
     base = estimate().peak(50_000)
     for larger in ({"pixels": 20_000_000}, {"trained": 20_000_000}, {"largest": 400_000}, {"planes": 4}):
         assert estimate(replace(SIZES, **larger)).peak(50_000) > base, larger
-    for options in ({"window": True}, {"batch": 2}, {"stereo": True}):
+    runs: list[dict[str, Any]] = [{"window": True}, {"batch": 2}, {"stereo": True}]
+    for options in runs:
         assert estimate(**options).peak(50_000) > base, options
-    for other in ({"compiles": True}, {"threads": 64}):
+    machines: list[dict[str, Any]] = [{"compiles": True}, {"threads": 64}]
+    for other in machines:
         assert estimate(machine=replace(MACHINE, **other)).peak(50_000) > base, other
     assert estimate(sh_degree=0).peak(50_000) < base
     assert estimate(resolution=()).peak(50_000) < base < estimate(resolution=[(0.5, 1.5)]).peak(50_000)
