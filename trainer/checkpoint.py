@@ -82,7 +82,8 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         if name not in ELSEWHERE:
             arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
-    arrays |= {f"evidence.{name}": array for name, array in trainer.resolution.state().items()}
+    evidence = trainer.resolution.state() | {"nearest_depths": trainer.nearest_depths}
+    arrays |= {f"evidence.{name}": array for name, array in evidence.items()}
     description = {
         "settings": recorded(trainer.settings),
         "counters": asdict(trainer.counters) | {name: state[name] for name in REFINED},
@@ -143,8 +144,11 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.extent = checkpoint.extent
     trainer.state |= checkpoint.state | {"extent": checkpoint.extent}
     trainer.exposures.restore(checkpoint.exposure)
-    if checkpoint.evidence:
+    if "progressive" in checkpoint.evidence:
         trainer.resolution.restore(checkpoint.evidence)
+    trainer.nearest_depths = checkpoint.evidence.get("nearest_depths", np.zeros(len(ours)))
+    if trainer.nearest_depths.shape != (len(ours),):
+        raise InputError("the checkpoint's depths are not as many as its photos; it is damaged")
 
 
 def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

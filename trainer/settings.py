@@ -15,6 +15,7 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
+from splatview.trainer.free_space import FREE_SPACE
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -205,6 +206,9 @@ class TrainSettings(StrategySettings):
     dropout: float = 0.0
     """Share of the splats, drawn anew for each photo, that a step at the end of the run does without; it
     grows from 0 in proportion to the run. See `automatic_dropout` and `FULL_REG_LOSS`."""
+    free_space: float = FREE_SPACE
+    """Share of the depth at which what a photo shows begins, nearer than which no splat may stand before its
+    camera; 0: anywhere. See `free_space`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -229,6 +233,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
         if not 1 <= self.sh_divisor < math.inf:
             raise ValueError(f"sh_divisor must be at least 1 and finite, got {self.sh_divisor}")
+        if not 0 <= self.free_space < 1:
+            raise ValueError(f"free_space must be at least 0 and below 1, got {self.free_space}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -276,7 +282,7 @@ RECORDED_NAMES = {
 """Names of fields in checkpoints where they are not those of `TrainSettings`."""
 
 
-WITHOUT_WORD = {"alpha_weight": 0.0, "full_reg_loss": 0.0, "sky": "off"}
+WITHOUT_WORD = {"alpha_weight": 0.0, "full_reg_loss": 0.0, "sky": "off", "free_space": 0.0}
 """Fields that older checkpoints do not have, as their runs went."""
 
 

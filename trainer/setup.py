@@ -18,6 +18,7 @@ from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
 from splatview.trainer.evaluate import Evaluation, evaluate
+from splatview.trainer.free_space import nearest_depths
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.memory import (
     Bound,
@@ -137,7 +138,7 @@ def trainer_for(
         on_note(f"{sky.count:,} far splats are the sky: {sky.evidence}")
     limit = max(settings.max_splats - sky.count, 1)
     parameters = initial_parameters(points, colours, extent, limit=limit, seed=settings.seed)
-    return Trainer(
+    trainer = Trainer(
         views,
         with_sky(parameters, sky),
         extent,
@@ -148,6 +149,9 @@ def trainer_for(
         loss=loss,
         sky=sky,
     )
+    if not (capture.guessed and points is capture.points):  # random points say nothing
+        trainer.nearest_depths = nearest_depths(points, views.all)
+    return trainer
 
 
 def start_points(

@@ -20,6 +20,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
+from splatview.trainer.free_space import GONE, standing_before
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
@@ -90,6 +91,9 @@ class Trainer:
         """What was decided about a sky; None where nobody looked for one, as in a run that was resumed."""
         if sky is not None and sky.count:
             self.state["sky"] = sky.flags(len(self.splats))
+        self._rows = {view.camera.name: row for row, view in enumerate(views.all)}
+        self.nearest_depths = np.zeros(len(views))
+        """(V,) depth at which what each photo shows begins, see `free_space`; 0 where it is not known."""
         self._differences: list[float] = []
         """Of this step's pictures to their photos, while these are small."""
         self._unseen = 0.0
@@ -222,6 +226,7 @@ class Trainer:
             with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
         with clock.stage("density"):
+            self._clear_free_space(info)
             self.strategy.step_post_backward(
                 splats, optimizer, self.state, counters.iteration, info, progress=progress
             )
@@ -391,6 +396,17 @@ class Trainer:
                 f" points of the capture lie before its cameras, {self.settings.model.near:g} units away at"
                 " least"
             )
+
+    def _clear_free_space(self, info: Visibility) -> None:
+        """Makes invisible what stands before the cameras of the step's photos, nearer than what they show."""
+        share, batch = self.settings.free_space, self.settings.batch
+        arrays, first = self.splats.arrays, (self.counters.iteration - 1) * batch
+        for view in (self.views.at(place) for place in range(first, first + batch)):
+            depth = share * self.nearest_depths[self._rows[view.camera.name]]
+            if depth > 0:
+                for indices in info.pieces:
+                    wrong = standing_before(arrays.means, indices, view.camera, depth)
+                    arrays.opacity_logits[wrong] = GONE
 
     def _cut(self) -> None:
         """Takes out what has come to where the recipe cuts, now and then."""

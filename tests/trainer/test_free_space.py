@@ -1,0 +1,100 @@
+"""Free space before cameras: what stands there goes, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatview.raster import Parameters
+from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.free_space import GONE, nearest_depths, standing_before
+from splatview.trainer.settings import TrainSettings
+from splatview.trainer.setup import settings_for, trainer_for
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import TrainView, TrainViews
+
+
+def before(view: TrainView, depth: float, aside: float = 0.0) -> np.ndarray:
+    """(3,): a place at a depth before a camera, `aside` halves of its picture from the middle."""
+    camera = view.camera
+    local = np.array([aside * depth * camera.width / 2 / camera.fx, 0.0, depth])
+    return (local - camera.t_camera_world) @ camera.R_camera_world
+
+
+def test_where_a_scene_begins_is_where_points_do(views: list[TrainView]) -> None:
+    view = views[0]
+    points = np.stack([before(view, depth) for depth in np.linspace(2, 4, 200)])
+    wrong = before(view, 0.1)[None]
+    depths = nearest_depths(np.concatenate([points, wrong]), [view])
+    assert 2 <= depths[0] < 2.1, "one point that is wrong does not count"
+    assert nearest_depths(points[:5], [view])[0] == 0, "five points say nothing"
+    behind = np.stack([before(view, -depth) for depth in np.linspace(2, 4, 200)])
+    assert nearest_depths(behind, [view])[0] == 0
+
+
+def test_only_what_a_camera_shows_stands_before_it(views: list[TrainView]) -> None:
+    view = views[0]
+    places = [before(view, 0.5), before(view, 1.5), before(view, 0.5, 2.0), before(view, -0.5)]
+    means = np.array([*places, [np.nan] * 3], np.float32)
+    found = standing_before(means, np.arange(5, dtype=np.int32), view.camera, 1.0)
+    assert found.tolist() == [0], "neither farther, nor aside, nor behind, nor nowhere"
+    assert standing_before(means, np.array([1, 2], np.int32), view.camera, 1.0).tolist() == []
+
+
+def veiled(start: Parameters, views: list[TrainView]) -> Parameters:
+    """The start with its first splat before the first camera, as wide as the picture."""
+    start = Parameters(*(array.copy() for array in start))
+    start.means[0], start.log_scales[0], start.opacity_logits[0] = before(views[0], 0.4), -1.5, 1.0
+    return start
+
+
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_a_veil_before_a_camera_goes(
+    views: list[TrainView], start: Parameters, make_trainer, share: float
+) -> None:
+    settings = make_trainer(strategy="classic").settings
+    trainer = Trainer(
+        TrainViews(views[:1], 0), veiled(start, views), 3.0, replace(settings, free_space=share)
+    )
+    trainer.nearest_depths[:] = 1.5
+    opaque = trainer.splats.arrays.opacity_logits[1:].copy()
+    trainer.step()
+    logits = trainer.splats.arrays.opacity_logits
+    assert (logits[0] == GONE) == (share > 0)
+    assert np.abs(logits[1:] - opaque).max() < 0.1, "the others are left alone"
+
+
+def test_a_resumed_run_knows_where_scenes_begin(
+    views: list[TrainView], start: Parameters, make_trainer, tmp_path: Path
+) -> None:
+    path, trainer = tmp_path / "run.safetensors", make_trainer()
+    trainer.nearest_depths[:] = np.arange(len(trainer.views)) + 1.5
+    trainer.step()
+    save_checkpoint(trainer, path)
+    resumed = Trainer(trainer.views, start, 3.0, trainer.settings)
+    restore(resumed, load_checkpoint(path))
+    assert np.array_equal(resumed.nearest_depths, trainer.nearest_depths)
+
+
+def test_random_points_say_nothing(views: list[TrainView], start: Parameters) -> None:
+    photos = tuple(
+        Photo(
+            name=view.camera.name,
+            camera=view.camera,
+            held_out=False,
+            pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
+        )
+        for view in views
+    )
+    colours = np.full((len(start.means), 3), 128, np.uint8)
+    capture = Capture(name="ring", photos=photos, points=start.means.astype(float), point_colours=colours)
+    ring = TrainViews(views, 0)
+    for guessed in (False, True):
+        told = replace(capture, guessed=guessed)
+        settings: TrainSettings = settings_for(told, ring, iterations=10, start="points")
+        trainer = trainer_for(told, ring, settings, centre=np.zeros(3))
+        assert (trainer.nearest_depths > 0).any() != guessed
