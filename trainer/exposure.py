@@ -59,9 +59,10 @@ LEAST_SPREAD = 0.03
 """Standard deviation of log gains that there surely must be. That of `banana` is 0.028; there correction
 loses 0.1 dB."""
 
-SURELY = 2.0
-"""Standard errors by which the spread must be more. `miku`, of 7 % known to 2.1 %, scores 29.34 dB fitted and
-27.99 as it is with correction, SSIM 0.915, after a minute; without, 29.25 as it is and 0.919."""
+LEAST_CERTAINTY, SURELY = 3.0, 2.0
+"""Standard errors that the spread must be, and by which it must be more than the least. `miku`, of 7 % known
+to 2.1 %, scores 29.34 dB fitted and 27.99 as it is with correction, SSIM 0.915, after a minute; without,
+29.25 as it is and 0.919."""
 
 MOST_UNEVEN = 1.5
 """Ratio of the spreads of the colours that differ most and least."""
@@ -101,7 +102,9 @@ class Evidence(NamedTuple):
 
     @property
     def calls_for_correction(self) -> bool:
-        return self.spread - SURELY * self.error > LEAST_SPREAD and self.unevenness < MOST_UNEVEN
+        known = self.spread > LEAST_CERTAINTY * self.error
+        surely = self.spread - SURELY * self.error > LEAST_SPREAD
+        return known and surely and self.unevenness < MOST_UNEVEN
 
     def __str__(self) -> str:
         found = f"photos differ in exposure by {self.spread:.0%} (known to {self.error:.1%})"
