@@ -49,10 +49,10 @@ COMPARED_BYTES = 240
 """The same while a picture is compared with a photo held out, in float64."""
 
 BUFFER_BYTES = 205
-"""Of a splat, in buffers of a picture: its record, depth, place in the order, and sums of its gradient."""
+"""Per splat, in buffers of a picture: its record, depth, place in the order, and sums of its gradient."""
 
 PAIR_BYTES = 72
-"""Of a splat in a tile: its span, its place in the list, and the sums of its gradient there."""
+"""Per splat and tile: its span, its place in the list, and the sums of its gradient there."""
 
 PAIRS = (2.0, 10.0, 150.0)
 """Factors of `pairs`."""

@@ -240,6 +240,10 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.combo_click("##Memory/2 GB")
     hand.frames(3)
     found["memory"] = [state.form.memory, free.bound.asked, state.planned_memory().bound.bytes]
+    ctx.combo_click("##Exposure/Not corrected")
+    ctx.combo_click("##Sky/Always added")
+    hand.frames(3)
+    found["chosen"] = [state.form.exposure, state.form.sky]
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -254,6 +258,8 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     assert training.memory is not None
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
+    settings = training.status.settings
+    found["trained"] = [settings.exposure, settings.sky]
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

@@ -50,6 +50,15 @@ def test_the_form_bounds_the_memory_of_the_run(app, capture):
         start.planned_memory()
 
 
+def test_the_form_asks_for_corrections(app, capture):
+    start = app.feature(TrainingStart)
+    start.choose(capture)
+    assert looked(app).found is not None
+    start.form.exposure, start.form.sky = "on", "off"
+    asked = " ".join(start.arguments())
+    assert "--exposure on" in asked and "--sky off" in asked
+
+
 def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):
     (tmp_path / "a" / "b").mkdir(parents=True)
     app.feature(TrainingStart).choose(tmp_path / "a" / "b")

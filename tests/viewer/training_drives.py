@@ -295,14 +295,15 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     first = training.thread.post(lambda session: session.trainer.splats.next_id).result(200)
     ctx.item_click("//Edit/###let go")
     hand.wait(
-        lambda: training.shown is not None and bool((training.shown.ids >= first).any()), "splats born since"
+        lambda: training.shown is not None and int((training.shown.ids >= first).sum()) >= 50,
+        "splats born since",
     )
     region = training.status.settings.no_growth[0]
     found["born"] = int((training.shown.ids >= first).sum())
     inner = replace(region, half_extents=tuple(0.8 * half for half in region.half_extents))
-    found["born_inside"] = int(
-        inner.contains(training.shown.gaussians.means[training.shown.ids >= first]).sum()
-    )
+    is_inside, is_new = inner.contains(training.shown.gaussians.means), training.shown.ids >= first
+    found["born_inside"] = int(is_inside[is_new].sum())
+    found["share_inside"] = float(is_inside[~is_new].mean())
 
     crop(app, hand, "Add sphere", options["cut"])
     ctx.item_click("//Edit/Crop/Cut away in training")

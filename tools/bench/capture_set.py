@@ -283,6 +283,10 @@ REAL = {
     "miku 40 far": RealCapture("judge", "miku", 4, 40),
 }
 
+DRIFTING = ("demo drift 40", *(name for name in REAL if name.startswith("miku")))
+"""Captures whose photos differ in exposure. What is held out is measured after a fit, see
+`trainer.exposure`, whether a run has learnt exposures or not, so that its runs can be compared."""
+
 SPLITS = 3
 
 

@@ -200,7 +200,13 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         count: int,
         rng: np.random.Generator,
     ) -> tuple[np.ndarray, Parameters]:
-        """Draws `count` candidates by opacity: indices (count,), and what each and its copies become."""
+        """Draws `count` candidates by opacity: indices (count,), and what each and its copies become.
+
+        Dropped, a minute of the bench at half its size on `banana` and `biker front 24`, which score 28.71
+        and 42.86 dB: to draw by error, as the rms gradient of the colour (27.05, 42.82), that times the
+        opacity (28.27, 42.73), or the mean's gradient in the image times the opacity (28.78, 42.83) or times
+        the size (28.59, 42.79).
+        """
         weights = opacities[candidates]
         drawn = candidates[rng.choice(len(candidates), size=count, p=weights / weights.sum())]
         copies = np.minimum(np.bincount(drawn, minlength=len(opacities))[drawn] + 1, MOST_COPIES)

@@ -19,7 +19,7 @@ from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import Thumbnails
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
-from splatview.viewer.training.start import DOWNSCALES, LENGTHS, MEMORIES, TrainingStart
+from splatview.viewer.training.start import DOWNSCALES, LENGTHS, MEMORIES, WHETHER, TrainingStart
 
 NAME, DROPPED = "Train on photos", "Photos with cameras"
 """Titles of the two windows."""
@@ -208,6 +208,25 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     if memory is not None:
         form.memory = memory
     _memory(state)
+    exposure = widgets.combo(
+        "Exposure",
+        form.exposure,
+        WHETHER,
+        "Learns a gain and an offset for each photo and colour, so that photos of differing brightness train"
+        " one scene.",
+        ("Corrected where photos differ", "Corrected for each photo", "Not corrected"),
+    )
+    if exposure is not None:
+        form.exposure = exposure
+    sky = widgets.combo(
+        "Sky",
+        form.sky,
+        WHETHER,
+        "Adds far splats for what photos show at infinity; without, sky that no photo shows is black.",
+        ("Added where photos show one", "Always added", "Not added"),
+    )
+    if sky is not None:
+        form.sky = sky
     widgets.label("Save as", "The scene, written when training ends or the window closes.")
     change = "Change...###output"
     room = (

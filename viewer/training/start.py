@@ -59,6 +59,9 @@ AUTOMATIC = "What is free"
 MEMORIES = (AUTOMATIC, "1 GB", "2 GB", "4 GB", "8 GB", "16 GB", "32 GB", "64 GB")
 """Bounds to choose from; the first is what the machine has left."""
 
+WHETHER = ("auto", "on", "off")
+"""What can be asked for of a correction: auto looks at the photos."""
+
 PHOTO_SIDES = (800, 1600)
 """Px: photos larger than the first are halved unless the user says otherwise, than the second quartered."""
 
@@ -141,6 +144,9 @@ class TrainingForm:
     downscale: int = 1
     memory: str = AUTOMATIC
     """One of MEMORIES."""
+    exposure: str = WHETHER[0]
+    """One of WHETHER, as `sky` is."""
+    sky: str = WHETHER[0]
     output: Path = field(default_factory=Path)
     """File that will hold the scene."""
 
@@ -207,6 +213,7 @@ class TrainingStart(Feature):
             *("-o", os.path.abspath(self.form.output)),
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale)),
+            *("--exposure", self.form.exposure, "--sky", self.form.sky),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
 
