@@ -21,7 +21,7 @@ from splatview.scene.edits import PREVIEW, SELECTED, Adjustment, Crop
 from splatview.scene.progress import Progress
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
-from splatview.viewer.editing.session import EditSession
+from splatview.viewer.editing.session import Editing, EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
 from splatview.viewer.editing.tools import place_of
 from splatview.viewer.palette import matching
@@ -169,6 +169,28 @@ def test_a_cancelled_job_changes_nothing(session):
     session.job.cancel()
     finish(session)
     assert session.news is not None and "cancelled" in session.news
+
+
+@pytest.mark.parametrize("yields", ["no", "silently"])
+def test_escape_ends_what_nobody_asked_for_after_what_the_user_began(app, session, yields):
+    def work(progress: Progress) -> None:
+        while True:
+            progress.step(0.1)
+            time.sleep(0.001)
+
+    editing = app.feature(Editing)
+    editing.session = session
+    session.take_tool("rectangle")
+    session.start("Waiting", work, lambda _: pytest.fail("it was cancelled"), yields=yields)
+    job = session.job
+    assert editing.cancel(app) and job is not None
+    assert (job.cancelled, session.tool) == ((True, "rectangle") if yields == "no" else (False, "none"))
+    if job.cancelled:
+        finish(session)
+    assert editing.cancel(app)
+    assert job.cancelled and session.tool == "none"
+    finish(session)
+    assert not editing.cancel(app), "nothing is left to end"
 
 
 @pytest.mark.parametrize(

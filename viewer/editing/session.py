@@ -143,16 +143,20 @@ class Editing(Feature):
         )
 
     def cancel(self, app: AppState) -> bool:
-        """Cancels the job, else puts back the tool, else releases the frozen snapshot."""
+        """Cancels the job, else puts back the tool, else releases the frozen snapshot. A job that nobody asked
+        for comes last: the user did not begin it, and may not even see it."""
         session = self.session
         if session is None:
             return False
-        if session.job is not None:
-            session.job.cancel()
+        job = session.job
+        if job is not None and job.yields != "silently":
+            job.cancel()
         elif session.tool != "none":
             session.take_tool("none")
         elif self.live is not None and not session.target.at_rest:
             self.live.release(app)
+        elif job is not None:
+            job.cancel()
         else:
             return False
         return True
