@@ -143,8 +143,8 @@ class Editing(Feature):
         )
 
     def cancel(self, app: AppState) -> bool:
-        """Cancels the job, else puts back the tool, else releases the frozen snapshot. A job that nobody asked
-        for comes last: the user did not begin it, and may not even see it."""
+        """Cancels the job, else puts back the tool, else releases the frozen snapshot. A job that nobody
+        asked for comes last: the user did not begin it, and may not even see it."""
         session = self.session
         if session is None:
             return False
