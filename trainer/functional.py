@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from splatview.raster import Frame, Parameters, Workspace, draw_frame
+from splatview.raster import Frame, Parameters, Workspace, available_threads, draw_frame
+from splatview.raster.compiling import TASKS_PER_THREAD, even_ranges, run
 from splatview.raster.frame import StageClock
 from splatview.raster.gradients import Gradients, differentiate
 from splatview.raster.parameters import check_parameters
@@ -23,6 +24,7 @@ from splatview.scene import Camera, RenderSettings
 from splatview.scene.sh import SH_C0
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.loss import photo_loss as compare
+from splatview.trainer.loss_kernels import expose_backward_rows, expose_rows
 
 GRADIENT_EARLY_STOP = 1e-7
 """The light below which a pixel ends, in float32. Where gradients nearly cancel, what they leave out at
@@ -420,14 +422,18 @@ class _PhotoLoss(torch.autograd.Function):
 
 
 def expose(
-    image: torch.Tensor, exposure: torch.Tensor, background: tuple[float, float, float] | None = None
+    image: torch.Tensor,
+    exposure: torch.Tensor,
+    background: tuple[float, float, float] | None = None,
+    threads: int | None = None,
 ) -> torch.Tensor:
     """The picture (H, W, 4) as a photo of another exposure shows it: gain·colour + offset, alpha as it is.
 
     `exposure` (3, 2) float64: logarithm of the gain, and offset, of each colour. `background`: colour behind
     a cut-out, RGB, which was put there after the photo was taken and keeps its value; None: opaque photos.
+    Gradients are equal for any number of threads (None: all cores).
     """
-    exposed = _Expose.apply(image, exposure, background)
+    exposed = _Expose.apply(image, exposure, background, threads)
     assert isinstance(exposed, torch.Tensor)
     return exposed
 
@@ -435,39 +441,25 @@ def expose(
 class _Expose(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> torch.Tensor:
-        image, exposure, background = args
+        image, exposure, background, threads = args
         shown, (log_gain, offset) = image.detach().numpy(), exposure.detach().numpy().T
-        gain, offset = np.exp(log_gain).astype(shown.dtype), offset.astype(shown.dtype)
-        exposed = shown * np.append(gain, shown.dtype.type(1))
-        if background is None:
-            exposed[..., :3] += offset
-            ctx.of_background = None
-        else:
-            behind = np.array(background, shown.dtype)
-            alpha = shown[..., 3:]
-            # gain·(x - (1 - a)·b) + a·offset + (1 - a)·b
-            exposed[..., :3] += alpha * offset + (1 - alpha) * ((1 - gain) * behind)
-            ctx.of_background = behind, offset
+        values = (np.exp(log_gain), offset, np.zeros(3) if background is None else np.array(background))
+        ctx.model = (*(value.astype(shown.dtype) for value in values), background is not None)
+        ctx.threads = threads or available_threads()
+        ctx.tasks = even_ranges(len(shown), TASKS_PER_THREAD * ctx.threads)
+        exposed = np.empty_like(shown)
+        run(expose_rows, ctx.tasks, (shown, *ctx.model, exposed), ctx.threads)
         ctx.save_for_backward(image)
-        ctx.gain = gain
         return torch.from_numpy(exposed)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
-        d, shown, gain = grad_outputs[0].numpy(), image.detach().numpy(), ctx.gain
-        d_image = d * np.append(gain, gain.dtype.type(1))
-        colours, by_offset = shown[..., :3], d[..., :3]
-        if ctx.of_background is not None:
-            behind, offset = ctx.of_background
-            alpha = shown[..., 3:]
-            colours = colours - (1 - alpha) * behind
-            by_offset = by_offset * alpha
-            d_image[..., 3] += d[..., :3] @ (offset - (1 - gain) * behind)
-        by_gain = gain * np.einsum("hwc,hwc->c", d[..., :3], colours, dtype=np.float64)
-        sums = by_offset.sum(axis=(0, 1), dtype=np.float64)
-        return torch.from_numpy(d_image), torch.from_numpy(np.stack([by_gain, sums], axis=1)), None
+        shown, d_exposed = image.detach().numpy(), grad_outputs[0].contiguous().numpy()
+        d_image, sums = np.empty_like(shown), np.empty((len(shown), 3, 2))
+        run(expose_backward_rows, ctx.tasks, (shown, d_exposed, *ctx.model, d_image, sums), ctx.threads)
+        return torch.from_numpy(d_image), torch.from_numpy(sums.sum(axis=0)), None, None
 
 
 GONE = -30.0

@@ -1,4 +1,5 @@
-"""Kernels of the photo loss: L1 and SSIM with their gradient, in two passes over rows.
+"""Kernels of the photo loss: L1 and SSIM with their gradient, in two passes over rows; and pictures at the
+exposure of their photos.
 
 SSIM's 11x11 Gaussian window is separable and symmetric. `similarity_rows` filters the two pictures and
 their products, and leaves the derivatives of SSIM by the three filtered quantities that depend on the
@@ -201,3 +202,51 @@ def gradient_rows(
             d_image[row, x, 3] = by_alpha
         sums[row] = total_l1
         alpha_sums[row] = total_alpha
+
+
+@inline
+def shares(alpha, is_cut_out):
+    """How much of a pixel is exposed, and how much of it is background, which keeps its value."""
+    one = type(alpha)(1)
+    return (alpha, one - alpha) if is_cut_out else (one, type(alpha)(0))
+
+
+@kernel
+def expose_rows(start, stop, image, gain, offset, behind, is_cut_out, exposed):
+    """Rows [start, stop) of exposed (H, W, 4) = gain·(colour - (1 - a)·behind) + a·offset + (1 - a)·behind.
+
+    image (H, W, 4), gain, offset and behind (3,) are of one float dtype. Where the photo is no cut-out there
+    is no background: gain·colour + offset.
+    """
+    for y in range(start, stop):
+        for x in range(image.shape[1]):
+            alpha = image[y, x, 3]
+            of_scene, of_background = shares(alpha, is_cut_out)
+            for channel in range(3):
+                base = of_background * behind[channel]
+                exposed[y, x, channel] = (
+                    gain[channel] * (image[y, x, channel] - base) + of_scene * offset[channel] + base
+                )
+            exposed[y, x, 3] = alpha
+
+
+@kernel
+def expose_backward_rows(start, stop, image, d_exposed, gain, offset, behind, is_cut_out, d_image, sums):
+    """Rows [start, stop) of d_image (H, W, 4), and in sums (H, 3, 2) float64 the rows' gradients by log gain
+    and by offset. The other arguments are those of `expose_rows`."""
+    for y in range(start, stop):
+        for x in range(image.shape[1]):
+            d_image[y, x, 3] = d_exposed[y, x, 3]
+        for channel in range(3):
+            by_gain = by_offset = 0.0
+            factor, shift = gain[channel], offset[channel] - (1 - gain[channel]) * behind[channel]
+            for x in range(image.shape[1]):
+                of_scene, of_background = shares(image[y, x, 3], is_cut_out)
+                d = d_exposed[y, x, channel]
+                d_image[y, x, channel] = factor * d
+                by_gain += factor * d * (image[y, x, channel] - of_background * behind[channel])
+                by_offset += d * of_scene
+                if is_cut_out:
+                    d_image[y, x, 3] += d * shift
+            sums[y, channel, 0] = by_gain
+            sums[y, channel, 1] = by_offset

@@ -48,8 +48,10 @@ NOISE_MIDDLE = 0.995
 """Noise fades with opacity o as 1 / (1 + exp(-sharpness·(1 - o - middle)))."""
 
 LEAST_NOISE = 1e-4
-"""Below this share of its full size noise is left out: that is beyond an opacity of 0.1."""
+"""Below this share of its full size noise is left out."""
 
+MOST_SHAKEN = math.log(0.1 / 0.9)
+"""Opacity logit, that of an opacity of 0.1, beyond which noise is less than that."""
 
 LEAST_REG = 0.01
 """Kheradmand et al. 2024."""
@@ -263,6 +265,8 @@ def random_pair(seed, counter):
 def shake(indices, means, quats, log_scales, opacity_logits, amount, seed):
     """Moves the means at `indices` by amount·fade(opacity)·S·noise, S being the covariance."""
     for i in indices:
+        if opacity_logits[i] > MOST_SHAKEN:
+            continue
         opacity = sigmoid(np.float64(opacity_logits[i]))
         fade = 1 / (1 + np.exp(-NOISE_SHARPNESS * (1 - opacity - NOISE_MIDDLE)))
         if not fade >= LEAST_NOISE:

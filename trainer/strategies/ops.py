@@ -141,7 +141,12 @@ def keep(splats: Splats, optimizer: SelectiveAdam, state: State, which: np.ndarr
 
 
 def append(splats: Splats, optimizer: SelectiveAdam, state: State, new: Parameters) -> None:
-    """New splats behind the others; their averages and their rows of the state are 0."""
+    """New splats behind the others; their averages and their rows of the state are 0.
+
+    Dropped: to sort splats along a Z-curve after every 300 or 500 steps. A picture and its gradients of
+    35,000 splats that `banana` trained take 7 % less in that order, of 100,000 synthetic ones 5 %; but 2,000
+    steps from the start took 43.1 and 43.6 s without, 43.8 and 44.7 s with it.
+    """
     count, added = len(splats), len(new.means)
     zeros = Parameters(*(np.zeros_like(array) for array in new))
     parameters, first, second = (
