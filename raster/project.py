@@ -55,6 +55,7 @@ from splatview.raster.simd import (
     minimum,
     prefetch,
     store,
+    store_run,
     widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
@@ -498,9 +499,9 @@ def project(
     flat_sh, flat_records = sh.reshape(-1), records.reshape(-1)
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
-    least, greatest, brightest = np.inf, -np.inf, 0.0
     lanes[:LANES] = 0
-    spanned = column(lanes, 0)
+    spanned = brightest = column(lanes, 0)
+    least, greatest = fill(spanned, np.inf), fill(spanned, -np.inf)
     count = 0
     for first in range(start, stop, LANES):
         for lane in range(LANES):  # beyond the end the last again
@@ -544,20 +545,30 @@ def project(
         for lane in range(LANES):
             starts[lane] = np.int64(min(first + lane, stop - 1)) * RECORD
         store_rows(flat_records, starts, RECORD, rows, 0)
-        for lane in range(min(LANES, stop - first)):
-            if not lanes[DRAWN * LANES + lane] > 0:
-                continue
-            i = first + lane
-            if surfels is not None:
+        if surfels is not None:
+            for lane in range(min(LANES, stop - first)):
                 for field in range(SURFEL):
-                    surfels.rows[i, field] = number(lanes[(SURFEL_ROW + field) * LANES + lane])
-            depth = lanes[DEPTH * LANES + lane]
-            depths[i] = depth
-            least, greatest = min(least, depth), max(greatest, depth)
-            at = (FOOTPRINT + RED) * LANES + lane
-            brightest = max(brightest, lanes[at], lanes[at + LANES], lanes[at + 2 * LANES])
-            visible[start + count] = i
-            count += 1
-    bounds[0], bounds[1], bounds[2] = least, greatest, brightest
+                    surfels.rows[first + lane, field] = number(lanes[(SURFEL_ROW + field) * LANES + lane])
+        # Without asking for each whether it is drawn: the answers could not be guessed.
+        drawn, depth = column(lanes, DRAWN), column(lanes, DEPTH)
+        nothing, absent = fill(depth, 0.0), (1.0 - drawn) * FLOAT32_MAX
+        shown = keep_if_below(depth, nothing, drawn)
+        least, greatest = minimum(least, shown + absent), maximum(greatest, shown - absent)
+        red, green, blue = three_columns(lanes, FOOTPRINT + RED)
+        brightest = maximum(brightest, keep_if_below(max(max(red, green), blue), nothing, drawn))  # noqa: PLW3301
+        if first + LANES <= stop and not any_above(absent, 0.0):
+            store(depths, first, depth)
+            store_run(visible, start + count, first)
+            count += LANES
+            continue
+        for lane in range(min(LANES, stop - first)):
+            depths[first + lane] = lanes[DEPTH * LANES + lane]
+            visible[start + count] = first + lane
+            count += lanes[DRAWN * LANES + lane] > 0
+    store(lanes, 0, least)
+    store(lanes, LANES, greatest)
+    store(lanes, 2 * LANES, brightest)
+    bounds[0], bounds[1] = lanes[:LANES].min(), lanes[LANES : 2 * LANES].max()
+    bounds[2] = lanes[2 * LANES : 3 * LANES].max()
     bounds[3] = lane_sum(spanned, lanes)
     return count
