@@ -20,6 +20,7 @@ from splatview.raster.project import (
     OFFSET,
     QUAT,
     SH_COLUMNS,
+    ask_for_sh,
     camera_point,
     column,
     covariance,
@@ -330,6 +331,7 @@ def project_backward(
             i = visible[min(group + lane, run_stop - 1)]
             load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes)
             starts[lane] = np.int64(i) * SUMS
+            ask_for_sh(flat_sh, np.int64(visible[min(group + LANES + lane, run_stop - 1)]) * numbers, used)
         load_rows(flat_sums, starts, SUMS, rows, 0)
         for index in range(D_BLUE + 1):
             set_column(sums, index, widened(column(rows, index)) * excess)
