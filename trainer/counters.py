@@ -38,3 +38,5 @@ class Counters:
     iteration: int = 0
     seconds: float = 0.0
     """Wall-clock time since the run began, pauses between resumed parts left out."""
+    prepared: float = 0.0
+    """Of these, before the first step."""

@@ -244,10 +244,14 @@ class TrainSettings(StrategySettings):
         if not 0 <= self.seed < 2**63:
             raise ValueError(f"seed must be at least 0 and below 2**63, got {self.seed}")
 
-    def progress(self, iteration: int, seconds: float) -> float:
-        """The share of the run that is over, 0 to 1."""
+    def progress(self, iteration: int, seconds: float, prepared: float = 0.0) -> float:
+        """The share of the run that is over, 0 to 1. `prepared`: of the seconds, those before the first step,
+        which are no progress: so a run that its steps end is the same, however many minutes it was given."""
         by_steps = 0.0 if self.iterations is None else iteration / self.iterations
-        by_clock = 0.0 if self.minutes is None else seconds / (60 * self.minutes)
+        by_clock = 0.0
+        if self.minutes is not None:
+            length = 60 * self.minutes
+            by_clock = (seconds - prepared) / (length - prepared) if seconds < length else 1.0
         return min(max(by_steps, by_clock), 1.0)
 
     def rates(self, progress: float, extent: float) -> Rates:

@@ -114,7 +114,8 @@ class Trainer:
     @property
     def progress(self) -> float:
         """The share of the run that is over, 0 to 1."""
-        return self.settings.progress(self.counters.iteration, self.counters.seconds)
+        counters = self.counters
+        return self.settings.progress(counters.iteration, counters.seconds, counters.prepared)
 
     @property
     def downscale(self) -> int:
@@ -211,6 +212,8 @@ class Trainer:
         counters, settings, clock = self.counters, self.settings, self.clock
         splats, optimizer = self.splats, self.optimizer
         counters.seconds = self.group.agreed(counters.seconds if seconds is None else seconds)
+        if counters.iteration == 0:
+            counters.prepared = counters.seconds
         progress = self.progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
         self._decide_exposures(progress)

@@ -283,6 +283,19 @@ def test_schedules_scale_with_the_length_of_the_run() -> None:
     assert timed.progress(10**6, 30) == 0.25
     both = TrainSettings(iterations=100, minutes=1)
     assert both.progress(50, 6) == 0.5 and both.progress(5, 90) == 1
+    assert timed.progress(1, 60, prepared=40) == 0.25 and timed.progress(1, 120, prepared=120) == 1
+
+
+def test_a_run_that_steps_end_is_the_same_for_any_minutes(make_trainer) -> None:
+    scenes = []
+    for minutes in (1.0, 10.0):
+        trainer = make_trainer(iterations=12, minutes=minutes, refine_from=0.0, least_refine_steps=3)
+        while not trainer.done:
+            trainer.step(20 + 2 * trainer.counters.iteration)  # of which 20 are preparations
+        assert trainer.counters.iteration == 12 and trainer.counters.prepared == 20
+        scenes.append(trainer.snapshot())
+    for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+        assert np.array_equal(getattr(scenes[0], name), getattr(scenes[1], name))
 
 
 def test_settings_that_make_no_sense_are_named() -> None:
