@@ -68,7 +68,7 @@ def numbers(progress: RunProgress, evaluation: Evaluation | None) -> str:
     if evaluation is not None:
         text += f"  {evaluation.psnr:.2f} dB"
     if 0.01 < step.progress < 1:
-        left = progress.seconds * (1 / step.progress - 1)
+        left = progress.seconds_left
         text += f"  {math.ceil(left / 60)} min left" if left > 90 else f"  {math.ceil(left)} s left"
     return text
 

@@ -83,6 +83,14 @@ class RunProgress(NamedTuple):
     seconds: float
     evaluation: Evaluation | None
     """Scores of this step, if it was evaluated."""
+    prepared: float = 0.0
+    """Of the seconds, those before the first step."""
+
+    @property
+    def seconds_left(self) -> float:
+        """About how long the rest takes; infinite before the first step is done."""
+        done = self.step.progress
+        return (self.seconds - self.prepared) * (1 / done - 1) if done > 0 else math.inf
 
 
 def check_writable(path: Path) -> None:
@@ -271,7 +279,7 @@ class TrainingRun:
             self._write_metrics(report, evaluation)
         if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
             self.checkpoint()
-        progress = RunProgress(report, self.seconds, evaluation)
+        progress = RunProgress(report, self.seconds, evaluation, self.trainer.counters.prepared)
         self.on_progress(progress)
         return progress
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -21,8 +22,10 @@ from splatview.raster import Parameters
 from splatview.scene import InputError
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.counters import StepReport
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
+from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
     TrainSettings,
     automatic_dropout,
@@ -284,6 +287,12 @@ def test_schedules_scale_with_the_length_of_the_run() -> None:
     both = TrainSettings(iterations=100, minutes=1)
     assert both.progress(50, 6) == 0.5 and both.progress(5, 90) == 1
     assert timed.progress(1, 60, prepared=40) == 0.25 and timed.progress(1, 120, prepared=120) == 1
+
+
+def test_what_is_left_is_told_by_the_time_of_steps() -> None:
+    half = StepReport(iteration=50, loss=0.1, gaussians=9, progress=0.5)
+    assert RunProgress(half, 40.0, None, prepared=10.0).seconds_left == 30
+    assert RunProgress(half._replace(progress=0.0), 40.0, None).seconds_left == math.inf
 
 
 def test_a_run_that_steps_end_is_the_same_for_any_minutes(make_trainer) -> None:
