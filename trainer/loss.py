@@ -73,7 +73,7 @@ def photo_loss(
     if ssim_weight > 0 and not min(height, width) >= SSIM_WINDOW:
         raise ValueError(f"SSIM needs pictures of at least {SSIM_WINDOW}x{SSIM_WINDOW}, got {width}x{height}")
     threads = threads or available_threads()
-    photo, mask, alpha = _read_only(photo), _read_only(mask), _read_only(alpha)
+    photo, mask, alpha = _read_only(np.ascontiguousarray(photo)), _read_only(mask), _read_only(alpha)
     number = image.dtype.type
     weights = gaussian_window().astype(number)
     rows, windows = height - SSIM_WINDOW + 1, width - SSIM_WINDOW + 1

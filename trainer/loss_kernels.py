@@ -15,7 +15,21 @@ from __future__ import annotations
 import numpy as np
 
 from splatview.raster.compiling import inline, kernel
-from splatview.raster.simd import LANES, divide, fill, fma, load, negate, spread, store
+from splatview.raster.project import lane_sum
+from splatview.raster.simd import (
+    LANES,
+    absolute,
+    aligned,
+    divide,
+    fill,
+    fma,
+    keep_if_below,
+    load,
+    negate,
+    spread,
+    store,
+    widened,
+)
 
 TAPS = 11
 MARGIN = 3 * (TAPS - 1)
@@ -50,18 +64,24 @@ def along_row(row, i, w0, w1, w2, w3, w4, w5):
 
 
 @inline
-def read_rows(image, photo, mask, y, x_row, y_row):
-    """Row y of both pictures, colours interleaved; pixels that the mask leaves out are grey in both, so that
-    what is there cannot matter, not even to windows that reach over the edge of the mask."""
+def read_rows(image, flat_photo, mask, y, x_rows, y_rows, at):
+    """Row y of both pictures, colours interleaved, from place `at` on; pixels that the mask leaves out are
+    grey in both, so that what is there cannot matter, not even to windows that reach over the edge of the
+    mask."""
     number = image.dtype.type
     brightest = number(BRIGHTEST)
+    # The usual case apart: the compiler makes vectors of loops without questions.
     for x in range(image.shape[1]):
-        use = mask.size == 0 or mask[y, x]
         for channel in range(3):
-            truth = number(photo[y, x, channel]) / number(255) if use else number(0.5)
-            shown = min(max(image[y, x, channel], -brightest), brightest)
-            x_row[3 * x + channel] = shown if use else truth
-            y_row[3 * x + channel] = truth
+            x_rows[at + 3 * x + channel] = min(max(image[y, x, channel], -brightest), brightest)
+    begin = y * 3 * image.shape[1]
+    for k in range(3 * image.shape[1]):
+        y_rows[at + k] = number(flat_photo[begin + k]) / number(255)
+    if mask.size > 0:
+        for x in range(image.shape[1]):
+            if not mask[y, x]:
+                for channel in range(3):
+                    x_rows[at + 3 * x + channel] = y_rows[at + 3 * x + channel] = number(0.5)
 
 
 @kernel(allocates=True)
@@ -72,50 +92,50 @@ def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums
     (0, 0): all; maps (H - 10, 3·row_length) in the image's dtype; sums (H - 10,) float64.
     """
     windows = 3 * (image.shape[1] - TAPS + 1)
+    flat_photo = photo.reshape(-1)
     length = maps.shape[1] // MAPS
-    x_row, y_row = np.zeros(length, image.dtype), np.zeros(length, image.dtype)
-    product = np.zeros(length, image.dtype)
-    ring = np.zeros(TAPS * FIELDS * length, image.dtype)
+    x_rows, y_rows = np.zeros(TAPS * length, image.dtype), np.zeros(TAPS * length, image.dtype)
+    columns = np.zeros(FIELDS * length, image.dtype)
+    turned = np.empty(TAPS, image.dtype)
     similarity = np.zeros(length, image.dtype)
     w0, w1, w2 = spread(weights[0]), spread(weights[1]), spread(weights[2])
     w3, w4, w5 = spread(weights[3]), spread(weights[4]), spread(weights[5])
     one, two = fill(w0, 1.0), fill(w0, 2.0)
+    room = aligned(LANES, np.float64)
     c1_all, c2_all = fill(w0, c1), fill(w0, c2)
     for row in range(start, stop + TAPS - 1):
-        read_rows(image, photo, mask, row, x_row, y_row)
-        base = row % TAPS * FIELDS * length
-        for i in range(0, windows, LANES):
-            store(ring, base + i, along_row(x_row, i, w0, w1, w2, w3, w4, w5))
-            store(ring, base + length + i, along_row(y_row, i, w0, w1, w2, w3, w4, w5))
-        for i in range(0, length, LANES):
-            x = load(x_row, i)
-            store(product, i, x * x)
-        for i in range(0, windows, LANES):
-            store(ring, base + 2 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
-        for i in range(0, length, LANES):
-            y = load(y_row, i)
-            store(product, i, y * y)
-        for i in range(0, windows, LANES):
-            store(ring, base + 3 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
-        for i in range(0, length, LANES):
-            store(product, i, load(x_row, i) * load(y_row, i))
-        for i in range(0, windows, LANES):
-            store(ring, base + 4 * length + i, along_row(product, i, w0, w1, w2, w3, w4, w5))
+        read_rows(image, flat_photo, mask, row, x_rows, y_rows, row % TAPS * length)
         first = row - (TAPS - 1)
         if first < start:
             continue
-        out = maps[first]
-        out[:] = 0
-        for i in range(0, windows, LANES):
+        # Along columns first: two rows are read for each tap. The other way round it was five, far beyond the
+        # first-level cache, and 1.1 in place of 0.85 ms for 375x249.
+        for place in range(TAPS):
+            turned[place] = weights[(place - first) % TAPS]
+        for i in range(0, length, LANES):
             mean_x = mean_y = mean_xx = mean_yy = mean_xy = fill(w0, 0.0)
-            for tap in range(TAPS):
-                weight = spread(weights[tap])
-                at = (first + tap) % TAPS * FIELDS * length + i
-                mean_x = fma(weight, load(ring, at), mean_x)
-                mean_y = fma(weight, load(ring, at + length), mean_y)
-                mean_xx = fma(weight, load(ring, at + 2 * length), mean_xx)
-                mean_yy = fma(weight, load(ring, at + 3 * length), mean_yy)
-                mean_xy = fma(weight, load(ring, at + 4 * length), mean_xy)
+            for place in range(TAPS):
+                weight = spread(turned[place])
+                x, y = load(x_rows, place * length + i), load(y_rows, place * length + i)
+                weighted_x, weighted_y = weight * x, weight * y
+                mean_x, mean_y = mean_x + weighted_x, mean_y + weighted_y
+                mean_xx = fma(weighted_x, x, mean_xx)
+                mean_yy = fma(weighted_y, y, mean_yy)
+                mean_xy = fma(weighted_x, y, mean_xy)
+            store(columns, i, mean_x)
+            store(columns, length + i, mean_y)
+            store(columns, 2 * length + i, mean_xx)
+            store(columns, 3 * length + i, mean_yy)
+            store(columns, 4 * length + i, mean_xy)
+        out = maps[first]
+        for k in range(MAPS):
+            out[k * length : k * length + MARGIN] = 0
+        for i in range(0, windows, LANES):
+            mean_x = along_row(columns, i, w0, w1, w2, w3, w4, w5)
+            mean_y = along_row(columns, length + i, w0, w1, w2, w3, w4, w5)
+            mean_xx = along_row(columns, 2 * length + i, w0, w1, w2, w3, w4, w5)
+            mean_yy = along_row(columns, 3 * length + i, w0, w1, w2, w3, w4, w5)
+            mean_xy = along_row(columns, 4 * length + i, w0, w1, w2, w3, w4, w5)
             # SSIM = a1·a2 / (b1·b2) (Wang et al. 2004, eq. 13).
             xx, yy, xy = mean_x * mean_x, mean_y * mean_y, mean_x * mean_y
             a1, b1 = fma(two, xy, c1_all), xx + yy + c1_all
@@ -131,10 +151,11 @@ def similarity_rows(start, stop, image, photo, mask, weights, c1, c2, maps, sums
         # The last vector reaches beyond the last window.
         for k in range(MAPS):
             out[k * length + MARGIN + windows : (k + 1) * length] = 0
-        total = 0.0
-        for i in range(windows):
-            total += similarity[i]
-        sums[first] = total
+        similarity[windows:] = 0
+        total = widened(fill(w0, 0.0))
+        for i in range(0, windows, LANES):
+            total = total + widened(load(similarity, i))
+        sums[first] = lane_sum(total, room)
 
 
 @kernel(allocates=True)
@@ -161,6 +182,7 @@ def gradient_rows(
     are those of `similarity_rows`; an ssim_scale of 0 leaves `maps` unread.
     """
     height, width = image.shape[:2]
+    flat_photo = photo.reshape(-1)
     number = image.dtype.type
     length = row_length(width)
     x_row, y_row = np.zeros(length, image.dtype), np.zeros(length, image.dtype)
@@ -168,9 +190,10 @@ def gradient_rows(
     d_row = np.zeros(length, image.dtype)
     w0, w1, w2 = spread(weights[0]), spread(weights[1]), spread(weights[2])
     w3, w4, w5 = spread(weights[3]), spread(weights[4]), spread(weights[5])
-    two = fill(w0, 2.0)
+    one, two = fill(w0, 1.0), fill(w0, 2.0)
+    room = aligned(LANES, np.float64)
     for row in range(start, stop):
-        read_rows(image, photo, mask, row, x_row, y_row)
+        read_rows(image, flat_photo, mask, row, x_row, y_row, 0)
         if ssim_scale != 0:
             lowest, highest = max(row - (TAPS - 1), 0), min(row, height - TAPS)
             for i in range(0, MAPS * length, LANES):
@@ -184,23 +207,31 @@ def gradient_rows(
                 by_xy = along_row(column, 2 * length + i, w0, w1, w2, w3, w4, w5)
                 d = fma(load(x_row, i), two * by_xx, fma(load(y_row, i), by_xy, by_mean))
                 store(d_row, i, d)
-        total_l1 = total_alpha = 0.0
+        total = widened(fill(w0, 0.0))
+        for i in range(0, 3 * width, LANES):  # beyond the row both are 0
+            x, y = load(x_row, i), load(y_row, i)
+            total = total + widened(absolute(x - y))
+            sign = keep_if_below(one, y, x) - keep_if_below(one, x, y)
+            d = load(d_row, i)
+            store(d_row, i, fma(fill(d, ssim_scale), d, fill(d, l1_scale) * sign))
         for x in range(width):
-            use = mask.size == 0 or mask[row, x]
             for channel in range(3):
-                at = 3 * x + channel
-                difference = x_row[at] - y_row[at]
-                total_l1 += abs(difference)
-                sign = number(difference > 0) - number(difference < 0)
-                d = l1_scale * sign + ssim_scale * d_row[at]
-                d_image[row, x, channel] = d if use else number(0)
-            by_alpha = number(0)
-            if alpha.size > 0 and use:
-                difference = image[row, x, 3] - number(alpha[row, x]) / number(255)
-                total_alpha += abs(difference)
-                by_alpha = alpha_scale * (number(difference > 0) - number(difference < 0))
-            d_image[row, x, 3] = by_alpha
-        sums[row] = total_l1
+                d_image[row, x, channel] = d_row[3 * x + channel]
+            d_image[row, x, 3] = 0
+        if mask.size > 0:
+            for x in range(width):
+                if not mask[row, x]:
+                    for channel in range(3):
+                        d_image[row, x, channel] = 0
+        total_alpha = 0.0
+        if alpha.size > 0:
+            for x in range(width):
+                if mask.size == 0 or mask[row, x]:
+                    difference = image[row, x, 3] - number(alpha[row, x]) / number(255)
+                    total_alpha += abs(difference)
+                    sign = number(difference > 0) - number(difference < 0)
+                    d_image[row, x, 3] = alpha_scale * sign
+        sums[row] = lane_sum(total, room)
         alpha_sums[row] = total_alpha
 
 
