@@ -35,14 +35,19 @@ SPLATS_FOR_A_MINUTE = 35_000
 `miku` 35,000 splats score 28.91 dB after a minute of the bench and 3,628 steps, 20,000 score 28.65 after
 4,425."""
 
+STEPS_OF_A_MINUTE = 3_000
+"""About as many steps are made in a minute with so many splats, see `automatic_limit`."""
+
 LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
 
-def automatic_limit(pixels: int, minutes: float | None = None) -> int:
-    """A sensible `max_splats` for photos of so many pixels together, and a run of so many minutes."""
+def automatic_limit(pixels: int, minutes: float | None = None, steps: int | None = None) -> int:
+    """A sensible `max_splats` for photos of so many pixels together, and a run of so many minutes; of fewer
+    where `steps` end it sooner."""
     limit = pixels // (PIXELS_PER_SPLAT_UNTIMED if minutes is None else PIXELS_PER_SPLAT)
     if minutes is not None:
-        limit = min(limit, round(SPLATS_FOR_A_MINUTE * math.sqrt(minutes)))
+        used = minutes if steps is None else min(minutes, steps / STEPS_OF_A_MINUTE)
+        limit = min(limit, round(SPLATS_FOR_A_MINUTE * math.sqrt(used)))
     return min(max(limit, LEAST_LIMIT), MOST_LIMIT)
 
 

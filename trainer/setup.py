@@ -72,7 +72,9 @@ def settings_for(
         ValueError, TypeError: a field makes no sense, or there is none of its name.
     """
     photos, pixels = len(views), views.pixel_count
-    limit = max_splats or automatic_limit(pixels, minutes if iterations is None else None)
+    limit = max_splats or automatic_limit(
+        pixels, minutes if iterations is None else None, automatic_steps(photos)
+    )
     if iterations is None:
         iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
     automatic: dict[str, Any] = {

@@ -355,6 +355,8 @@ def test_photos_that_show_a_place_are_counted(views) -> None:
 def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
     assert automatic_limit(10**8, 1) < automatic_limit(10**8, 10) < automatic_limit(10**8)
     assert automatic_limit(0) < automatic_limit(10**7) < automatic_limit(10**9)
+    few = [automatic_limit(10**8, minutes, steps=6_000) for minutes in (1, 3, 10)]
+    assert few[0] < few[1] == few[2], "more minutes than the steps take change nothing"
 
 
 def test_dropped_splats_are_invisible_and_the_others_make_up_for_them() -> None:

@@ -29,7 +29,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_files,
 )
-from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_limit
+from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_limit, automatic_steps
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.editing.session import Editing
@@ -238,7 +238,8 @@ class TrainingStart(Feature):
         advice = "choose a smaller size, or {} of memory or more"
         check_fits(memory, bound, LEAST_LIMIT, f"These photos and {LEAST_LIMIT:,} splats", advice)
         minutes = float(length[1]) if length else None
-        return plan(memory, bound, automatic_limit(sizes.trained, minutes))
+        photos = round(len(self.found.photos) * sizes.trained / max(sizes.pixels, 1))
+        return plan(memory, bound, automatic_limit(sizes.trained, minutes, automatic_steps(photos)))
 
     def trained_size(self) -> tuple[int, int]:
         """Width and height of the largest photo as it is trained on, px."""
