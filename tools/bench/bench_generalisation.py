@@ -23,6 +23,7 @@ import numpy as np
 from capture_set import DRIFTING, REAL, RENDERED, SPLITS, make_all, use_of
 
 from splatview.measure.machine import FOLDER, write_results
+from splatview.trainer.settings import STEPS_OF_A_MINUTE
 
 RUN = Path(__file__).with_name("generalisation_run.py")
 
@@ -33,7 +34,8 @@ NOTE = (
     "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked so, "
     "and are only judged by the others. Held-out photos of miku and demo drift, which differ in exposure, "
     "are measured after a fit of it. Haze: mean opacity where held-out photos are empty. Minutes of a model "
-    "of what a step costs on two cores, so that no other work on the machine matters."
+    "of what a step costs on two cores, so that no other work on the machine matters. Runs that their steps "
+    "end are the same for longer marks, and not repeated."
 )
 
 Key = tuple[str, str, int, float]
@@ -64,6 +66,17 @@ def run_one(checkout: Path, key: Key, data: Path, made: Path, fields: list[str])
     if done.returncode:
         raise SystemExit(f"{name}: {capture}: {done.stderr.strip().splitlines()[-1]}")
     return {"of": name, **json.loads(done.stdout.splitlines()[-1])}
+
+
+def same_run(runs: dict[Key, dict[str, Any]], key: Key) -> dict[str, Any] | None:
+    """The run of a shorter mark that would only be repeated: its steps ended it, and limited its splats too,
+    see `automatic_limit`. Both are then the same to the bit."""
+    name, capture, split, minutes = key
+    for shorter in sorted({mark for *_, mark in runs if mark < minutes}):
+        run = runs.get((name, capture, split, shorter))
+        if run and run["seconds"] < 60 * shorter and run["iteration"] <= STEPS_OF_A_MINUTE * shorter:
+            return run | {"minutes": minutes, "same_as": shorter}
+    return None
 
 
 def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
@@ -186,7 +199,7 @@ def main() -> None:
                     if key in runs:
                         continue
                     fields = [f.split(":", 1)[1] for f in options.set if f.startswith(f"{name}:")]
-                    runs[key] = run_one(
+                    runs[key] = same_run(runs, key) or run_one(
                         Path(path).resolve(), key, options.data.resolve(), options.made.resolve(), fields
                     )
                     # Another call may have been at other captures meanwhile.
