@@ -40,8 +40,14 @@ def scene(tmp_path: Path, random_gaussians) -> Path:
     return tmp_path / "scene.ply"
 
 
+def heed_ctrl_c() -> None:
+    """Not everybody does: what a shell starts in the background ignores it, tests too."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def run(code: str, *arguments: object, **options) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", code, *map(str, arguments)]
+    options = {"preexec_fn": heed_ctrl_c, **options}
     return subprocess.run(command, capture_output=True, text=True, timeout=200, check=False, **options)
 
 
