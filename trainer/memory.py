@@ -157,7 +157,7 @@ class RunMemory:
 
 
 def pairs(splats: int, pixels: int) -> float:
-    """Pairs of a splat and a tile that meet, in a picture of so many pixels that so many splats cover: some
+    """Pairs of splats and tiles that meet, in a picture of so many pixels that so many splats cover: some
     for each splat, more where splats are large for being few, and those that a scene has as it begins."""
     each, by_size, by_tile = PAIRS
     tiles = pixels / TILE_PIXELS

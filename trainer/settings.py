@@ -36,7 +36,10 @@ SPLATS_FOR_A_MINUTE = 35_000
 4,425."""
 
 STEPS_OF_A_MINUTE = 3_000
-"""About as many steps are made in a minute with so many splats, see `automatic_limit`."""
+"""About as many steps are made in a minute with so many splats. Where steps end a run, more minutes allow no
+more splats: `banana`, given ten minutes that its 6,000 steps do not take, scores 27.93 and 24.75 dB with
+110,700 splats (splits 0 and 1), 27.86 and 25.11 with 49,500, in two thirds of the time. One run each, of
+which chance makes 0.4 dB; no other capture has judged it."""
 
 LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
