@@ -27,6 +27,7 @@ def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):
     before, after = found["paused_at"]
     assert before == after, "nothing moves in a pause"
     assert found["drawn_in_pause"] == 0, "and nothing is drawn"
+    assert len(set(found["heights"])) == 1, "nothing slides away under the mouse"
     assert found["picture_mean"] > 0.05
     assert found["max_splats"] == [3000, 2234]
     assert found["stepped_to"] == before + 1

@@ -60,6 +60,11 @@ def last_seen(hand: Hand) -> None:
     )
 
 
+def height(hand: Hand, item: str) -> float:
+    """Where an item stands in its window, pixels from the top."""
+    return hand.ctx.item_info(item).rect_full.min.y
+
+
 def steps(hand: Hand, count: int) -> None:
     training = training_of(hand.app)
     goal = training.status.iteration + count
@@ -74,6 +79,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(lambda: app.is_open, "the first snapshot")
     found["scene"] = app.scene.name if app.is_open else None
     found["first_eye"] = pose(app)["eye"]
+    heights = found["heights"] = [height(hand, "//Training/Recipe")]
     found["shown"] = [seen(hand), seen(hand, training.status.iteration)]
     found["splats_shown"] = app.stats.splats if app.stats else None
 
@@ -87,6 +93,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     time.sleep(0.3)
     hand.frames(10)
     found["paused_at"] = [at, training.status.iteration]
+    heights.append(height(hand, "//Training/Recipe"))
     found["drawn_in_pause"] = app.stats.drawn - drawn
     found["picture_mean"] = float(picture[..., :3].mean())
 
@@ -112,6 +119,7 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.press("Space")
     hand.wait(lambda: training.status.state == "training", "training to go on")
     steps(hand, 20)
+    heights.append(height(hand, "//Training/Recipe"))
 
     hand.strip("Compare")
     hand.wait(lambda: training.comparer.latest is not None, "the comparison")

@@ -147,22 +147,22 @@ def buttons(app: AppState, status: Status) -> None:
 
 
 def numbers(training: LiveTraining, status: Status) -> None:
+    """As many rows at every moment: a row that comes and goes takes what is below from under the mouse."""
     limit = status.settings.max_splats
     widgets.fact("Splats", f"{status.gaussians:,} of max {limit:,}", "Gaussians in the scene now.")
     rate = f"{status.rate:.1f}" if status.rate < 100 else f"{status.rate:.0f}"
     widgets.fact("Iterations/s", rate if status.rate > 0 else "-", "Over the last seconds, sleep included.")
     widgets.fact("Trained for", duration(status.seconds), "Pauses left out.")
-    if status.loss == status.loss:
-        widgets.fact("Loss", f"{status.loss:.4f}", "0.8 L1 + 0.2 (1 - SSIM) of the last step's photos.")
+    loss = f"{status.loss:.4f}" if status.loss == status.loss else "-"
+    widgets.fact("Loss", loss, "0.8 L1 + 0.2 (1 - SSIM) of the last step's photos.")
     evaluation = status.evaluation
+    score, tip = "-", "The photos not trained on were not compared yet."
     if evaluation is not None:
-        widgets.fact(
-            "Held out",
-            f"{evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}",
-            f"Mean over {len(evaluation.scores)} photos not trained on, at step {status.evaluated_at:,}.",
-        )
-    if training.shown is not None and training.shown.iteration != status.iteration:
-        widgets.fact("Shown", f"step {training.shown.iteration:,}", "The snapshot that the view shows.")
+        score = f"{evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}"
+        tip = f"Mean over {len(evaluation.scores)} photos not trained on, at step {status.evaluated_at:,}."
+    widgets.fact("Held out", score, tip)
+    shown = "-" if training.shown is None else f"step {training.shown.iteration:,}"
+    widgets.fact("Shown", shown, "The snapshot that the view shows.")
 
 
 def shares(app: AppState, training: LiveTraining) -> None:
