@@ -257,7 +257,8 @@ def differentiate_tiles(
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(PIXELS, d_image.dtype)
-    alive = np.empty(2 * STRIPS, np.int64)
+    alive, starts = np.empty(2 * STRIPS, np.int64), np.empty(LANES, np.int64)
+    flat_records = records.reshape(-1)
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         first_pixel = tile * TILE_PIXELS
@@ -276,12 +277,13 @@ def differentiate_tiles(
                 until - begin,
                 next_start,
                 first + begin,
-                records,
+                flat_records,
                 left,
                 top,
                 -np.inf,
                 gathered,
                 None,
+                starts,
             )
             touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
             while until > begin:

@@ -234,6 +234,7 @@ def contribution_tiles(
     pixels = aligned(PIXELS, records.dtype)
     transmittance, n_contrib = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
     alive, scratch = np.empty(2 * STRIPS, np.int64), aligned(LANES, pairs.dtype)
+    flat_records, starts = records.reshape(-1), np.empty(LANES, np.int64)
     height, width = ids.shape
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
@@ -247,9 +248,19 @@ def contribution_tiles(
         while position < end and some:
             count = min(end - position, CHUNK)
             stop_at = min(position + 2 * CHUNK, end)
-            drop = termination.max_log2_drop
             count = gather(
-                lists, position, count, position + count, stop_at, records, left, top, drop, gathered, surfels
+                lists,
+                position,
+                count,
+                position + count,
+                stop_at,
+                flat_records,
+                left,
+                top,
+                termination.max_log2_drop,
+                gathered,
+                surfels,
+                starts,
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             contribution_chunk(

@@ -21,7 +21,7 @@ import numpy as np
 
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.parameters import TILE
-from splatview.raster.project import BLUE, GREEN, LOG2_DROP, LOG2_OPACITY, RED, X_REST, Y_REST, A, B, C, X, Y
+from splatview.raster.project import BLUE, LOG2_DROP, RECORD, X_REST, Y_REST, A, X, Y
 from splatview.raster.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
@@ -63,7 +63,7 @@ from splatview.raster.surfels import (
     surfel_exponent,
 )
 from splatview.raster.tiles import MARGIN
-from splatview.raster.transpose import store_interleaved
+from splatview.raster.transpose import load_rows, store_interleaved
 
 STRIPS = TILE // BLOCK_WIDTH
 BLOCKS = TILE // BLOCK_HEIGHT
@@ -77,12 +77,13 @@ PIXELS = 4 * TILE_PIXELS
 CHUNK = 64
 """Splats gathered at a time: some 2 KiB, so that they stay in the first-level cache."""
 
-# Columns of `gathered`, CHUNK numbers each; those of a surfel's row follow from G_SURFEL on.
-G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_CUT, G_SURFEL = range(11)
-COPIED = 9
-"""Columns that are copies of what records hold."""
-GATHERED = 10
-"""Columns without those of surfels; the last is the power of two below which alpha is 0."""
+# Columns of `gathered`, CHUNK numbers each; G_CUT is the power of two below which alpha is 0, and G_ROOM is
+# for LANES records as columns. Those of a surfel's row follow from G_SURFEL on.
+G_X, G_Y, G_A, G_B, G_C, G_LOG2_OPACITY, G_RED, G_GREEN, G_BLUE, G_CUT, G_ROOM = range(11)
+G_SURFEL = G_ROOM + RECORD * LANES // CHUNK
+GATHERED = G_SURFEL
+"""Columns without those of surfels."""
+
 
 ITEMS = CHUNK * STRIPS * BLOCKS + LANES
 """Most blocks of a chunk's splats, and room for a whole last vector."""
@@ -100,41 +101,53 @@ behind."""
 
 
 @inline
-def gather(lists, start, count, next_start, next_stop, records, left, top, max_log2_drop, gathered, surfels):
+def gather(
+    lists,
+    start,
+    count,
+    next_start,
+    next_stop,
+    records,
+    left,
+    top,
+    max_log2_drop,
+    gathered,
+    surfels,
+    starts,
+):
     """Copies the records of lists[start:start + count] to `gathered` (gathered_columns(surfels)·CHUNK,),
-    means relative to the tile's corner; fills up to a whole vector with copies of the last. Asks for those of
-    lists[next_start:next_stop], which will be gathered next, meanwhile.
+    means relative to the tile's corner; fills up to a whole vector with others. Asks for those of
+    lists[next_start:next_stop], which will be gathered next, meanwhile. records (N·RECORD,); starts (LANES,)
+    int64 is room to work in.
 
     Returns how many it took: fewer than `count` where these splats' opacities could let transmittance drop by
     more than `max_log2_drop` powers of two, a negative number.
     """
     number = gathered.dtype.type
     for k in range(next_start, next_stop):
-        prefetch(records, lists[k])
-    log2_drop = number(0)
-    for j in range(count):
-        record = records[lists[start + j]]
-        log2_drop += record[LOG2_DROP]
-        if log2_drop < max_log2_drop and j > 0:
-            count = j
-            break
+        prefetch(records, np.int64(lists[k]) * RECORD)
+    log2_drop, room = number(0), G_ROOM * CHUNK
+    for j in range(0, count, LANES):
+        for lane in range(LANES):  # beyond the end the last again
+            starts[lane] = np.int64(lists[start + min(j + lane, count - 1)]) * RECORD
+        load_rows(records, starts, RECORD, gathered, room)
         # The corner is subtracted first: exact near the tile, and only then is there room for the rest.
-        gathered[G_X * CHUNK + j] = (record[X] - number(left)) + record[X_REST]
-        gathered[G_Y * CHUNK + j] = (record[Y] - number(top)) + record[Y_REST]
-        gathered[G_A * CHUNK + j] = record[A]
-        gathered[G_B * CHUNK + j] = record[B]
-        gathered[G_C * CHUNK + j] = record[C]
-        gathered[G_LOG2_OPACITY * CHUNK + j] = record[LOG2_OPACITY]
-        gathered[G_RED * CHUNK + j] = record[RED]
-        gathered[G_GREEN * CHUNK + j] = record[GREEN]
-        gathered[G_BLUE * CHUNK + j] = record[BLUE]
+        x, y = load(gathered, room + X * LANES), load(gathered, room + Y * LANES)
+        x, y = x - fill(x, left), y - fill(y, top)
+        store(gathered, G_X * CHUNK + j, x + load(gathered, room + X_REST * LANES))
+        store(gathered, G_Y * CHUNK + j, y + load(gathered, room + Y_REST * LANES))
+        for column in range(A, BLUE + 1):  # from G_A to G_BLUE in the same order
+            store(gathered, (G_A - A + column) * CHUNK + j, load(gathered, room + column * LANES))
+        here = min(LANES, count - j)
         if surfels is not None:
-            row = surfels.rows[lists[start + j]]
-            for number_of in range(SURFEL):
-                gathered[(G_SURFEL + number_of) * CHUNK + j] = row[number_of]
-    for j in range(count, (count + LANES - 1) // LANES * LANES):
-        for column in range(COPIED):
-            gathered[column * CHUNK + j] = gathered[column * CHUNK + count - 1]
+            for lane in range(here):
+                row = surfels.rows[lists[start + j + lane]]
+                for number_of in range(SURFEL):
+                    gathered[(G_SURFEL + number_of) * CHUNK + j + lane] = row[number_of]
+        for lane in range(here):
+            log2_drop += gathered[room + LOG2_DROP * LANES + lane]
+            if log2_drop < max_log2_drop and j + lane > 0:
+                return j + lane
     return count
 
 
@@ -408,7 +421,8 @@ def draw_tiles(
     items = aligned(ITEMS, np.int32)
     place_centres(centres)
     flat_image, listed = image.reshape(-1), offsets[stop] - base
-    alive = np.empty(2 * STRIPS, np.int64)
+    alive, starts = np.empty(2 * STRIPS, np.int64), np.empty(LANES, np.int64)
+    flat_records = records.reshape(-1)
     blocks = 0
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
@@ -423,9 +437,19 @@ def draw_tiles(
         while position < end and some:
             count = min(end - position, CHUNK)
             stop_at = min(position + count + CHUNK, listed)  # of the next tile's list too
-            drop = termination.max_log2_drop
             count = gather(
-                lists, position, count, position + count, stop_at, records, left, top, drop, gathered, surfels
+                lists,
+                position,
+                count,
+                position + count,
+                stop_at,
+                flat_records,
+                left,
+                top,
+                termination.max_log2_drop,
+                gathered,
+                surfels,
+                starts,
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             total = list_items(rows, count, alive, items)

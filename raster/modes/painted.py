@@ -133,6 +133,7 @@ def count_tiles(start, stop, offsets, base, lists, records, surfels, view, count
     gathered = aligned(gathered_columns(surfels) * CHUNK, records.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
     pixels = aligned(TILE_PIXELS, records.dtype)
+    flat_records, starts = records.reshape(-1), np.empty(LANES, np.int64)
     blocks = 0
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
@@ -147,12 +148,13 @@ def count_tiles(start, stop, offsets, base, lists, records, surfels, view, count
                 count,
                 position + count,
                 stop_at,
-                records,
+                flat_records,
                 left,
                 top,
                 -np.inf,
                 gathered,
                 surfels,
+                starts,
             )
             touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
             blocks += count_chunk(gathered, count, rows, view.log2_cut, view.log2_share, pixels, surfels)
