@@ -26,6 +26,7 @@ import numpy as np
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.forward import (
     BLOCKS,
+    CENTRES,
     CHUNK,
     G_A,
     G_B,
@@ -41,17 +42,16 @@ from splatview.raster.forward import (
     TILE_PIXELS,
     block_in_image,
     gather,
+    place_centres,
     touched_blocks,
 )
 from splatview.raster.parameters import TILE
 from splatview.raster.simd import (
-    BLOCK_HEIGHT,
     BLOCK_WIDTH,
     LANES,
     absolute,
     aligned,
     any_within,
-    column_centres,
     exp2,
     fill,
     fma,
@@ -64,7 +64,6 @@ from splatview.raster.simd import (
     negate,
     prefetch,
     reciprocal,
-    row_centres,
     spread,
     store,
     sum_lanes,
@@ -144,10 +143,9 @@ def if_within(value, x, above, below):
 
 
 @inline
-def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels, first_row, sums):
+def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels, centres, first_row, sums):
     """Walks gathered splats [start, stop) from last to first; the sums of the j-th go to sums[first_row + j],
     sums being (pairs·SUMS,)."""
-    number = gathered.dtype.type
     for k in range(start, stop):
         j = max(stop - 1 - (k - start), 0)  # max tells the compiler that no index is negative
         a, b = spread(gathered[G_A * CHUNK + j]), spread(gathered[G_B * CHUNK + j])
@@ -155,50 +153,51 @@ def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixel
         red = spread(gathered[G_RED * CHUNK + j])
         green = spread(gathered[G_GREEN * CHUNK + j])
         blue = spread(gathered[G_BLUE * CHUNK + j])
-        one, step = fill(red, 1.0), fill(red, BLOCK_HEIGHT)
+        one = fill(red, 1.0)
         cut, cap = fill(red, log2_cut), fill(red, max_alpha)
-        y_centres = row_centres(red) - spread(gathered[G_Y * CHUNK + j])
+        x_mean, y_mean = spread(gathered[G_X * CHUNK + j]), spread(gathered[G_Y * CHUNK + j])
         t_sum = tu_sum = tux_sum = tuy_sum = tv_sum = tvy_sum = abs_x = abs_y = fill(red, 0.0)
         red_sum = green_sum = blue_sum = fill(red, 0.0)
-        for strip in range(STRIPS):
-            first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
-            last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
-            x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            dx = column_centres(red) - spread(x_mean)
-            adx = a * dx
-            dy = y_centres + fill(red, first * BLOCK_HEIGHT)
-            for block in range(first, last + 1):
-                u, v = fma(b, dy, adx), c * dy
-                power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-                uncapped = exp2(power)
-                alpha = keep_if_at_least(minimum(uncapped, cap), power, cut)
+        # One loop over the blocks of both strips: the processor guesses the end of each wrong for most pairs.
+        first = max(np.int64(rows[j]), alive[0])
+        here = max(min(np.int64(rows[CHUNK + j]), alive[1]) + 1 - first, 0)
+        beside = max(np.int64(rows[2 * CHUNK + j]), alive[2])
+        blocks = here + max(min(np.int64(rows[3 * CHUNK + j]), alive[3]) + 1 - beside, 0)
+        for block in range(blocks):
+            place = first + block if block < here else BLOCKS + beside + block - here
+            place = place & (STRIPS * BLOCKS - 1)  # tells the compiler that no index is negative
+            dx = load(centres, 2 * place * LANES) - x_mean
+            dy = load(centres, (2 * place + 1) * LANES) - y_mean
+            u, v = fma(b, dy, a * dx), c * dy
+            power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
+            uncapped = exp2(power)
+            alpha = keep_if_at_least(minimum(uncapped, cap), power, cut)
 
-                base = (strip * BLOCKS + block) * PIXEL_VECTORS * LANES
-                after, behind = load(pixels, base), load(pixels, base + LANES)
-                d_red, d_green = load(pixels, base + 2 * LANES), load(pixels, base + 3 * LANES)
-                d_blue = load(pixels, base + 4 * LANES)
-                thinned = reciprocal(one - alpha)
-                ratio = alpha * thinned
-                weight = ratio * after
-                shown = fma(d_red, red, fma(d_green, green, d_blue * blue))
-                t = ratio * fma(after, shown, negate(behind))
-                store(pixels, base, after * thinned)
-                store(pixels, base + LANES, fma(weight, shown, behind))
-                red_sum = fma(weight, d_red, red_sum)
-                green_sum = fma(weight, d_green, green_sum)
-                blue_sum = fma(weight, d_blue, blue_sum)
+            base = place * PIXEL_VECTORS * LANES
+            after, behind = load(pixels, base), load(pixels, base + LANES)
+            d_red, d_green = load(pixels, base + 2 * LANES), load(pixels, base + 3 * LANES)
+            d_blue = load(pixels, base + 4 * LANES)
+            thinned = reciprocal(one - alpha)
+            ratio = alpha * thinned
+            weight = ratio * after
+            shown = fma(d_red, red, fma(d_green, green, d_blue * blue))
+            t = ratio * fma(after, shown, negate(behind))
+            store(pixels, base, after * thinned)
+            store(pixels, base + LANES, fma(weight, shown, behind))
+            red_sum = fma(weight, d_red, red_sum)
+            green_sum = fma(weight, d_green, green_sum)
+            blue_sum = fma(weight, d_blue, blue_sum)
 
-                t = keep_if_below(t, uncapped, cap)
-                tu, tv = t * u, t * v
-                t_sum = t_sum + t
-                tu_sum = tu_sum + tu
-                tv_sum = tv_sum + tv
-                tux_sum = fma(tu, dx, tux_sum)
-                tuy_sum = fma(tu, dy, tuy_sum)
-                tvy_sum = fma(tv, dy, tvy_sum)
-                abs_x = abs_x + absolute(tu)
-                abs_y = abs_y + absolute(fma(b, tu, c * tv))
-                dy = dy + step
+            t = keep_if_below(t, uncapped, cap)
+            tu, tv = t * u, t * v
+            t_sum = t_sum + t
+            tu_sum = tu_sum + tu
+            tv_sum = tv_sum + tv
+            tux_sum = fma(tu, dx, tux_sum)
+            tuy_sum = fma(tu, dy, tuy_sum)
+            tvy_sum = fma(tv, dy, tvy_sum)
+            abs_x = abs_x + absolute(tu)
+            abs_y = abs_y + absolute(fma(b, tu, c * tv))
         totals = (
             t_sum,
             tu_sum,
@@ -256,7 +255,8 @@ def differentiate_tiles(
     """
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
     rows = aligned(STRIPS * 2 * CHUNK, np.int32)
-    pixels = aligned(PIXELS, d_image.dtype)
+    pixels, centres = aligned(PIXELS, d_image.dtype), aligned(CENTRES, d_image.dtype)
+    place_centres(centres)
     alive, starts = np.empty(2 * STRIPS, np.int64), np.empty(LANES, np.int64)
     flat_records = records.reshape(-1)
     for tile in range(start, stop):
@@ -298,6 +298,7 @@ def differentiate_tiles(
                     view.log2_cut,
                     view.max_alpha,
                     pixels,
+                    centres,
                     first + begin,
                     sums,
                 )
