@@ -331,9 +331,9 @@ def gather_pairs(
     1.05 on a sphere of 100,000 splats, skull and playbot): half as much bookkeeping again for nothing.
 
     Dropped: no pass of its own. Binning can write each pair's number in the order of memory, and
-    `project_backward` add the rows up: 100,000 splats at 256x256 took 22.4 ms for binning, backward, gather and
-    what follows, 23.0 with rows stored in that order (and asked for ahead; without, 25.0; past the caches, 24.8)
-    and 22.5 with rows read in it. Rows in any order are what costs, whoever meets them.
+    `project_backward` add the rows up: for 100,000 splats at 256x256 binning, backward, gather and what
+    follows took 22.4 ms, and 23.0 with rows stored in that order and asked for ahead (25.0 without, 24.8 past
+    the caches), 22.5 with rows read in it. Rows in any order are what costs, whoever meets them.
     """
     nothing = spread(sums.dtype.type(0))
     for k in range(start, stop):
