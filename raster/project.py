@@ -238,7 +238,11 @@ COLUMNS = SURFEL_ROW + SURFEL
 
 @inline
 def load_splat(i, lane, means, quats, log_scales, opacity_logits, view, lanes):
-    """Copies the parameters of splat i to a lane of the columns; its mean becomes an offset from the eye."""
+    """Copies the parameters of splat i to a lane of the columns; its mean becomes an offset from the eye.
+
+    Dropped: rows of three and four numbers by vectors, turned into columns by shuffles as `load_rows` does:
+    `project` took 1.13 to 1.15 times as long, `project_backward` 1.08.
+    """
     for axis in range(3):
         lanes[(OFFSET + axis) * LANES + lane] = np.float64(means[i, axis]) - view.eye[axis]
         lanes[(LOG_SCALE + axis) * LANES + lane] = log_scales[i, axis]
