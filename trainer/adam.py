@@ -11,7 +11,7 @@ import torch
 from torch.optim import Optimizer
 
 from splatview.raster import Parameters, available_threads
-from splatview.raster.compiling import TASKS_PER_THREAD, run
+from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
 from splatview.trainer.adam_kernels import BETA1, BETA2, EPSILON, REST_DIVISOR, Rates, move
 from splatview.trainer.splats import Splats
 
@@ -140,10 +140,11 @@ class SelectiveAdam(Optimizer):
             move,
             [(indices,) for indices in pieces_of(visible, len(parameters[0]), threads) if len(indices)],
             (
-                *(parameter.detach().numpy() for parameter in parameters),
-                *(state["exp_avg"].numpy() for state in states),
-                *(state["exp_avg_sq"].numpy() for state in states),
-                *(_gradient(parameter) for parameter in parameters),
+                tuple(parameter.detach().view(-1).numpy() for parameter in parameters),
+                tuple(_gradient(parameter) for parameter in parameters),
+                tuple(state["exp_avg"].view(-1).numpy() for state in states),
+                tuple(state["exp_avg_sq"].view(-1).numpy() for state in states),
+                3 * parameters[-1].shape[1],
                 factors,
                 np.float32(EPSILON * correction),
                 limits.astype(np.float32),
@@ -160,8 +161,9 @@ class SelectiveAdam(Optimizer):
 
 def pieces_of(
     visible: torch.Tensor | Sequence[np.ndarray] | None, count: int, threads: int
-) -> Sequence[np.ndarray]:
-    """What `SelectiveAdam.step` is given of `count` splats, as arrays of indices (int32) to be shared out.
+) -> list[np.ndarray]:
+    """What `SelectiveAdam.step` is given of `count` splats, as arrays of ascending indices (int32) to be
+    shared out: none has any of the same SPLATS_PER_TASK splats as another.
 
     Raises:
         ValueError: a tensor is neither a mask (N,) nor indices (V,) within it.
@@ -177,13 +179,15 @@ def pieces_of(
             raise ValueError(f"visible must be a mask or indices, got {visible.dtype} {tuple(visible.shape)}")
         if len(visible) and not (visible.min() >= 0 and visible.max() < count):
             raise ValueError(f"visible must name splats from 0 to {count - 1}")
-        indices = visible.numpy().astype(np.int32)
+        indices = np.sort(visible.numpy()).astype(np.int32)
     else:
-        return visible
-    return np.array_split(indices, threads * TASKS_PER_THREAD)
+        indices = np.concatenate([np.empty(0, np.int32), *visible])
+    ranges = even_ranges(count, threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+    return np.split(indices, np.searchsorted(indices, [start for start, _ in ranges[1:]]))
 
 
 def _gradient(parameter: torch.Tensor) -> np.ndarray:
+    """Flat."""
     if parameter.grad is None:
-        return np.zeros(tuple(parameter.shape), np.float32)
-    return parameter.grad.contiguous().numpy()
+        return np.zeros(parameter.numel(), np.float32)
+    return parameter.grad.contiguous().view(-1).numpy()
