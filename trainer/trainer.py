@@ -20,7 +20,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.free_space import GONE, standing_before
+from splatview.trainer.free_space import GONE, shown, standing_before
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
@@ -238,6 +238,8 @@ class Trainer:
             )
             restore(splats.arrays, self.state, held)
             self._cut()
+            if self.done:
+                self._drop_unseen()
         self._note_loss(loss)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
@@ -416,6 +418,14 @@ class Trainer:
                 for indices in info.pieces:
                     wrong = standing_before(arrays.means, indices, view.camera, depth)
                     arrays.opacity_logits[wrong] = GONE
+
+    def _drop_unseen(self) -> None:
+        """Takes out what no photo shows, but for what was put in the sky for directions that none shows."""
+        kept = shown(self.splats.snapshot(), self.views.all, self.render_settings, self.threads)
+        if "sky" in self.state:
+            kept |= self.state["sky"] > 0
+        if kept.any():
+            self._keep(kept)
 
     def _cut(self) -> None:
         """Takes out what has come to where the recipe cuts, now and then."""
