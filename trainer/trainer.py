@@ -238,8 +238,7 @@ class Trainer:
             )
             restore(splats.arrays, self.state, held)
             self._cut()
-            if self.done:
-                self._drop_unseen()
+            self._drop_unseen(progress)
         self._note_loss(loss)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
@@ -419,13 +418,17 @@ class Trainer:
                     wrong = standing_before(arrays.means, indices, view.camera, depth)
                     arrays.opacity_logits[wrong] = GONE
 
-    def _drop_unseen(self) -> None:
-        """Takes out what no photo shows, but for what was put in the sky for directions that none shows."""
-        kept = shown(self.splats.snapshot(), self.views.all, self.render_settings, self.threads)
-        if "sky" in self.state:
-            kept |= self.state["sky"] > 0
-        if kept.any():
-            self._keep(kept)
+    def _drop_unseen(self, progress: float) -> None:
+        """Takes out what no photo shows once density control has ended, and at the end of the run; but for
+        what was put in the sky for directions that none shows. See `free_space`."""
+        ended = progress >= self.settings.refine_until
+        if self.done or (ended and not self.state.get("unseen_dropped")):
+            kept = shown(self.splats.snapshot(), self.views.all, self.render_settings, self.threads)
+            if "sky" in self.state:
+                kept |= self.state["sky"] > 0
+            if kept.any():
+                self._keep(kept)
+        self.state["unseen_dropped"] = int(ended)
 
     def _cut(self) -> None:
         """Takes out what has come to where the recipe cuts, now and then."""

@@ -11,7 +11,7 @@ import pytest
 from splatview.raster import Parameters
 from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.free_space import GONE, nearest_depths, standing_before
+from splatview.trainer.free_space import GONE, nearest_depths, shown, standing_before
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import CLEAR_STEPS, Trainer
@@ -99,3 +99,48 @@ def test_random_points_say_nothing(views: list[TrainView], start: Parameters) ->
         settings: TrainSettings = settings_for(told, ring, iterations=10, start="points")
         trainer = trainer_for(told, ring, settings, centre=np.zeros(3))
         assert (trainer.nearest_depths > 0).any() != guessed
+
+
+def with_strays(start: Parameters) -> Parameters:
+    """The start and three splats that no photo shows: faint, above all cameras, and behind the one
+    before, which hides it."""
+    extra = Parameters(*(np.concatenate([array, array[:4]]) for array in start))
+    extra.opacity_logits[-4:] = -9.0, 3.0, 12.0, -2.0
+    extra.means[-4:] = (0, 0, 0), (0, 30, 0), (0, 0, 0), (0, 0, 0)
+    extra.log_scales[-4:] = np.array([-2.0, -2.0, 0.0, -6.0])[:, None]
+    return extra
+
+
+def test_what_photos_show(views: list[TrainView], start: Parameters, make_trainer) -> None:
+    trainer = Trainer(TrainViews(views, 0), with_strays(start), 3.0, make_trainer().settings)
+    settings, scene = trainer.render_settings, trainer.snapshot()
+    found = shown(scene, views, settings)
+    assert found[-4:].tolist() == [False, False, True, False]
+    larger = [
+        replace(view, camera=view.camera.resized(960, 800), pixels=np.zeros((800, 960, 3), np.uint8))
+        for view in views
+    ]
+    np.testing.assert_array_equal(shown(scene, larger, settings)[-4:], found[-4:])
+
+
+def test_what_no_photo_shows_goes_as_density_control_ends(
+    views: list[TrainView], start: Parameters, make_trainer
+) -> None:
+    settings = replace(make_trainer(iterations=8).settings, refine_until=0.5)
+    trainer = Trainer(TrainViews(views, 0), start, 3.0, settings)
+    counts = []
+    while not trainer.done:
+        if trainer.counters.iteration in (2, 6):
+            trainer.splats.arrays.opacity_logits[:3] = -9.0
+        trainer.step()
+        counts.append(len(trainer.splats))
+    assert counts == [*[len(start.means)] * 4, *[len(start.means) - 3] * 3, len(start.means) - 6]
+
+
+def test_what_is_in_the_sky_stays(views: list[TrainView], start: Parameters, make_trainer) -> None:
+    trainer = Trainer(TrainViews(views, 0), with_strays(start), 3.0, make_trainer(iterations=1).settings)
+    trainer.state["sky"] = np.zeros(len(trainer.splats), np.uint8)
+    trainer.state["sky"][-3] = 1
+    numbers = trainer.splats.ids[-4:].copy()
+    trainer.step()
+    assert np.isin(numbers, trainer.splats.ids).tolist()[:2] == [False, True], "the faint one goes"
