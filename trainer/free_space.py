@@ -42,10 +42,11 @@ NEAREST = 0.02
 LEAST_POINTS = 20
 """Where a photo shows fewer, nothing is known."""
 
-LEAST_CONTRIBUTION = 0.1
-"""Pixels, of photos of at most COUNTED_PIXELS, that a splat must contribute to all of them together."""
+LEAST_SHOWN = 2e-6
+"""Of a photo, that a splat must contribute to all photos together: 0.12 px of one of 60,000."""
 
 COUNTED_PIXELS = 60_000
+"""Of photos that are looked at for that: of larger ones a smaller picture tells."""
 
 GONE = -8.0
 """Opacity logit of a splat made invisible: below what every strategy takes for dead."""
@@ -86,10 +87,12 @@ def shown(
     scene: Gaussians, views: Sequence[TrainView], settings: RenderSettings, threads: int | None = None
 ) -> np.ndarray:
     """(N,) bool: the splats that photos show, however little."""
-    cameras = []
+    share = np.zeros(len(scene))
     for view in views:
         camera = view.camera
         factor = math.ceil(math.sqrt(camera.width * camera.height / COUNTED_PIXELS))
-        size = max(camera.width // factor, 1), max(camera.height // factor, 1)
-        cameras.append(camera.resized(*size) if factor > 1 else camera)
-    return contributions(scene, cameras, settings, threads=threads) >= LEAST_CONTRIBUTION
+        if factor > 1:
+            camera = camera.resized(max(camera.width // factor, 1), max(camera.height // factor, 1))
+        pixels = contributions(scene, [camera], settings, threads=threads)
+        share += pixels / (camera.width * camera.height)
+    return share >= LEAST_SHOWN

@@ -105,7 +105,7 @@ def with_strays(start: Parameters) -> Parameters:
     """The start and three splats that no photo shows: faint, above all cameras, and behind the one
     before, which hides it."""
     extra = Parameters(*(np.concatenate([array, array[:4]]) for array in start))
-    extra.opacity_logits[-4:] = -9.0, 3.0, 12.0, -2.0
+    extra.opacity_logits[-4:] = -9.0, 3.0, 12.0, -5.0
     extra.means[-4:] = (0, 0, 0), (0, 30, 0), (0, 0, 0), (0, 0, 0)
     extra.log_scales[-4:] = np.array([-2.0, -2.0, 0.0, -6.0])[:, None]
     return extra
