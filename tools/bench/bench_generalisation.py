@@ -149,12 +149,12 @@ def sky_cell(by_name: list[list[dict[str, Any]]], kind: str) -> str:
     return ", ".join(f"{np.mean(values):.3f}" if values else "" for values in means)
 
 
-def table_by_marks(runs: dict[Key, dict[str, Any]], name: str) -> dict[str, Any]:
-    """A row for each capture, a column for each mark: means over the splits that a checkout has run at all
-    marks of the capture."""
-    marks = sorted({key[3] for key in runs if key[0] == name})
+def table_by_marks(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    """A row for each capture and checkout, a column for each mark: means over the splits and seeds that the
+    checkout has run at all marks of the capture."""
+    marks = sorted({minutes for _, _, _, minutes, _ in runs})
     rows = []
-    for capture in [*REAL, *RENDERED]:
+    for capture, name in product([*REAL, *RENDERED], names):
         its_marks = [m for m in marks if rounds_of(runs, capture, [name], [m])]
         rounds = rounds_of(runs, capture, [name], its_marks)
         if not its_marks or not rounds:
@@ -167,6 +167,7 @@ def table_by_marks(runs: dict[Key, dict[str, Any]], name: str) -> dict[str, Any]
         rows.append(
             [
                 capture,
+                *([name] if len(names) > 1 else []),
                 use_of(capture),
                 str(last[0]["photos"]),
                 in_words(rounds),
@@ -175,17 +176,14 @@ def table_by_marks(runs: dict[Key, dict[str, Any]], name: str) -> dict[str, Any]
                 f"{np.mean(haze):.4f}" if haze else "",
             ]
         )
-    by_marks = [f"{m:g} min, dB" for m in marks]
-    return {
-        "columns": ["capture", "rules", "photos", "splits", *by_marks, "least gain by time, dB", "haze"],
-        "rows": rows,
-        "note": NOTE,
-    }
+    columns = ["capture", *(["recipe"] if len(names) > 1 else []), "rules", "photos", "splits"]
+    columns += [*(f"{m:g} min, dB" for m in marks), "least gain by time, dB", "haze"]
+    return {"columns": columns, "rows": rows, "note": NOTE}
 
 
-def tables(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
-    """Of several checkouts side by side, of one by marks."""
-    return table(runs, names) if len(names) > 1 else table_by_marks(runs, names[0])
+def tables(runs: dict[Key, dict[str, Any]], names: list[str], *, by_marks: bool) -> dict[str, Any]:
+    """By marks, or of checkouts side by side."""
+    return table_by_marks(runs, names) if by_marks else table(runs, names)
 
 
 def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
@@ -214,6 +212,11 @@ def main() -> None:
     parser.add_argument("--splits", type=int, nargs="+", default=list(range(SPLITS)))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME:FIELD=JSON")
+    parser.add_argument(
+        "--by-marks",
+        action="store_true",
+        help="several checkouts below one another, and how they fare in time",
+    )
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "generalisation.json")
     options = parser.parse_args()
     checkouts = dict(pair.split("=", 1) for pair in options.checkout)
