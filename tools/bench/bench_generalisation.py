@@ -234,7 +234,8 @@ def main() -> None:
         # Another call may have been at other captures meanwhile.
         runs = known_runs(options.output) | runs
         print(name, capture, split, minutes, f"{score(runs[key]):.2f}", flush=True)
-        write_results(options.output, {"runs": list(runs.values()), "table": tables(runs, list(checkouts))})
+        made = tables(runs, list(checkouts), by_marks=options.by_marks or len(checkouts) == 1)
+        write_results(options.output, {"runs": list(runs.values()), "table": made})
     for name in checkouts:
         print(*worse_with_time(runs, name), sep="\n")
 
