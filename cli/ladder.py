@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich import box
@@ -32,187 +31,19 @@ from splatview.cli.arguments import (
 )
 from splatview.cli.main import make_console
 from splatview.cli.render import check_output
-from splatview.cli.train_setup import ready_kernels
+from splatview.cli.training_ladder import run_training_ladder, training_knobs
 from splatview.measure.knobs import KNOBS, Plan, knob
 from splatview.measure.ladder import AGREEMENT, Ladder, disagreement, run_ladder, rungs_for
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text
-from splatview.measure.machine import describe_machine
-from splatview.measure.training_ladder import (
-    TRAINING_COLUMNS,
-    TRAINING_RUNGS,
-    Curve,
-    Trained,
-    TrainingRung,
-    training_as_json,
-    training_cells,
-)
 from splatview.renderers import automatic_choice, choices
-from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
-from splatview.scene.captures import Capture, load_capture
 from splatview.scene.effects.overrides import settings_for
 from splatview.scene.effects.sh_bands import used_sh_degree
 from splatview.scene.formats import load_scene
 from splatview.scene.formats.cameras import camera_values
 from splatview.scene.framing import robust_bounds
-from splatview.trainer.evaluate import evaluate
-from splatview.trainer.settings import (
-    FULL_REG_LOSS,
-    TrainSettings,
-    automatic_dropout,
-    automatic_limit,
-    automatic_max_aspect,
-    automatic_regularisation,
-)
-from splatview.trainer.torch_import import require_torch
-from splatview.trainer.views import TrainView, TrainViews, train_views
-
-if TYPE_CHECKING:  # torch is imported where something is trained
-    from splatview.trainer.trainer import Trainer
-
-# ---- `splatview ladder --train CAPTURE`: the same question asked of training, at equal seconds.
-
-
-EVALUATIONS = 6
-"""Points of a curve; the time they take is not the run's."""
-
-PRECISIONS: dict[str, type[np.floating]] = {"float32": np.float32, "float64": np.float64}
-
-DEMO = "demo"
-"""For the capture's name: the photos that the program makes itself."""
-
-
-def run_training_ladder(name: str, *, minutes: float, seeds: int, downscale: int, as_text: bool) -> int:
-    """Trains every rung once a seed, in turn, and prints PSNR at equal seconds: a table, or JSON.
-    `name`: the capture's folder, or DEMO.
-
-    Raises:
-        InputError: the capture is at fault, or has no held-out photos.
-    """
-    require_torch()
-    console = make_console()
-    folder = cached_demo_capture() if name == DEMO else name
-    with console.status("Reading photos"):
-        capture = load_capture(folder, downscale=downscale)
-        capture = capture.about(capture.centre)
-    held_out = train_views(capture.held_out)
-    if not held_out:
-        raise InputError(f"{name}: has no held-out photos to measure by")
-    ready_kernels(console)
-    for rung in TRAINING_RUNGS:
-        if "precision" in rung.changes:
-            with console.status(f"Compiling for {rung.value}"):
-                make_trainer(capture, rung, minutes, 0).step(0.0)
-    trained = [Trained(rung=rung) for rung in TRAINING_RUNGS]
-    runs = len(trained) * seeds
-    console.print(f"{runs} runs of {minutes:g} minutes: about {runs * minutes:.0f} minutes in all")
-    with Progress(
-        BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"), console=console
-    ) as progress:
-        task = progress.add_task("", total=float(runs))
-        for seed in range(seeds):
-            for number, one in enumerate(trained):
-                done = seed * len(trained) + number
-                text = f"{one.rung.knob}: {one.rung.value}, seed {seed}"
-
-                def show(share: float, done: int = done, text: str = text) -> None:
-                    progress.update(task, completed=done + share, description=text)
-
-                one.curves.append(train_rung(capture, held_out, one.rung, minutes, seed, show))
-    if not as_text:
-        about = {"machine": describe_machine(), "capture": Path(name).name, "minutes": minutes}
-        print(json.dumps({**about, "seeds": seeds, "rungs": training_as_json(trained)}))
-    else:
-        print_training_ladder(
-            make_console(stderr=False),
-            trained,
-            f"{Path(name).name}, {minutes:g} minutes a run, {seeds} seeds",
-        )
-    return 0
-
-
-def train_rung(
-    capture: Capture,
-    held_out: list[TrainView],
-    rung: TrainingRung,
-    minutes: float,
-    seed: int,
-    show: Callable[[float], None],
-) -> Curve:
-    """One run of so many minutes of training, evaluations not counted."""
-    trainer = make_trainer(capture, rung, minutes, seed)
-    begun, seconds, paused = time.perf_counter(), [], 0.0
-    scores: list[float] = []
-    while not trainer.done:
-        now = time.perf_counter() - begun - paused
-        trainer.step(now)
-        show(trainer.progress)
-        due = (len(scores) + 1) / EVALUATIONS
-        if trainer.progress >= due or trainer.done:
-            stopped = time.perf_counter()
-            seconds.append(stopped - begun - paused)
-            scores.append(
-                evaluate(
-                    trainer.splats.arrays, held_out, trainer.render_settings, threads=trainer.threads
-                ).psnr
-            )
-            paused += time.perf_counter() - stopped
-    return Curve(
-        seconds=np.array(seconds),
-        psnr=np.array(scores),
-        steps=trainer.counters.iteration,
-        gaussians=len(trainer.splats),
-    )
-
-
-def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int) -> Trainer:
-    """A trainer of the recipe that `splatview train` would take, with the rung's changes."""
-    changes = dict(rung.changes)
-    factor, early_stop = float(changes.pop("splats", 1.0)), changes.pop("early_stop", None)
-    precision = changes.pop("precision", "float32")
-    views = TrainViews(train_views(capture.train), seed)
-    regularisation = automatic_regularisation(len(views))
-    settings = TrainSettings(
-        iterations=None,
-        minutes=minutes,
-        seed=seed,
-        opacity_reg=regularisation,
-        scale_reg=regularisation,
-        full_reg_loss=FULL_REG_LOSS,
-        dropout=automatic_dropout(len(views)),
-        max_aspect=automatic_max_aspect(len(views)),
-        background=capture.background or (0.0, 0.0, 0.0),
-        max_splats=max(1, round(factor * automatic_limit(views.pixel_count, minutes))),
-    )
-    settings = replace(settings, **changes)
-    from splatview.trainer.setup import trainer_for
-
-    trainer = trainer_for(capture, views, settings, centre=np.zeros(3))
-    trainer.picture_dtype = PRECISIONS[precision]
-    if early_stop is not None:
-        trainer.render_settings = replace(trainer.render_settings, early_stop=early_stop)
-    return trainer
-
-
-def print_training_ladder(console: Console, trained: list[Trained], title: str) -> None:
-    baseline = trained[0]
-    # Without lines between columns it fits a terminal of 80.
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column(TRAINING_COLUMNS[0], no_wrap=True)
-    for column in TRAINING_COLUMNS[1:]:
-        table.add_column(column, justify="right", no_wrap=True)
-    for one in trained:
-        table.add_row(*training_cells(one, baseline), style="bold" if one is baseline else None)
-    console.print(table)
-    console.print(
-        "Gain: against the baseline, seed by seed; “same” where the 95 % interval over seeds holds 0."
-        " Seconds (s) to equal: until the PSNR that the baseline ended with. ±: 95 % by Student's t, wide for"
-        " few seeds: --seeds.",
-        highlight=False,
-    )
-
 
 SECONDS, THOROUGH_SECONDS = 50.0, 300.0
 
@@ -250,8 +81,10 @@ def make_parser() -> Parser:
         metavar="A,B",
         help="which, the first with its defaults being the baseline (default: all, the automatic one first)",
     )
-    names = ", ".join(k.name for k in KNOBS)
-    group.add_argument("--knobs", metavar="A,B", help=f"which (default: all): {names}")
+    names, of_training = ", ".join(k.name for k in KNOBS), ", ".join(training_knobs())
+    group.add_argument(
+        "--knobs", metavar="A,B", help=f"which (default: all): {names}; with --train: {of_training}"
+    )
     group.add_argument(
         "--seconds",
         type=positive,
@@ -297,6 +130,7 @@ def run(arguments: list[str]) -> int:
             minutes=args.minutes or TRAIN_MINUTES,
             seeds=args.seeds or TRAIN_SEEDS,
             downscale=args.downscale or 1,
+            knobs=None if args.knobs is None else args.knobs.split(","),
             as_text=not args.json,
         )
     if args.scene is None:

@@ -27,30 +27,43 @@ class TrainingRung:
     changes: Mapping[str, Any]
     """Fields of the recipe that differ from the baseline; "splats" is a factor on its cap on splats,
     "precision" the dtype of pictures and of what is differentiated through them."""
+    needs: str = ""
+    """What a capture must have for the change to make one."""
 
 
 BASELINE = TrainingRung(knob="recipe", value="as it is", changes={})
 
 
-def _rungs(knob: str, **values: Mapping[str, Any]) -> tuple[TrainingRung, ...]:
+def _rungs(knob: str, needs: str = "", **values: Mapping[str, Any]) -> tuple[TrainingRung, ...]:
     return tuple(
-        TrainingRung(knob=knob, value=value.replace("_", " "), changes=changes)
+        TrainingRung(knob=knob, value=value.replace("_", " "), changes=changes, needs=needs)
         for value, changes in values.items()
     )
 
 
 TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     BASELINE,
+    *_rungs("start", "points of its own", stereo={"start": "stereo"}),
     *_rungs(
         "resolution",
         full={"resolution": ()},
+        by_evidence={"resolution": None},
         half_for_60_percent={"resolution": ((0.6, 2),)},
         quarter_then_half={"resolution": ((0.2, 4), (0.5, 2))},
     ),
     *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
+    *_rungs("SH rate", of_the_paper={"sh_divisor": 20.0}),
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
-    *_rungs("sky", off={"sky": "off"}),
+    *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),
+    *_rungs("opacity of photos", "transparent photos", not_taught={"alpha_weight": 0.0}),
+    *_rungs("sky", "a sky", off={"sky": "off"}),
+    *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
+    *_rungs("unseen splats", stay={"least_shown": 0.0}),
+    *_rungs("regularisers", whatever_the_loss={"full_reg_loss": 0.0}),
+    *_rungs("dropout", off={"dropout": 0.0}),
+    *_rungs("elongation", free={"max_aspect": math.inf}),
+    *_rungs("steps", as_many_as_fit={"iterations": None}),
     *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),
     *_rungs("early stop", at_1_percent={"early_stop": 1e-2}),

@@ -7,6 +7,7 @@ splat, so that nothing is shared between threads and sums do not depend on how m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -38,7 +39,7 @@ from splatview.raster.forward import (
     terminate_pixels,
     touched_blocks,
 )
-from splatview.raster.frame import StageClock, arrange, draw, tile_ranges
+from splatview.raster.frame import Arrangement, StageClock, arrange, draw, tile_ranges
 from splatview.raster.parameters import TILE, Parameters, make_view, parameters_of, used_degree
 from splatview.raster.project import LOG2_OPACITY, RX, RY, X_REST, Y_REST, A, B, C, X, Y
 from splatview.raster.simd import (
@@ -94,6 +95,29 @@ def contributions(
     return total
 
 
+def contributions_and_footprints(
+    gaussians: Gaussians,
+    camera: Camera,
+    settings: RenderSettings | None = None,
+    *,
+    threads: int | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each splat's sum of contributions to a picture, (N,) float64, and what it would be with nothing before
+    the splat: the integral of its alpha, times the share of its box that is in the picture."""
+    total = np.zeros(len(gaussians))
+    _, arranged = _add_contributions(gaussians, camera, settings, None, threads, Workspace(), total)
+    visible = np.concatenate([arranged.visible[start:stop] for start, stop in arranged.runs])
+    records = arranged.records[visible].astype(np.float64)
+    inside = np.ones(len(visible))
+    for at, extent, size in ((X, RX, camera.width), (Y, RY, camera.height)):
+        middle, half = records[:, at], np.maximum(records[:, extent], 1e-9)
+        inside *= np.clip((np.minimum(middle + half, size) - np.maximum(middle - half, 0)) / (2 * half), 0, 1)
+    areas = np.pi / math.log(2) / (records[:, A] * records[:, C])
+    footprints = np.zeros(len(gaussians))
+    footprints[visible] = 2 ** records[:, LOG2_OPACITY] * areas * inside
+    return total, footprints
+
+
 def dominant_splats(
     gaussians: Gaussians,
     camera: Camera,
@@ -112,7 +136,9 @@ def dominant_splats(
     if not 0 <= least_coverage <= 1:
         raise ValueError(f"least_coverage must be in [0, 1], got {least_coverage}")
     total = np.zeros(len(gaussians))
-    return _add_contributions(gaussians, camera, settings, edits, threads, Workspace(), total, least_coverage)
+    return _add_contributions(
+        gaussians, camera, settings, edits, threads, Workspace(), total, least_coverage
+    )[0]
 
 
 def _add_contributions(
@@ -124,8 +150,9 @@ def _add_contributions(
     workspace: Workspace,
     total: np.ndarray,
     least_coverage: float = LEAST_COVERAGE,
-) -> np.ndarray:
-    """Adds one camera's contributions to total (N,); returns its dominant-splat id buffer."""
+) -> tuple[np.ndarray, Arrangement]:
+    """Adds one camera's contributions to total (N,); its dominant-splat id buffer, and what was drawn, whose
+    arrays are the workspace's."""
     settings = settings or RenderSettings()
     splats, dtype = parameters_of(gaussians), np.dtype(np.float32)
     threads = threads or available_threads()
@@ -162,7 +189,7 @@ def _add_contributions(
             (bins.order, bins.runs, bins.spans, *band, base, pairs, total),
             threads,
         )
-    return ids
+    return ids, arranged
 
 
 @inline

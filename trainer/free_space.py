@@ -35,7 +35,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatview.raster.contributions import contributions
+from splatview.raster.contributions import contributions_and_footprints
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.trainer.views import TrainView
 
@@ -49,7 +49,10 @@ LEAST_POINTS = 20
 """Where a photo shows fewer, nothing is known."""
 
 LEAST_SHOWN = 2e-6
-"""Of a photo, that a splat must contribute to all photos together: 0.12 px of one of 60,000."""
+"""See `TrainSettings.least_shown`: 0.12 px of a photo of 60,000."""
+
+LEAST_VISIBILITY = 0.0
+"""See `TrainSettings.least_visibility`."""
 
 COUNTED_PIXELS = 60_000
 """Of photos that are looked at for that: of larger ones a smaller picture tells."""
@@ -89,16 +92,25 @@ def _is_inside(local: np.ndarray, camera: Camera) -> np.ndarray:
     return inside
 
 
-def shown(
-    scene: Gaussians, views: Sequence[TrainView], settings: RenderSettings, threads: int | None = None
+def worth_keeping(
+    scene: Gaussians,
+    views: Sequence[TrainView],
+    settings: RenderSettings,
+    *,
+    least_shown: float,
+    least_visibility: float,
+    threads: int | None = None,
 ) -> np.ndarray:
-    """(N,) bool: the splats that photos show, however little."""
-    share = np.zeros(len(scene))
+    """(N,) bool: the splats that photos show so much of; see `TrainSettings.least_shown` and
+    `TrainSettings.least_visibility`."""
+    total, whole = np.zeros(len(scene)), np.zeros(len(scene))
     for view in views:
         camera = view.camera
         factor = math.ceil(math.sqrt(camera.width * camera.height / COUNTED_PIXELS))
         if factor > 1:
             camera = camera.resized(max(camera.width // factor, 1), max(camera.height // factor, 1))
-        pixels = contributions(scene, [camera], settings, threads=threads)
-        share += pixels / (camera.width * camera.height)
-    return share >= LEAST_SHOWN
+        pixels, footprints = contributions_and_footprints(scene, camera, settings, threads=threads)
+        total += pixels / (camera.width * camera.height)
+        whole += footprints / (camera.width * camera.height)
+    kept = total >= least_shown
+    return kept & (total >= least_visibility * whole) if least_visibility > 0 else kept

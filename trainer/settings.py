@@ -15,7 +15,7 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
-from splatview.trainer.free_space import FREE_SPACE
+from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -217,6 +217,12 @@ class TrainSettings(StrategySettings):
     free_space: float = FREE_SPACE
     """Share of the depth at which what a photo shows begins, nearer than which no splat may stand before its
     camera; 0: anywhere. See `free_space`."""
+    least_shown: float = LEAST_SHOWN
+    """Of a photo, that a splat must contribute to all photos together, or it goes when density control ends
+    and as the run does; 0: what none shows goes nowhere. See `free_space`."""
+    least_visibility: float = LEAST_VISIBILITY
+    """Share of what a splat would contribute to the photos with nothing before it, that it must contribute,
+    or it goes too; 0: what hides behind others may stay. See `free_space`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -243,6 +249,9 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"sh_divisor must be at least 1 and finite, got {self.sh_divisor}")
         if not 0 <= self.free_space < 1:
             raise ValueError(f"free_space must be at least 0 and below 1, got {self.free_space}")
+        for name in ("least_shown", "least_visibility"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 0 and below 1, got {getattr(self, name)}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -294,7 +303,14 @@ RECORDED_NAMES = {
 """Names of fields in checkpoints where they are not those of `TrainSettings`."""
 
 
-WITHOUT_WORD = {"alpha_weight": 0.0, "full_reg_loss": 0.0, "sky": "off", "free_space": 0.0}
+WITHOUT_WORD = {
+    "alpha_weight": 0.0,
+    "full_reg_loss": 0.0,
+    "sky": "off",
+    "free_space": 0.0,
+    "least_shown": 0.0,
+    "least_visibility": 0.0,
+}
 """Fields that older checkpoints do not have, as their runs went."""
 
 

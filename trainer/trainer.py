@@ -20,7 +20,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.free_space import GONE, shown, standing_before
+from splatview.trainer.free_space import GONE, standing_before, worth_keeping
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
@@ -421,9 +421,17 @@ class Trainer:
     def _drop_unseen(self, progress: float) -> None:
         """Takes out what no photo shows once density control has ended, and at the end of the run; but for
         what was put in the sky for directions that none shows. See `free_space`."""
-        ended = progress >= self.settings.refine_until
+        settings = self.settings
+        ended = progress >= settings.refine_until
         if self.done or (ended and not self.state.get("unseen_dropped")):
-            kept = shown(self.splats.snapshot(), self.views.all, self.render_settings, self.threads)
+            kept = worth_keeping(
+                self.splats.snapshot(),
+                self.views.all,
+                self.render_settings,
+                least_shown=settings.least_shown,
+                least_visibility=settings.least_visibility,
+                threads=self.threads,
+            )
             if "sky" in self.state:
                 kept |= self.state["sky"] > 0
             if kept.any():

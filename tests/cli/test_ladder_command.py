@@ -19,7 +19,7 @@ def scene(tmp_path_factory, random_gaussians) -> Path:
     return path
 
 
-SMALL = ("--size", "48x32", "--renderers", "cpu", "--views", "1", "--seconds", "0.1")
+SMALL = ("--size", "48x32", "--renderers", "cpu", "--views", "1", "--rounds", "3")
 
 
 def test_a_ladder_as_json_and_as_a_plot(scene, tmp_path, capsys):

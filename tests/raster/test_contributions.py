@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from splatview import raster
-from splatview.raster.contributions import contributions, dominant_splats
+from splatview.raster.contributions import contributions, contributions_and_footprints, dominant_splats
 from splatview.scene import ImageModel, RenderSettings, look_at, reference
 from splatview.scene.edits import HIDDEN, IDENTITY, PALETTE_SHIFT, Adjustment, SceneEdits, bake
 from splatview.scene.projection import project
@@ -60,6 +60,31 @@ def test_every_splat_of_several_pictures(random_gaussians):
     assert np.array_equal(total, contributions(scene, CAMERAS))
     alphas = [raster.render(scene, camera)[..., 3].sum() for camera in CAMERAS]
     assert total.sum() == pytest.approx(sum(alphas), rel=1e-5)
+
+
+def test_footprints_are_contributions_with_nothing_before(random_gaussians):
+    """To 2 % and what the cut takes: sums over pixels of at least a pixel's width stand for integrals."""
+    scene = random_gaussians(40, sh_degree=0, seed=5)
+    small = np.minimum(scene.log_scales, np.float32(-2))  # so that none meets the border
+    scene = replace(scene, means=scene.means * np.float32(0.4), log_scales=small)
+    camera = look_at((0.2, -0.1, -2.2), (0, 0, 0), width=80, height=60)
+    total, footprints = contributions_and_footprints(scene, camera)
+    np.testing.assert_array_equal(total, contributions(scene, [camera]))
+    alone = np.array([contributions(scene.take(np.array([row])), [camera])[0] for row in range(len(scene))])
+    cut = footprints / 255 / np.exp(-np.logaddexp(0, -scene.opacity_logits.astype(np.float64)))
+    wrong = np.abs(footprints - alone) - cut
+    assert (wrong / footprints).max() <= 0.02
+    assert (total[footprints == 0] == 0).all() and (total < 0.9 * alone).any()
+
+
+def test_footprints_end_where_pictures_do(random_gaussians):
+    scene = random_gaussians(1, sh_degree=0, seed=5)
+    scene = replace(scene, means=np.zeros_like(scene.means), log_scales=np.full_like(scene.means, -1.5))
+    camera = look_at((0, 0, -2.2), (0, 0, 0), width=81, height=61)
+    left = replace(camera, width=41, cx=camera.cx)
+    (whole,), (half,) = (contributions_and_footprints(scene, view)[1] for view in (camera, left))
+    assert half == pytest.approx(whole / 2, rel=0.05)
+    assert all(len(array) == 0 for array in contributions_and_footprints(scene.take(slice(0)), camera))
 
 
 @given(

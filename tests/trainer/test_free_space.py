@@ -11,7 +11,7 @@ import pytest
 from splatview.raster import Parameters
 from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.free_space import GONE, nearest_depths, shown, standing_before
+from splatview.trainer.free_space import GONE, nearest_depths, standing_before, worth_keeping
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import CLEAR_STEPS, Trainer
@@ -114,13 +114,18 @@ def with_strays(start: Parameters) -> Parameters:
 def test_what_photos_show(views: list[TrainView], start: Parameters, make_trainer) -> None:
     trainer = Trainer(TrainViews(views, 0), with_strays(start), 3.0, make_trainer().settings)
     settings, scene = trainer.render_settings, trainer.snapshot()
-    found = shown(scene, views, settings)
+
+    def keeps(views: list[TrainView], least_shown: float = 2e-6) -> np.ndarray:
+        return worth_keeping(scene, views, settings, least_shown=least_shown, least_visibility=0.0)
+
+    found = keeps(views)
     assert found[-4:].tolist() == [False, False, True, False]
     larger = [
         replace(view, camera=view.camera.resized(960, 800), pixels=np.zeros((800, 960, 3), np.uint8))
         for view in views
     ]
-    np.testing.assert_array_equal(shown(scene, larger, settings)[-4:], found[-4:])
+    np.testing.assert_array_equal(keeps(larger)[-4:], found[-4:])
+    assert keeps(views, 0.0).all()
 
 
 def test_what_no_photo_shows_goes_as_density_control_ends(
@@ -135,6 +140,19 @@ def test_what_no_photo_shows_goes_as_density_control_ends(
         trainer.step()
         counts.append(len(trainer.splats))
     assert counts == [*[len(start.means)] * 4, *[len(start.means) - 3] * 3, len(start.means) - 6]
+
+
+def test_what_hides_behind_others(views: list[TrainView], start: Parameters, make_trainer) -> None:
+    """The large ball hides much of the scene: a splat in its middle shows nothing, and one beside it all."""
+    scene = Parameters(*(array[:3].copy() for array in start))
+    scene.means[:] = (0, 0, 0), (0, 0, 0), (0, 0.9, 0)
+    scene.log_scales[:] = np.log([[0.3], [0.02], [0.05]])
+    scene.opacity_logits[:] = 9.0, 2.0, 2.0
+    trainer = Trainer(TrainViews(views, 0), scene, 3.0, make_trainer().settings)
+    given = trainer.snapshot(), views, trainer.render_settings
+    for least, kept in ((0.0, True), (0.05, False)):
+        found = worth_keeping(*given, least_shown=0, least_visibility=least)
+        assert found.tolist() == [True, kept, True]
 
 
 def test_what_is_in_the_sky_stays(views: list[TrainView], start: Parameters, make_trainer) -> None:
